@@ -1,0 +1,181 @@
+"""The command ``mapdata``: build, info, verify, show. Exit codes: 0 good, 1 the data are damaged or disagree, 2 usage
+or environment.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import mapdata
+from mapdata.build import Recipe, build, verify
+from mapdata.manifest import Manifest, read_manifest
+from mapdata.shard import ShardError, read_shard
+from mapdata.spec import PRESETS
+
+
+class _DisagreeError(Exception):
+    """The data are damaged or are not what they should be: exit code 1."""
+
+
+def build_command(
+    root: str,
+    maps: int | None,
+    seed: int | None,
+    preset: str,
+    recipe: str | None,
+    shard_size: int,
+    workers: int | None,
+) -> None:
+    """Make maps with all labels as shards; run again to go on, ask for more maps to extend."""
+    if recipe is None and preset not in PRESETS:
+        raise ValueError(f"preset: got {preset!r}, expected one of {', '.join(PRESETS)}")
+    wanted = Recipe.load(preset if recipe is None else recipe)
+    maps, seed = wanted.maps if maps is None else maps, wanted.seed if seed is None else seed
+    began = time.perf_counter()
+    manifest = build(
+        root,
+        wanted.spec,
+        maps=maps,
+        seed=seed,
+        shard_size=shard_size,
+        workers=workers,
+        progress=True,
+    )
+    print(summary(root, manifest, time.perf_counter() - began))
+    if wanted.content_hash is not None and (maps, seed) == (wanted.maps, wanted.seed):
+        if manifest.content_hash != wanted.content_hash:
+            raise _DisagreeError(f"content hash {manifest.content_hash}, the recipe says {wanted.content_hash}")
+        print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
+
+
+def info_command(root: str, recipe: bool) -> None:
+    """Say what a dataset is."""
+    manifest = read_manifest(Path(root))
+    print(manifest.recipe() if recipe else summary(root, manifest))
+
+
+def verify_command(root: str) -> None:
+    """Check every file of a dataset; exit code 1 if one is damaged."""
+    problems = verify(root, progress=True)
+    for problem in problems:
+        print(problem)
+    if problems:
+        raise _DisagreeError(f"{len(problems)} found")
+    print(f"{root}: all is well")
+
+
+def show_command(root: str, index: int, output: str, paper_colours: bool) -> None:
+    """Draw one map with both paths and its numbered seeds."""
+    from matplotlib.figure import Figure
+
+    from mapdata.plot import plot_map
+
+    manifest = read_manifest(Path(root))
+    entry = next((entry for entry in manifest.shards if entry.start <= index < entry.stop), None)
+    if entry is None:
+        raise ValueError(f"index: got {index}, {root} holds maps 0 to {manifest.maps - 1}")
+    figure = Figure(figsize=(6, 6.5), layout="constrained")
+    labels = read_shard(Path(root) / entry.name)
+    plot_map(labels, index - entry.start, figure.add_subplot(), paper_colours=paper_colours)
+    figure.savefig(output, dpi=150, bbox_inches="tight")
+    print(f"wrote {output}")
+
+
+def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
+    """Return the short summary of a dataset, a line a fact."""
+    done = sum(entry.stop - entry.start for entry in manifest.shards)
+    size = sum(entry.bytes for entry in manifest.shards)
+    segments = max(manifest.total("segments"), 1)
+    rows, columns = manifest.map_size
+    lines = {
+        "maps": f"{done:,} of {rows} x {columns} cells in {len(manifest.shards)} shards"
+        + ("" if manifest.complete else f" (of {manifest.maps:,}: not finished)"),
+        "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
+        "size": f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map",
+        "drawn tunnels": f"{manifest.total('drawn') / segments:.1%}",
+        "reachable segments": f"{manifest.total('reachable') / segments:.1%}",
+        "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
+        "identity": manifest.identity or "none (imported)",
+        "content hash": manifest.content_hash,
+        "look": f"mapdata show {root} --index {min(7, max(done - 1, 0))} -o map.png",
+    }
+    return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    parser = _Parser(prog="mapdata", description="Grid maps with shortest paths, for planners that learn by example.")
+    parser.add_argument("--version", action="version", version=f"mapdata {mapdata.__version__}")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    for name, command, add_arguments in (
+        ("build", build_command, add_build_arguments),
+        ("info", info_command, _add_info_arguments),
+        ("verify", verify_command, lambda _: None),
+        ("show", show_command, _add_show_arguments),
+    ):
+        verb = verbs.add_parser(name, help=(command.__doc__ or "").split("\n")[0], description=command.__doc__)
+        verb.add_argument("root", metavar="ROOT", help="folder of the dataset")
+        add_arguments(verb)
+        verb.set_defaults(command=command)
+    values = vars(parser.parse_args(arguments))
+    run(values.pop("command"), **values)
+
+
+def build_main(arguments: list[str] | None = None) -> None:
+    """Run ``mapdata build`` with a default root: what ``scripts/build_shards.py`` is."""
+    parser = _Parser(description=build_command.__doc__)
+    parser.add_argument("root", metavar="ROOT", nargs="?", default="data/maps", help="folder (default: %(default)s)")
+    add_build_arguments(parser)
+    run(build_command, **vars(parser.parse_args(arguments)))
+
+
+def run(command: Callable[..., None], **values: object) -> None:
+    """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a user can mend."""
+    try:
+        command(**values)
+    except (_DisagreeError, ShardError) as error:
+        sys.exit(_complain(error, 1))
+    except KeyboardInterrupt:
+        sys.exit(_complain("stopped; run the same command again to go on", 130))
+    except (ValueError, OSError) as error:
+        sys.exit(_complain(error, 2))
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        sys.exit(_complain(f"{message} ({self.prog} --help says more)", 2))
+
+
+def add_build_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of ``mapdata build``."""
+    parser.add_argument("--maps", metavar="N", type=int, help="how many maps (default 10000, or the recipe's)")
+    parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed (default 0, or the recipe's)")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--preset", metavar="NAME", default="paper", help=f"{', '.join(PRESETS)} (default: %(default)s)"
+    )
+    source.add_argument("--recipe", metavar="FILE", help="what 'mapdata info ROOT --recipe' prints, or an own spec")
+    parser.add_argument("--shard-size", metavar="K", type=int, default=1000, help="maps a shard (default: %(default)s)")
+    parser.add_argument("--workers", metavar="W", type=int, help="threads (default: all cores)")
+
+
+def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--recipe", action="store_true", help="print the few lines of JSON that are the dataset")
+
+
+def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--index", metavar="I", type=int, default=0, help="number of the map (default: %(default)s)")
+    parser.add_argument("-o", "--output", metavar="FILE", default="map.png", help="picture (default: %(default)s)")
+    parser.add_argument("--paper-colours", action="store_true", help="free black and occupied white")
+
+
+def _complain(error: object, code: int) -> int:
+    print(f"mapdata: {' '.join(str(error).split())}", file=sys.stderr)
+    return code

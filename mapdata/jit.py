@@ -1,0 +1,82 @@
+"""The one decorator that makes a kernel: compiled on first use, cached on disk, never stale."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar, cast
+
+import numba
+
+Int: TypeAlias = Any
+"""An integer inside a kernel, where Python's and numpy's mix."""
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def source_hash(package: Path) -> str:
+    """Return a hash of all sources in ``package`` that define kernels.
+
+    numba watches only the file of the function it compiled. A kernel that calls one of another file would go on
+    giving the old bytes after an edit there, so the name of the cache folder covers all of them.
+    """
+    digest = hashlib.sha256()
+    for file in sorted(package.glob("*.py")):
+        source = file.read_bytes()
+        if b"@kernel" in source:
+            digest.update(file.name.encode() + b"\0" + source + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def _cache_home() -> Path:
+    """Return the user's cache folder: compiled code is loaded from it, so it must not be a shared one like /tmp."""
+    if override := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(override)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
+
+
+CACHE_FOLDER = _cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
+_CACHED = _writable(CACHE_FOLDER)
+if not _CACHED:
+    warnings.warn(f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process", stacklevel=2)
+
+
+def kernel(function: F) -> F:
+    """Compile ``function`` with numba on its first call: no Python objects, no GIL, one thread.
+
+    The static type is that of the plain function, so that callers are checked.
+    """
+    dispatcher = numba.njit(nogil=True, error_model="numpy", boundscheck=False)(function)
+    if _CACHED:
+        # numba reads its cache folder from a process-wide setting, once, here.
+        before = getattr(numba.config, "CACHE_DIR")  # noqa: B009
+        setattr(numba.config, "CACHE_DIR", str(CACHE_FOLDER))  # noqa: B010  (its stub does not know the setting)
+        try:
+            dispatcher.enable_caching()
+        finally:
+            setattr(numba.config, "CACHE_DIR", before)  # noqa: B010
+    return cast(F, dispatcher)
+
+
+def inlined(function: F) -> F:
+    """Mark ``function`` as a part of kernels, taken into each at its call.
+
+    A call with array arguments counts their references, which costs more than what a small helper does.
+    """
+    return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))

@@ -1,0 +1,314 @@
+"""What the paper computes of a map: the route by BFS and by A*, their iterations, and both connection matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.dungeon import WORD, Maps
+from mapdata.jit import Int, kernel
+from mapdata.search import (
+    ASTAR,
+    BFS,
+    FREE,
+    STEPS,
+    UNSEEN,
+    WALL,
+    Scratch,
+    astar_heap,
+    astar_manhattan,
+    count_moves,
+    flood,
+    rule_of,
+    scratch,
+    taken_until,
+    wipe,
+    wipe_heap,
+    write_moves,
+)
+
+Ints = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PlannerLabels:
+    """What one planner finds on N maps with S segments and P pairs of rooms.
+
+    Segment q of a map leads from room q to room q + 1, pairs are i < j in the order of `numpy.triu_indices` (scipy's
+    condensed form); `Maps.segment_offsets` and `Maps.pair_offsets` say where those of a map begin.
+
+    Attributes:
+        moves: (M,) uint8, the moves of all segments one after another, numbered as `search.STEPS`.
+        offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves, like one from a
+            cell to itself.
+        iterations: (S,) int64, cells taken from the frontier.
+        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair, (-1, 0) without a path.
+    """
+
+    moves: Bytes
+    offsets: Ints
+    iterations: Ints
+    costs: Ints
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The paper's characterization of a batch of maps: routes, iterations and matrices by both planners."""
+
+    maps: Maps
+    bfs: PlannerLabels
+    astar: PlannerLabels
+
+    @cached_property
+    def reachable(self) -> Flags:
+        """(S,) bool: a path exists between rooms q and q + 1, whether or not a tunnel was drawn."""
+        first = np.repeat(self.maps.pair_offsets[:-1], self.maps.rooms - 1)
+        q = np.arange(len(first)) - np.repeat(self.maps.segment_offsets[:-1], self.maps.rooms - 1)
+        n = np.repeat(self.maps.rooms, self.maps.rooms - 1)
+        return np.asarray(self.astar.costs[first + q * (2 * n - q - 1) // 2, 0] >= 0)
+
+    @cached_property
+    def all_connected(self) -> Flags:
+        """(N,) bool: paths exist between all rooms of a map."""
+        paths = np.concatenate(([0], np.cumsum(self.reachable)))
+        offsets = self.maps.segment_offsets
+        return np.asarray(paths[offsets[1:]] - paths[offsets[:-1]] == self.maps.rooms - 1)
+
+    def segment(self, planner: str, i: int, q: int) -> Ints:
+        """Return segment q of map i of the batch as found by ``planner``: (k, 2) int64 cells, (0, 2) without a path."""
+        labels = self.of(planner)
+        if not (0 <= i < len(self.maps) and 0 <= q < self.maps.rooms[i] - 1):
+            raise IndexError(f"map {i} of the batch has no segment {q}")
+        s = int(self.maps.segment_offsets[i]) + q
+        if not self.reachable[s]:
+            return np.empty((0, 2), np.int64)
+        moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
+        return np.concatenate((self.maps.seeds[i, q : q + 1], self.maps.seeds[i, q] + np.cumsum(STEPS[moves], axis=0)))
+
+    def route(self, planner: str, i: int) -> list[Ints]:
+        """Return the path through all rooms of map i in their order, a segment an array (k, 2)."""
+        return [self.segment(planner, i, q) for q in range(int(self.maps.rooms[i]) - 1)]
+
+    def iterations(self, planner: str, i: int) -> Ints:
+        """Return (n - 1,) int64, the iterations of each segment of map i."""
+        return self.of(planner).iterations[slice(*self.maps.segment_offsets[i : i + 2])]
+
+    def matrix(self, planner: str, i: int) -> npt.NDArray[np.float64]:
+        """Return the connection matrix of map i, (n, n) float64: path costs (BFS: moves), 0 on the diagonal, -1 no
+        path.
+        """
+        n = int(self.maps.rooms[i])
+        straight, diagonal = self.of(planner).costs[slice(*self.maps.pair_offsets[i : i + 2])].T
+        step = 1.0 if planner == "bfs" else self.maps.movement.diagonal_cost
+        matrix = np.zeros((n, n))
+        matrix[np.triu_indices(n, 1)] = straight + diagonal * step
+        return matrix + matrix.T
+
+    def of(self, planner: str) -> PlannerLabels:
+        """Return the labels by ``planner``, "bfs" or "astar"."""
+        if planner not in ("bfs", "astar"):
+            raise ValueError(f"planner: got {planner!r}, expected 'bfs' or 'astar'")
+        return self.bfs if planner == "bfs" else self.astar
+
+
+def label(maps: Maps) -> Labels:
+    """Return the paper's characterization of ``maps``: routes, iterations and connection matrices by BFS and by A*.
+
+    One breadth-first search from each seed gives its row of the BFS matrix, its segment and the iterations. A*
+    searches every pair of rooms; the searches of consecutive rooms are the segments.
+
+    Source: arXiv 2110.13242, section III-C and III-D.
+
+    >>> from mapdata import MapSpec, generate
+    >>> labels = label(generate(MapSpec(), seed=0, indices=[2]))
+    >>> labels.matrix("astar", 0)
+    array([[ 0., 33.],
+           [33.,  0.]])
+    """
+    segments, pairs = int(maps.segment_offsets[-1]), int(maps.pair_offsets[-1])
+    tables = [np.empty((count, 2), np.int64) for count in (segments, pairs, segments, pairs)]
+    moves = _label(
+        maps.packed,
+        maps.columns,
+        maps.rooms,
+        maps.seeds,
+        maps.segment_offsets,
+        maps.pair_offsets,
+        *rule_of(maps.movement),
+        *tables,
+    )
+    bfs, astar = (
+        PlannerLabels(found, np.concatenate(([0], np.cumsum(table[:, 0]))), np.ascontiguousarray(table[:, 1]), costs)
+        for found, table, costs in zip(moves, tables[::2], tables[1::2], strict=True)
+    )
+    return Labels(maps, bfs, astar)
+
+
+@kernel
+def _label(
+    packed: npt.NDArray[np.uint64],
+    columns: Int,
+    rooms: Ints,
+    seeds: Ints,
+    segments: Ints,
+    pairs: Ints,
+    diagonals: Int,
+    step: Int,
+    bfs_table: Ints,
+    bfs_costs: Ints,
+    astar_table: Ints,
+    astar_costs: Ints,
+) -> tuple[Bytes, Bytes]:
+    """Label every map; return the moves of BFS and of A*.
+
+    The tables are (S, 2), number of moves and iterations; the costs (P, 2), straight and diagonal moves.
+    """
+    stride = columns + 2
+    cells = (packed.shape[1] + 2) * stride
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    fresh, seed_cells = np.full(cells, WALL, np.uint8), np.empty(seeds.shape[1], np.int64)
+    flooding, searching = scratch(cells, BFS, diagonals), scratch(cells, ASTAR, diagonals)
+    bfs_moves, astar_moves = np.empty(1024, np.uint8), np.empty(1024, np.uint8)
+    bfs_used, astar_used = 0, 0
+    for m in range(len(packed)):
+        _unpack(packed[m], columns, fresh)
+        n = rooms[m]
+        for q in range(n):
+            seed_cells[q] = (seeds[m, q, 0] + 1) * stride + seeds[m, q, 1] + 1
+        at, of = slice(segments[m], segments[m + 1]), slice(pairs[m], pairs[m + 1])
+        bfs_moves, bfs_used = _bfs_labels(
+            fresh,
+            flooding,
+            seed_cells[:n],
+            stride,
+            offsets,
+            diagonals,
+            bfs_table[at],
+            bfs_costs[of],
+            bfs_moves,
+            bfs_used,
+        )
+        astar_moves, astar_used = _astar_labels(
+            fresh,
+            searching,
+            seed_cells[:n],
+            stride,
+            offsets,
+            diagonals,
+            step,
+            astar_table[at],
+            astar_costs[of],
+            astar_moves,
+            astar_used,
+        )
+    return bfs_moves[:bfs_used], astar_moves[:astar_used]
+
+
+@kernel
+def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
+    """Write one packed map into the padded ``fresh`` as UNSEEN and WALL (the codes differ in the lowest bit)."""
+    for row in range(words.shape[0]):
+        for j in range(words.shape[1]):
+            word, base = words[row, j], (row + 1) * (columns + 2) + 1 + WORD * j
+            for k in range(min(WORD, columns - WORD * j)):
+                fresh[base + k] = UNSEEN | np.uint8((word >> np.uint64(k)) & np.uint64(1))
+
+
+@kernel
+def _bfs_labels(
+    fresh: Bytes,
+    buffers: Scratch,
+    seeds: Ints,
+    stride: Int,
+    offsets: Ints,
+    diagonals: Int,
+    table: Ints,
+    costs: Ints,
+    moves: Bytes,
+    used: Int,
+) -> tuple[Bytes, Int]:
+    """Label one map by BFS: one flood from each seed until all later ones are seen; return the moves and their
+    number.
+    """
+    came, queue, pair, n = buffers[0], buffers[3], 0, len(seeds)
+    for a in range(n - 1):
+        for k in range(len(fresh)):
+            came[k] = fresh[k]
+        count = flood(came, queue, stride, seeds[a], seeds[a + 1 :], diagonals)
+        for b in range(a + 1, n):
+            costs[pair, 0], costs[pair, 1] = -1, 0
+            if came[seeds[b]] != UNSEEN:
+                straight, diagonal = count_moves(came, offsets, seeds[a], seeds[b])
+                costs[pair, 0] = straight + diagonal
+            pair += 1
+        length = max(costs[pair - n + a + 1, 0], 0)
+        table[a, 0], table[a, 1] = length, taken_until(queue, count, seeds[a + 1])
+        moves, used = _room(moves, used, length), used + length
+        if length:
+            write_moves(came, offsets, seeds[a], seeds[a + 1], moves, used)
+    return moves, used
+
+
+@kernel
+def _astar_labels(
+    fresh: Bytes,
+    buffers: Scratch,
+    seeds: Ints,
+    stride: Int,
+    offsets: Ints,
+    diagonals: Int,
+    step: Int,
+    table: Ints,
+    costs: Ints,
+    moves: Bytes,
+    used: Int,
+) -> tuple[Bytes, Int]:
+    """Label one map by A*: a search for each pair of rooms; return the moves and their number."""
+    came, state, g, cell, below, f = buffers
+    for k in range(len(came)):
+        came[k] = fresh[k]
+    for k in range(len(state)):
+        state[k] = FREE if fresh[k] == UNSEEN else np.uint32(0)
+    pair = 0
+    for a in range(len(seeds) - 1):
+        for b in range(a + 1, len(seeds)):
+            start, goal, diagonal = seeds[a], seeds[b], 0
+            straight: Int = -1
+            if diagonals == 0:
+                taken, pushes = astar_manhattan(state, cell, below, stride, start, goal)
+                if state[goal] != FREE:
+                    straight = np.int64(state[goal] >> np.uint32(4)) - 1
+            else:
+                taken, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
+                if came[goal] != UNSEEN:
+                    straight, diagonal = count_moves(came, offsets, start, goal)
+            costs[pair, 0], costs[pair, 1] = straight, diagonal
+            pair += 1
+            if b == a + 1:
+                length = max(straight + diagonal, 0)
+                table[a, 0], table[a, 1] = length, taken
+                moves, used = _room(moves, used, length), used + length
+                if length and diagonals == 0:
+                    write_moves(state, offsets, start, goal, moves, used)
+                elif length:
+                    write_moves(came, offsets, start, goal, moves, used)
+            if diagonals == 0:
+                wipe(state, cell, pushes)
+            else:
+                wipe_heap(came, g, cell, pushes)
+    return moves, used
+
+
+@kernel
+def _room(moves: Bytes, used: Int, more: Int) -> Bytes:
+    """Return ``moves``, or a larger copy of the ``used`` ones with room for ``more``."""
+    if used + more <= len(moves):
+        return moves
+    larger = np.empty(2 * (used + more), np.uint8)
+    larger[:used] = moves[:used]
+    return larger

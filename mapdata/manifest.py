@@ -1,0 +1,308 @@
+"""The manifest of a root: which shards there are, and what opening them needs. Derived from the shards, so it can be
+rebuilt.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import socket
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock
+
+import mapdata
+from mapdata.content import combine, content_hash
+from mapdata.labels import Labels
+from mapdata.shard import Header, Shard, ShardError, decode, open_shard, write_file
+from mapdata.spec import FORMAT_VERSION, SPLITS, MapSpec, Movement, canonical_json, identity
+
+MANIFEST = "manifest.json"
+LOCK = ".lock"
+_TEMPORARY = re.compile(r"\..+\.(?P<host>[^/]+)\.(?P<pid>\d+)\.tmp")
+
+
+class DatasetNotFoundError(FileNotFoundError):
+    """There is no dataset where one was looked for; the message says where, and which command makes one."""
+
+    def __init__(self, root: object, why: str = "it does not exist") -> None:
+        """Say what was looked for under ``root`` and what to do."""
+        super().__init__(
+            f"no dataset at {root}: {why}. Make one with 'python scripts/build_shards.py {root}', with "
+            f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, build='paper')"
+        )
+
+    def __str__(self) -> str:
+        """Return the message alone (an OSError would show its arguments as a tuple)."""
+        return str(self.args[0])
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the manifest says of one shard.
+
+    Attributes:
+        name: file name inside the root.
+        start, stop: its maps are start <= i < stop.
+        bytes: size of the file.
+        sha256: file hash, for damage.
+        content_hash: content hash of its maps.
+        counts: how many segments, drawn tunnels, reachable segments and fully connected maps it holds, and per split
+            the number of maps, of route problems with and without a path, and of room pairs with and without one.
+    """
+
+    name: str
+    start: int
+    stop: int
+    bytes: int
+    sha256: str
+    content_hash: str
+    counts: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """All shards of a root.
+
+    Attributes:
+        spec, seed: what the maps are drawn from; None for imported maps.
+        maps: how many maps the dataset shall have.
+        shard_size: maps a shard.
+        map_size, movement, resolution: as in the shards.
+        shards: finished shards in the order of their maps.
+    """
+
+    spec: MapSpec | None
+    seed: int | None
+    maps: int
+    shard_size: int
+    map_size: tuple[int, int]
+    movement: Movement
+    resolution: float
+    shards: tuple[Entry, ...] = field(default=())
+
+    @property
+    def identity(self) -> str | None:
+        """The identity of the dataset; None for imported maps."""
+        return None if self.spec is None or self.seed is None else identity(self.spec, self.seed)
+
+    @property
+    def content_hash(self) -> str:
+        """The content hash of all maps in the finished shards."""
+        return combine([entry.content_hash for entry in self.shards])
+
+    @property
+    def complete(self) -> bool:
+        """Whether all maps are there."""
+        return sum(entry.stop - entry.start for entry in self.shards) == self.maps
+
+    @property
+    def plan(self) -> list[tuple[int, int]]:
+        """(start, stop) of every shard that the dataset shall have."""
+        return [(k, min(k + self.shard_size, self.maps)) for k in range(0, self.maps, self.shard_size)]
+
+    def total(self, name: str) -> int:
+        """Return the sum of one of the counts over all shards."""
+        return sum(int(entry.counts[name]) for entry in self.shards)
+
+    def to_json(self) -> str:
+        """Return the text of ``manifest.json``."""
+        values = {
+            "format": "mapdata",
+            "format_version": FORMAT_VERSION,
+            "library_version": mapdata.__version__,
+            "identity": self.identity,
+            "content_hash": self.content_hash,
+            "spec": self.spec.to_dict() if self.spec else None,
+            "seed": self.seed,
+            "maps": self.maps,
+            "shard_size": self.shard_size,
+            "map_size": list(self.map_size),
+            "movement": asdict(self.movement),
+            "resolution": self.resolution,
+            "shards": [asdict(entry) for entry in self.shards],
+        }
+        values["manifest_hash"] = _hash(values)
+        return json.dumps(values, indent=1) + "\n"
+
+    def recipe(self) -> str:
+        """Return the few lines of JSON that are the dataset.
+
+        Raises:
+            ValueError: imported maps have no recipe.
+        """
+        if self.spec is None:
+            raise ValueError("imported maps have no recipe: their identity is the content hash")
+        values = {
+            "format_version": FORMAT_VERSION,
+            "spec": self.spec.to_dict(),
+            "seed": self.seed,
+            "maps": self.maps,
+            "identity": self.identity,
+            "content_hash": self.content_hash,
+        }
+        return json.dumps(values, indent=1)
+
+
+def shard_name(start: int, stop: int) -> str:
+    """Return the file name of the shard of maps start <= i < stop."""
+    return f"maps-{start:012d}-{stop:012d}.h5"
+
+
+def is_shard_name(name: str) -> bool:
+    """Return whether ``name`` is what `shard_name` gives: nothing else of a manifest is ever opened."""
+    return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
+
+
+def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
+    """Return the entry of a shard with this content and these bytes."""
+    return Entry(
+        name=shard.path.name,
+        start=shard.header.start,
+        stop=shard.header.stop,
+        bytes=len(image),
+        sha256=hashlib.sha256(image).hexdigest(),
+        content_hash=shard.content_hash,
+        counts=_counts(labels),
+    )
+
+
+def read_manifest(root: Path) -> Manifest:
+    """Return the manifest of a root.
+
+    Raises:
+        DatasetNotFoundError: there is none.
+        ShardError: it is damaged, or of another format version (both are named).
+    """
+    path = root / MANIFEST
+    try:
+        text = path.read_bytes().decode()
+    except (FileNotFoundError, NotADirectoryError):
+        raise DatasetNotFoundError(root, f"no {MANIFEST} there" if root.is_dir() else "it does not exist") from None
+    except UnicodeDecodeError as error:
+        raise ShardError(f"{path}: damaged ({error})") from None
+    return parse_manifest(text, str(path))
+
+
+def parse_manifest(text: str, path: str) -> Manifest:
+    """Return the manifest that ``text`` states; ``path`` names it in errors."""
+    try:
+        values = json.loads(text)
+        if values["format"] != "mapdata":
+            raise ShardError(f"{path}: not a manifest of mapdata")
+        if values["format_version"] != FORMAT_VERSION:
+            found = values["format_version"]
+            raise ShardError(
+                f"{path}: format version {found}, this mapdata {mapdata.__version__} reads {FORMAT_VERSION}"
+            )
+        stated = values.pop("manifest_hash")
+        if stated != _hash(values):
+            raise ShardError(f"{path}: damaged (its hash does not fit)")
+        spec = values["spec"]
+        entries = tuple(Entry(**entry) for entry in values["shards"])
+        for entry in entries:
+            if not is_shard_name(entry.name):
+                raise ShardError(f"{path}: {entry.name!r} is not the name of a shard")
+        return Manifest(
+            spec=None if spec is None else MapSpec.from_dict(spec),
+            seed=values["seed"],
+            maps=values["maps"],
+            shard_size=values["shard_size"],
+            map_size=(values["map_size"][0], values["map_size"][1]),
+            movement=Movement(**values["movement"]),
+            resolution=values["resolution"],
+            shards=entries,
+        )
+    except ShardError:
+        raise
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+        raise ShardError(f"{path}: damaged ({type(error).__name__}: {error})") from None
+
+
+def merge(root: Path, mine: Manifest) -> Manifest:
+    """Write the union of ``mine`` and the manifest on disk, remove shards that larger ones replaced; return the
+    union.
+    """
+    with FileLock(root / LOCK):
+        union = mine
+        if (root / MANIFEST).exists():
+            union = _union(mine, read_manifest(root))
+        write_file(root / MANIFEST, union.to_json().encode())
+        kept = {entry.name for entry in union.shards}
+        for entry in mine.shards:
+            if entry.name not in kept:
+                (root / entry.name).unlink(missing_ok=True)
+        return union
+
+
+def _union(mine: Manifest, theirs: Manifest) -> Manifest:
+    if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
+        raise ValueError("another dataset appeared under the same root while this one was built")
+    maps = max(mine.maps, theirs.maps)
+    plan = set(replace(mine, maps=maps).plan)
+    known = {(entry.start, entry.stop): entry for entry in (*theirs.shards, *mine.shards)}
+    return replace(mine, maps=maps, shards=tuple(known[key] for key in sorted(known) if key in plan))
+
+
+def sweep(root: Path) -> None:
+    """Remove what dead builders of this host left behind."""
+    with FileLock(root / LOCK):
+        for path in root.glob(".*.tmp"):
+            match = _TEMPORARY.fullmatch(path.name)
+            if match and match["host"].endswith(socket.gethostname()) and not _alive(int(match["pid"])):
+                path.unlink(missing_ok=True)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def load_shard(root: Path, header: Header) -> Entry | None:
+    """Return the entry of the shard of ``header`` if a sound one stands under its name, else None."""
+    path = root / shard_name(header.start, header.stop)
+    try:
+        shard = open_shard(path)
+        labels = decode(shard)
+    except (FileNotFoundError, ShardError):
+        return None
+    if shard.header != header or content_hash(labels) != shard.content_hash:
+        return None
+    return entry_of(shard, labels, path.read_bytes())
+
+
+def _hash(values: dict[str, Any]) -> str:
+    return hashlib.sha256(canonical_json(values).encode()).hexdigest()
+
+
+def _counts(labels: Labels) -> dict[str, Any]:
+    """Count what the summary states and what a dataset needs to number its problems."""
+    maps = labels.maps
+    used = np.arange(maps.directions.shape[1]) < (maps.rooms - 1)[:, None]
+    ways = {"route": np.diff(labels.astar.offsets), "rooms": labels.astar.costs.sum(axis=1)}
+    paths = {"route": labels.reachable, "rooms": labels.astar.costs[:, 0] >= 0}
+    owner = {"route": maps.rooms - 1, "rooms": np.diff(maps.pair_offsets)}
+    counts: dict[str, Any] = {
+        "segments": int((maps.rooms - 1).sum()),
+        "drawn": int((maps.connected & used).sum()),
+        "reachable": int(labels.reachable.sum()),
+        "all_connected": int(labels.all_connected.sum()),
+    }
+    for code, split in enumerate(SPLITS):
+        row = {"maps": int((maps.split == code).sum())}
+        for name in ("route", "rooms"):
+            inside = np.repeat(maps.split == code, owner[name])
+            row[name] = int((inside & paths[name] & (ways[name] > 0)).sum())
+            row[f"{name}_unsolvable"] = int((inside & ~paths[name]).sum())
+        counts[split] = row
+    return counts

@@ -1,0 +1,67 @@
+"""The random numbers of mapdata: philox4x32-10, counter-based, the same on every machine.
+
+Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011, https://doi.org/10.1145/2063384.2063405.
+
+A draw is a pure function of (seed, index, epoch, stream, number): there is no state to share, save or advance, so any
+worker can make any map in any order. Nothing here uses floating point or numpy's generators, whose methods are not
+promised to stay the same between versions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapdata.jit import Int, kernel
+
+MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER = range(5)
+"""The streams: what a draw is for. Equal indices of two streams give unrelated numbers."""
+
+_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_STREAM_SHIFT = np.uint64(24)
+
+Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+
+
+@kernel
+def philox4x32(c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64) -> Words:
+    """Return the four 32-bit words of philox4x32-10 for a counter and a key, each a uint64 below 2**32."""
+    for _ in range(10):
+        p0, p1 = c0 * _M0, c2 * _M1
+        c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW
+        k0, k1 = (k0 + _W0) & _LOW, (k1 + _W1) & _LOW
+    return c0, c1, c2, c3
+
+
+@kernel
+def block(seed: np.uint64, index: np.uint64, epoch: Int, stream: Int, number: Int) -> Words:
+    """Return four random 32-bit words.
+
+    Args:
+        seed: key, 64 bits.
+        index: what is drawn for (a map, a problem), 64 bits.
+        epoch: pass over the data, 32 bits; 0 for all that is stored.
+        stream: one of the streams above, below 256.
+        number: which block of this index, below 2**24.
+    """
+    last = (np.uint64(stream) << _STREAM_SHIFT) | np.uint64(number)
+    return philox4x32(
+        np.uint64(index) & _LOW,
+        np.uint64(index) >> _HALF,
+        np.uint64(epoch) & _LOW,
+        last,
+        np.uint64(seed) & _LOW,
+        np.uint64(seed) >> _HALF,
+    )
+
+
+@kernel
+def bounded(word: np.uint64, low: Int, high: Int) -> Int:
+    """Return an integer in [low, high] by multiply-high of a 32-bit word (bias below (high - low + 1) / 2**32)."""
+    return low + np.int64((word * np.uint64(high - low + 1)) >> _HALF)
+
+
+def threshold(probability: float) -> int:
+    """Return the integer below which a 32-bit word means that an event of this probability happens."""
+    return round(probability * 2**32)

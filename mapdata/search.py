@@ -1,0 +1,747 @@
+"""Shortest paths on grids: BFS, A*, distance fields and the path check, in the exact order that the format fixes.
+
+The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f, among equal f the
+most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's parent changes only for a smaller g.
+
+Inside, a grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col) of a map
+with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.jit import Int, inlined, kernel
+from mapdata.spec import Movement
+
+MAX_CELLS = 2**21
+"""Largest number of cells of a grid. Up to here the fixed-point costs below order all paths exactly."""
+
+UNIT = 1 << 41
+DIAGONAL = 3109888511975
+"""sqrt(2) * UNIT, an odd integer. A cost of s straight and d diagonal steps is ``s * UNIT + d * DIAGONAL``: sums are
+exact, and two costs compare as ``s + d * sqrt(2)`` does, since those differ by at least 1 / (2 sqrt(2) d) and the
+error is below d / 2**42. DIAGONAL being odd, (s, d) can be read back from the sum."""
+
+_DIAGONAL_INVERSE = pow(DIAGONAL, -1, UNIT)
+
+BFS, ASTAR = 0, 1
+"""Codes of the planners."""
+
+STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
+"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); the number of a move is its code everywhere."""
+
+WALL, UNSEEN, ROOT = np.uint8(255), np.uint8(254), np.uint8(253)
+FREE = np.uint32(0xFFFFFFFF)
+_CLOSED, _G_SHIFT, _BELOW_G = np.uint32(8), np.uint32(4), np.uint32(15)
+_FAR = np.int64(2**62)
+_ONE = np.uint64(1)
+
+Ints = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Cells = npt.NDArray[np.uint32]
+
+
+class SearchResult(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        path: (k, 2) int64, cells from start to goal, both included; (0, 2) when there is none.
+        cost: cost of the path, in cells (BFS: in moves); -1.0 when there is none.
+        iterations: number of cells taken from the frontier, the goal included.
+    """
+
+    path: Ints
+    cost: float
+    iterations: int
+
+
+class Rule(NamedTuple):
+    """A `Movement` as the kernels want it."""
+
+    diagonals: int
+    """0 none, 1 only beside two free cells, 2 unrestricted."""
+    step: int
+    """Cost of a diagonal step, in units of 1 / UNIT."""
+
+
+def rule_of(movement: Movement) -> Rule:
+    """Return ``movement`` as the kernels want it."""
+    diagonals = 0 if movement.connectivity == 4 else 1 + movement.corner_cutting
+    return Rule(diagonals, UNIT if movement.diagonal_cost == 1 else DIAGONAL)
+
+
+# --- kernels: one search on a padded grid ---------------------------------------------------------------------------
+
+
+@kernel
+def flood(came: Bytes, queue: Cells, stride: Int, start: Int, targets: Ints, diagonals: Int) -> Int:
+    """Breadth-first search from ``start`` until all ``targets`` (if any) are seen; return how many cells are in
+    ``queue``.
+
+    ``came`` holds WALL and UNSEEN; seen cells get the code of the move that led there. The order of ``queue`` is the
+    order in which cells are taken; the last level may be longer than the search for one target needs.
+    """
+    p, head, tail, level = np.uint64(stride), np.uint64(0), _ONE, 0
+    queue[0] = start
+    came[start] = ROOT
+    while head < tail:
+        end = tail
+        while head < end:
+            c = np.uint64(queue[head])
+            head += _ONE
+            tail = _see(came, queue, tail, c - p, 0)
+            tail = _see(came, queue, tail, c + _ONE, 1)
+            tail = _see(came, queue, tail, c + p, 2)
+            tail = _see(came, queue, tail, c - _ONE, 3)
+            if diagonals:
+                n, e = came[c - p] != WALL, came[c + _ONE] != WALL
+                s, w = came[c + p] != WALL, came[c - _ONE] != WALL
+                cut = diagonals == 2
+                if cut or (n and e):
+                    tail = _see(came, queue, tail, c - p + _ONE, 4)
+                if cut or (s and e):
+                    tail = _see(came, queue, tail, c + p + _ONE, 5)
+                if cut or (s and w):
+                    tail = _see(came, queue, tail, c + p - _ONE, 6)
+                if cut or (n and w):
+                    tail = _see(came, queue, tail, c - p - _ONE, 7)
+        level += 1
+        if level & 7 == 0 and len(targets) and _all_seen(came, targets):
+            break
+    return np.int64(tail)
+
+
+@inlined
+def _see(came: Bytes, queue: Cells, tail: np.uint64, cell: np.uint64, move: Int) -> np.uint64:
+    """Append ``cell`` to the queue if it is unseen. Without a branch: the store is always made, the tail moves or
+    not.
+    """
+    before = came[cell]
+    fresh = before == UNSEEN
+    queue[tail] = cell
+    came[cell] = np.uint8(move) if fresh else before
+    return tail + np.uint64(fresh)
+
+
+@inlined
+def _all_seen(came: Bytes, targets: Ints) -> Int:
+    for target in targets:  # noqa: SIM110  (numba has no all() over a generator)
+        if came[target] == UNSEEN:
+            return False
+    return True
+
+
+@kernel
+def taken_until(queue: Cells, count: Int, goal: Int) -> Int:
+    """Return the number of cells that a search takes from ``queue`` up to and including ``goal``, or ``count``."""
+    for k in range(count):
+        if queue[np.uint64(k)] == goal:
+            return k + 1
+    return count
+
+
+@kernel
+def astar_manhattan(state: Cells, cell: Cells, below: Cells, stride: Int, start: Int, goal: Int) -> tuple[Int, Int]:
+    """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
+
+    A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the nearer one is exactly the
+    order of the format. Both stacks are lists through one log of pushes (``cell``, ``below``), which tells the caller
+    what to clean. ``state`` holds 0 in walls, FREE, else ``g << 4 | closed << 3 | move``.
+    """
+    p, target = np.uint32(stride), np.uint32(goal)
+    goal_row = target // p
+    goal_column = target - goal_row * p
+    near, far, pushes, taken = np.uint32(1), np.uint32(0), np.uint32(2), 0
+    cell[1] = start
+    below[1] = 0
+    state[start] = 1 << 4
+    while True:
+        if near == 0:
+            if far == 0:
+                return taken, np.int64(pushes)
+            near, far = far, near
+        c = cell[np.uint64(near)]
+        near = below[np.uint64(near)]
+        now = state[np.uint64(c)]
+        if now & _CLOSED:
+            continue
+        state[np.uint64(c)] = now | _CLOSED
+        taken += 1
+        if c == target:
+            return taken, np.int64(pushes)
+        g = (now >> _G_SHIFT) + np.uint32(1)
+        row = c // p
+        column = c - row * p
+        for move in range(4):
+            if move == 0:
+                to, closer = c - p, row > goal_row
+            elif move == 1:
+                to, closer = c + np.uint32(1), column < goal_column
+            elif move == 2:
+                to, closer = c + p, row < goal_row
+            else:
+                to, closer = c - np.uint32(1), column > goal_column
+            if state[np.uint64(to)] > ((g << _G_SHIFT) | _BELOW_G):
+                state[np.uint64(to)] = (g << _G_SHIFT) | np.uint32(move)
+                cell[np.uint64(pushes)] = to
+                below[np.uint64(pushes)] = near if closer else far
+                near, far = (pushes, far) if closer else (near, pushes)
+                pushes += np.uint32(1)
+
+
+@kernel
+def wipe(state: Cells, cell: Cells, pushes: Int) -> None:
+    """Make ``state`` fresh again after `astar_manhattan`."""
+    for k in range(1, pushes):
+        state[np.uint64(cell[np.uint64(k)])] = FREE
+
+
+@inlined
+def _estimate(rows: Int, columns: Int, step: Int) -> Int:
+    """Return the cost of the shortest path on an empty grid: the octile heuristic (Chebyshev when step is UNIT)."""
+    rows, columns = abs(rows), abs(columns)
+    return abs(rows - columns) * UNIT + min(rows, columns) * step
+
+
+@kernel
+def astar_heap(
+    came: Bytes,
+    g: Ints,
+    cell: Cells,
+    f: Ints,
+    heap: Cells,
+    offsets: Ints,
+    stride: Int,
+    start: Int,
+    goal: Int,
+    diagonals: Int,
+    step: Int,
+) -> tuple[Int, Int]:
+    """A* with 8-connected moves; return (iterations, pushes).
+
+    A binary heap of push numbers, the least f on top and among equal f the latest push. ``came`` holds WALL and
+    UNSEEN, then the move that led to a cell; ``g`` holds _FAR, -1 once a cell is closed; ``cell`` and ``f`` are the
+    log of pushes.
+    """
+    goal_row, goal_column = goal // stride, goal % stride
+    came[start] = ROOT
+    g[start] = 0
+    cell[0], f[0], heap[0] = start, 0, 0
+    pushes, size, taken = 1, 1, 0
+    while size:
+        c = np.int64(cell[heap[0]])
+        size -= 1
+        last = np.int64(heap[size])
+        key, at, child = f[last], 0, 1
+        while child < size:  # the last entry goes to the top and down to its place
+            best = np.int64(heap[child])
+            if child + 1 < size:
+                other = np.int64(heap[child + 1])
+                if f[other] < f[best] or (f[other] == f[best] and other > best):
+                    best, child = other, child + 1
+            if key < f[best] or (key == f[best] and last > best):
+                break
+            heap[at] = best
+            at, child = child, 2 * child + 1
+        heap[at] = last
+        cost = g[c]
+        if cost < 0:
+            continue
+        g[c] = -1
+        taken += 1
+        if c == goal:
+            break
+        for move in range(8):
+            to = c + offsets[move]
+            if came[to] == WALL:
+                continue
+            if move >= 4 and diagonals == 1:
+                side = c + offsets[_ROW_PART[move]], c + offsets[_COLUMN_PART[move]]
+                if came[side[0]] == WALL or came[side[1]] == WALL:
+                    continue
+            longer = cost + (UNIT if move < 4 else step)
+            if longer < g[to]:
+                g[to] = longer
+                came[to] = move
+                key = longer + _estimate(to // stride - goal_row, to % stride - goal_column, step)
+                cell[pushes], f[pushes] = to, key
+                at = size
+                while at and f[heap[(at - 1) >> 1]] >= key:  # up past entries of equal f: this is the latest push
+                    heap[at] = heap[(at - 1) >> 1]
+                    at = (at - 1) >> 1
+                heap[at] = pushes
+                pushes += 1
+                size += 1
+    return taken, pushes
+
+
+_ROW_PART = np.array([0, 1, 2, 3, 0, 2, 2, 0])
+_COLUMN_PART = np.array([0, 1, 2, 3, 1, 1, 3, 3])
+
+
+@kernel
+def wipe_heap(came: Bytes, g: Ints, cell: Cells, pushes: Int) -> None:
+    """Make ``came`` and ``g`` fresh again after `astar_heap`."""
+    for k in range(pushes):
+        came[cell[k]] = UNSEEN
+        g[cell[k]] = _FAR
+
+
+@kernel
+def count_moves(came: Bytes | Cells, offsets: Ints, start: Int, goal: Int) -> tuple[Int, Int]:
+    """Return how many straight and diagonal moves led from ``start`` to ``goal``."""
+    straight: Int = 0
+    diagonal: Int = 0
+    c = goal
+    while c != start:
+        move = np.uint64(came[np.uint64(c)] & 7)
+        straight += move < 4
+        diagonal += move >= 4
+        c -= offsets[move]
+    return straight, diagonal
+
+
+@kernel
+def write_moves(came: Bytes | Cells, offsets: Ints, start: Int, goal: Int, moves: Bytes, end: Int) -> None:
+    """Write the moves that led from ``start`` to ``goal`` so that the last one stands before ``moves[end]``."""
+    c = goal
+    while c != start:
+        move = np.uint64(came[np.uint64(c)] & 7)
+        end -= 1
+        moves[end] = move
+        c -= offsets[move]
+
+
+@kernel
+def _write_cells(
+    came: Bytes | Cells, offsets: Ints, stride: Int, start: Int, goal: Int, count: Int, path: Ints
+) -> None:
+    """Write the ``count`` moves from ``start`` to ``goal`` as the cells of ``path``, (count + 1, 2)."""
+    c = goal
+    for k in range(count, -1, -1):
+        path[k, 0], path[k, 1] = c // stride - 1, c % stride - 1
+        if k:
+            c -= offsets[np.uint64(came[np.uint64(c)] & 7)]
+
+
+# --- kernels: whole grids -------------------------------------------------------------------------------------------
+
+Scratch = tuple[Bytes, Cells, Ints, Cells, Cells, Ints]
+
+
+@kernel
+def scratch(cells: Int, planner: Int, diagonals: Int) -> Scratch:
+    """Return (came, state, g, cell, below, f) for searches on ``cells`` padded cells; what is not needed is empty."""
+    heap, stacks = planner == ASTAR and diagonals > 0, planner == ASTAR and diagonals == 0
+    # A cell is pushed at most once for each neighbour (on the two stacks: once for each), so the logs cannot overflow.
+    pushes = 8 * cells if heap else 2 * cells if stacks else cells
+    return (
+        np.full(0 if stacks else cells, WALL, np.uint8),
+        np.zeros(cells if stacks else 0, np.uint32),
+        np.full(cells if heap else 0, _FAR, np.int64),
+        np.empty(pushes + 1, np.uint32),
+        np.empty(pushes + 1 if planner == ASTAR else 0, np.uint32),
+        np.empty(pushes + 1 if heap else 0, np.int64),
+    )
+
+
+@kernel
+def _load(grid: Bytes, came: Bytes, state: Cells) -> Int:
+    """Copy ``grid`` into the padded ``came`` and ``state``, whichever is not empty; return whether all is 0 or 1."""
+    rows, columns = grid.shape
+    seen = np.uint8(0)
+    for row in range(rows):
+        base = np.uint64((row + 1) * (columns + 2) + 1)
+        line = grid[row]
+        if len(came):
+            for column in range(columns):
+                seen |= line[column]
+                came[base + np.uint64(column)] = UNSEEN | line[column]
+        if len(state):
+            for column in range(columns):
+                seen |= line[column]
+                state[base + np.uint64(column)] = np.uint32(line[column]) - np.uint32(1)
+    return seen <= 1
+
+
+@kernel
+def _solve(
+    grids: Bytes, starts: Ints, goals: Ints, planner: Int, diagonals: Int, step: Int
+) -> tuple[Ints, Ints, Ints, Int]:
+    """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one grid).
+
+    Returns:
+        cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1, 0), iterations,
+        and the end of the path in ``cells``; the padded offsets of the moves; the number of problems solved before
+        one was found bad.
+    """
+    stride = grids.shape[2] + 2
+    cells = (grids.shape[1] + 2) * stride
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    came, state, g, cell, below, f = scratch(cells, planner, diagonals)
+    found = np.empty((len(starts), 4), np.int64)
+    path = np.empty((64 * len(starts) + 64, 2), np.int64)
+    target = np.empty(1, np.int64)
+    used = 0
+    for k in range(len(starts)):
+        stale = k == 0 or len(grids) > 1 or planner == BFS
+        if stale and not _load(grids[min(k, len(grids) - 1)], came, state):
+            return path, found, offsets, k
+        start = (starts[k, 0] + 1) * stride + starts[k, 1] + 1
+        goal = (goals[k, 0] + 1) * stride + goals[k, 1] + 1
+        grid = grids[min(k, len(grids) - 1)]
+        if grid[starts[k, 0], starts[k, 1]] or grid[goals[k, 0], goals[k, 1]]:
+            return path, found, offsets, k
+        straight: Int = -1
+        diagonal: Int = 0
+        if planner == BFS:
+            target[0] = goal
+            taken = taken_until(cell, flood(came, cell, stride, start, target, diagonals), goal)
+            if came[goal] != UNSEEN:
+                straight, diagonal = count_moves(came, offsets, start, goal)
+        elif diagonals == 0:
+            taken, pushes = astar_manhattan(state, cell, below, stride, start, goal)
+            if state[goal] != FREE:
+                straight = np.int64(state[goal] >> _G_SHIFT) - 1
+        else:
+            taken, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
+            if came[goal] != UNSEEN:
+                straight, diagonal = count_moves(came, offsets, start, goal)
+        if straight >= 0:
+            count = straight + diagonal
+            if used + count + 1 > len(path):
+                longer = np.empty((2 * (used + count + 1), 2), np.int64)
+                longer[:used] = path[:used]
+                path = longer
+            to = path[used : used + count + 1]
+            if planner == ASTAR and diagonals == 0:
+                _write_cells(state, offsets, stride, start, goal, count, to)
+            else:
+                _write_cells(came, offsets, stride, start, goal, count, to)
+            used += count + 1
+        found[k, 0], found[k, 1], found[k, 2], found[k, 3] = straight, diagonal, taken, used
+        if planner == ASTAR and diagonals == 0:
+            wipe(state, cell, pushes)
+        elif planner == ASTAR:
+            wipe_heap(came, g, cell, pushes)
+    return path[:used], found, offsets, len(starts)
+
+
+@kernel
+def _field(grid: Bytes, row: Int, column: Int, diagonals: Int, step: Int, out: npt.NDArray[np.float32]) -> Int:
+    """Write the cost from every cell to (row, column) into ``out``, -1 where there is none; return whether grid is
+    0/1.
+    """
+    rows, columns = grid.shape
+    stride = columns + 2
+    cells = (rows + 2) * stride
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    goal = (row + 1) * stride + column + 1
+    came = np.full(cells, WALL, np.uint8)
+    good = _load(grid, came, np.empty(0, np.uint32))
+    for r in range(rows):
+        for c in range(columns):
+            out[r, c] = -1
+    if not good or grid[row, column]:
+        return good
+    if diagonals == 0 or step == UNIT:
+        queue, depth = np.empty(cells + 1, np.uint32), np.zeros(cells, np.int32)
+        for k in range(flood(came, queue, stride, goal, np.empty(0, np.int64), diagonals)):
+            at = np.int64(queue[k])
+            if k:
+                depth[at] = depth[at - offsets[came[at]]] + 1
+            out[at // stride - 1, at % stride - 1] = depth[at]
+        return True
+    cost = np.full(cells, _FAR)
+    _dijkstra(came, cost, offsets, goal, diagonals, step)
+    for r in range(rows):
+        for c in range(columns):
+            value = cost[(r + 1) * stride + c + 1]
+            if value != _FAR:
+                straight, diagonal = parts(value)
+                out[r, c] = straight + diagonal * math.sqrt(2.0)
+    return True
+
+
+@kernel
+def parts(cost: Int) -> tuple[Int, Int]:
+    """Return the straight and diagonal steps of a cost ``s * UNIT + d * DIAGONAL``."""
+    low = np.uint64(UNIT - 1)
+    diagonal = np.int64(((np.uint64(cost) & low) * np.uint64(_DIAGONAL_INVERSE)) & low)
+    return (cost - diagonal * DIAGONAL) >> 41, diagonal
+
+
+@kernel
+def _dijkstra(came: Bytes, cost: Ints, offsets: Ints, source: Int, diagonals: Int, step: Int) -> None:
+    """Write the cost of the shortest path from ``source`` into ``cost``, which holds _FAR.
+
+    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper,
+    whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log
+    replace a heap.
+    """
+    heads = np.full(3, -1, np.int64)
+    cell, below = np.empty(8 * len(came), np.uint32), np.empty(8 * len(came), np.int64)
+    cell[0], below[0], heads[0], cost[source] = source, -1, 0, 0
+    pushes, bucket, waiting = 1, 0, 1
+    while waiting:
+        entry = heads[bucket % 3]
+        if entry < 0:
+            bucket += 1
+            continue
+        heads[bucket % 3] = below[entry]
+        waiting -= 1
+        c = np.int64(cell[entry])
+        if cost[c] >> 41 != bucket:
+            continue
+        for move in range(8):
+            to = c + offsets[move]
+            if came[to] == WALL:
+                continue
+            if move >= 4 and diagonals == 1:
+                side = c + offsets[_ROW_PART[move]], c + offsets[_COLUMN_PART[move]]
+                if came[side[0]] == WALL or came[side[1]] == WALL:
+                    continue
+            longer = cost[c] + (UNIT if move < 4 else step)
+            if longer < cost[to]:
+                cost[to] = longer
+                list_ = (longer >> 41) % 3
+                cell[pushes], below[pushes], heads[list_] = to, heads[list_], pushes
+                pushes += 1
+                waiting += 1
+
+
+# --- the Python door ------------------------------------------------------------------------------------------------
+
+
+def bfs(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()) -> SearchResult:
+    """Return the path that breadth-first search finds: first in, first out, neighbours N, E, S, W, NE, SE, SW, NW.
+
+    Args:
+        grid: (H, W) of 0 free and 1 occupied, or bool; at most ``MAX_CELLS`` cells.
+        start: (row, col), a free cell.
+        goal: (row, col), a free cell.
+        movement: how one moves. BFS counts moves, so under 8-connectivity ``cost`` is hops.
+
+    Raises:
+        ValueError: a grid that is not 2-D or holds other values, a start or goal outside it or on an occupied cell.
+
+    Source: arXiv 2110.13242, section III-C.
+    """
+    return _search(BFS, grid, start, goal, movement)
+
+
+def astar(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()) -> SearchResult:
+    """Return a shortest path by A*; least f first, among equal f the most recently pushed.
+
+    The heuristic is Manhattan (4), octile (8) or Chebyshev (8, diagonal cost 1). Arguments and errors are those of
+    `bfs`.
+
+    Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242, section III-C.
+
+    >>> astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
+    SearchResult(path=array([[0, 0],
+           [1, 0],
+           [1, 1],
+           [1, 2],
+           [0, 2]]), cost=4.0, iterations=5)
+    """
+    return _search(ASTAR, grid, start, goal, movement)
+
+
+class BatchResult(NamedTuple):
+    """What a batch of B searches found; path k is ``cells[offsets[k]:offsets[k + 1]]``.
+
+    Attributes:
+        cells: (M, 2) int64, all paths one after another; a problem without a path has none.
+        offsets: (B + 1,) int64.
+        cost: (B,) float64, -1 without a path.
+        iterations: (B,) int64.
+    """
+
+    cells: Ints
+    offsets: Ints
+    cost: npt.NDArray[np.float64]
+    iterations: Ints
+
+
+def search_batch(
+    planner: str,
+    grids: npt.ArrayLike,
+    starts: npt.ArrayLike,
+    goals: npt.ArrayLike,
+    movement: Movement = Movement(),
+) -> BatchResult:
+    """Solve B problems in one call: as `bfs` or `astar` of each, without the cost of a Python call a problem.
+
+    Args:
+        planner: "bfs" or "astar".
+        grids: (B, H, W), or one (H, W) that all problems share; 0 free, 1 occupied.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        movement: how one moves.
+
+    Raises:
+        ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not fit together.
+    """
+    if planner not in ("bfs", "astar"):
+        raise ValueError(f"planner: got {planner!r}, expected 'bfs' or 'astar'")
+    array = np.asarray(grids)
+    stack = _grid(array if array.ndim == 3 else array[None], 3)
+    cells = [np.ascontiguousarray(points, np.int64) for points in (_whole("starts", starts), _whole("goals", goals))]
+    count = len(cells[0])
+    if cells[1].shape != cells[0].shape or (array.ndim == 3 and len(stack) != count):
+        raise ValueError(f"got {len(stack)} grids, {count} starts and {len(cells[1])} goals, expected equal numbers")
+    for name, points in zip(("start", "goal"), cells, strict=True):
+        outside = np.flatnonzero(((points < 0) | (points >= stack.shape[1:])).any(axis=1))
+        if len(outside):
+            k = int(outside[0])
+            raise ValueError(f"problem {k}: {name} {_cell_text(points[k])} is outside the map of {_size(stack)} cells")
+    starts, goals = cells
+    code, (diagonals, step) = ASTAR if planner == "astar" else BFS, rule_of(movement)
+    path, found, _, solved = _solve(stack, starts, goals, code, diagonals, step)
+    if solved < count:
+        grid = stack[min(solved, len(stack) - 1)]
+        raise ValueError(f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}")
+    straight, diagonal, iterations, ends = found.T
+    diagonal_cost = 1.0 if planner == "bfs" else movement.diagonal_cost
+    return BatchResult(path, np.concatenate(([0], ends)), straight + diagonal * diagonal_cost, iterations.copy())
+
+
+def distance_field(grid: npt.ArrayLike, goal: object, movement: Movement = Movement()) -> npt.NDArray[np.float32]:
+    """Return the cost of the shortest path from every cell to ``goal``: (H, W) float32, in cells, -1 where there is
+    none.
+
+    Raises:
+        ValueError: what `bfs` refuses.
+
+    >>> distance_field([[0, 1, 0], [0, 0, 0]], (0, 0))
+    array([[ 0., -1.,  4.],
+           [ 1.,  2.,  3.]], dtype=float32)
+    """
+    array = _grid(grid, 2)
+    row, column = _cell("goal", goal, array)
+    out = np.empty(array.shape, np.float32)
+    if not _field(array, row, column, *rule_of(movement), out) or array[row, column]:
+        raise ValueError(_complaint(array, (row, column), (row, column)).replace("start", "goal", 1))
+    return out
+
+
+def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Movement()) -> float:
+    """Return the cost of ``path`` on ``grid``, in cells.
+
+    Args:
+        grid: (H, W) of 0 free and 1 occupied, or bool.
+        path: (k, 2) cells, k at least 1.
+        movement: the rule that every step must obey.
+
+    Raises:
+        ValueError: the path is empty or not (k, 2), or names the first cell outside or occupied, or the first bad step.
+
+    >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
+    2.0
+    """
+    array = _grid(grid, 2)
+    if not np.all(array <= 1):
+        raise ValueError(_values_complaint(array))
+    cells = _whole("path", path)
+    if len(cells) == 0:
+        raise ValueError("path: got no cell, expected at least one")
+    outside = np.any((cells < 0) | (cells >= array.shape), axis=1)
+    occupied = np.zeros(len(cells), bool)
+    occupied[~outside] = array[tuple(cells[~outside].T)] == 1
+    steps = np.abs(np.diff(cells, axis=0))
+    diagonal = np.all(steps == 1, axis=1)
+    bad = (steps.max(axis=1, initial=0) != 1) | (diagonal & (movement.connectivity == 4))
+    if movement.connectivity == 8 and not movement.corner_cutting:
+        padded = np.pad(array, 1, constant_values=1)
+        first, last = np.clip(cells[:-1], -1, array.shape) + 1, np.clip(cells[1:], -1, array.shape) + 1
+        blocked = padded[first[:, 0], last[:, 1]] | padded[last[:, 0], first[:, 1]]
+        bad |= diagonal & (blocked == 1)
+    for k in np.flatnonzero(outside | occupied | np.concatenate(([False], bad))).tolist():
+        cell = _cell_text(cells[k])
+        if outside[k]:
+            raise ValueError(f"path: cell {k}, {cell}, is outside the map of {_size(array)} cells")
+        if occupied[k]:
+            raise ValueError(f"path: cell {k}, {cell}, is occupied")
+        raise ValueError(f"path: step {k - 1}, from {_cell_text(cells[k - 1])} to {cell}, is not a move of {movement}")
+    return float((~diagonal).sum() + diagonal.sum() * movement.diagonal_cost)
+
+
+def _search(planner: int, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
+    array = _grid(grid, 2)
+    ends = np.array((_cell("start", start, array), _cell("goal", goal, array)))
+    diagonals, step = rule_of(movement)
+    path, found, _, solved = _solve(array[None], ends[:1], ends[1:], planner, diagonals, step)
+    if not solved:
+        raise ValueError(_complaint(array, *(tuple(cell) for cell in ends.tolist())))
+    straight, diagonal, iterations, _ = found[0].tolist()
+    cost = straight + diagonal * (1.0 if planner == BFS else movement.diagonal_cost)
+    return SearchResult(path, float(cost), iterations)
+
+
+def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
+    """Return ``grid`` as the one flavour that the kernels are compiled for: writable, contiguous uint8."""
+    array = np.asarray(grid)
+    if array.ndim != rank or 0 in array.shape[-2:]:
+        raise ValueError(f"grid: got shape {array.shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty")
+    if array.shape[-2] * array.shape[-1] > MAX_CELLS:
+        raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
+    if array.dtype == np.bool_:
+        array = array.view(np.uint8)
+    elif array.dtype != np.uint8:
+        if array.dtype.kind not in "iuf":
+            raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
+        if not np.isin(array, (0, 1)).all():
+            raise ValueError(_values_complaint(array))
+        array = array.astype(np.uint8)
+    if not (array.flags.c_contiguous and array.flags.writeable):
+        array = np.array(array, order="C")
+    return array
+
+
+def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
+    """Return ``cell`` as two ints inside ``grid``."""
+    try:
+        row, column = (operator.index(side) for side in cell)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: got {cell!r}, expected a cell (row, col) of two integers") from None
+    if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+        raise ValueError(f"{name}: {row, column} is outside the map of {_size(grid)} cells")
+    return row, column
+
+
+def _whole(name: str, cells: npt.ArrayLike) -> Ints:
+    """Return ``cells`` as an (n, 2) integer array."""
+    array = np.asarray(cells)
+    if array.size == 0 and array.ndim <= 2:
+        return np.empty((0, 2), np.int64)
+    if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
+        raise ValueError(f"{name}: got shape {array.shape} of {array.dtype}, expected (n, 2) integer cells (row, col)")
+    return array.astype(np.int64, copy=False)
+
+
+def _complaint(grid: Bytes, start: tuple[int, ...], goal: tuple[int, ...]) -> str:
+    """Return why a problem was refused."""
+    if np.any(grid > 1):
+        return _values_complaint(grid)
+    name, cell = ("start", start) if grid[start] else ("goal", goal)
+    return f"{name}: {tuple(cell)} is on an occupied cell"
+
+
+def _values_complaint(grid: npt.NDArray[np.generic]) -> str:
+    other = grid[~np.isin(grid, (0, 1))].flat[0]
+    return f"grid: got the value {other}, expected 0 free and 1 occupied only"
+
+
+def _cell_text(cell: Ints) -> str:
+    return f"({cell[0]}, {cell[1]})"
+
+
+def _size(grid: npt.NDArray[np.generic]) -> str:
+    return f"{grid.shape[-2]} x {grid.shape[-1]}"

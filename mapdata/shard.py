@@ -1,0 +1,402 @@
+"""One shard: a contiguous range of maps with their labels in one HDF5 file. The layout is written down in
+docs/format.md.
+
+Writing goes through RAM and an atomic rename: a name that exists is complete. Reading never goes through HDF5 after
+opening: the guard checks the file once, then each array is a view of one memory mapping.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+from h5py import h5d, h5f, h5l, h5o
+
+import mapdata
+from mapdata.content import content_hash
+from mapdata.dungeon import WORD, Maps
+from mapdata.labels import Labels, PlannerLabels
+from mapdata.spec import FORMAT_VERSION, MapSpec, Movement, canonical_json, identity
+
+Array = npt.NDArray[Any]
+
+
+class ShardError(ValueError):
+    """A file that is not a sound shard; the message names the file and what is wrong with it."""
+
+
+class Field(NamedTuple):
+    """One dataset of a shard: its name and type, and the attributes that explain it to whoever opens the file."""
+
+    name: str
+    dtype: str
+    rank: int
+    description: str
+    units: str
+    encoding: str
+
+
+_CELL = "cells, (row, col), origin upper left"
+_PAIRS = "pairs i < j of a map in row-major order (the condensed form of scipy.spatial.distance.squareform)"
+_MOVES = "packed, lowest bits first: 2 bits a move under 4-connectivity, else 4; 0..7 = N E S W NE SE SW NW"
+FIELDS = (
+    Field("maps", "u1", 3, "occupancy", "1 occupied, 0 free", "bits: column c is bit c % 8 of byte c // 8 of its row"),
+    Field("split", "u1", 1, "split of each map", "code", "0 train, 1 val, 2 test"),
+    Field("passage_width", "<i2", 1, "width of the tunnels of each map", "cells", "-1 unknown"),
+    Field("room_offsets", "<i8", 1, "first room of each map", "rooms", "N + 1 offsets"),
+    Field("pair_offsets", "<i8", 1, "first pair of rooms of each map", "pairs", f"N + 1 offsets; {_PAIRS}"),
+    Field("seeds", "<i2", 2, "seed point of each room", _CELL, "a row a room"),
+    Field("sizes", "<i2", 2, "rows and columns of each room as drawn", "cells", "a row a room; -1 unknown"),
+    Field("directions", "i1", 2, "legs at A and B of each tunnel", "code", "1 horizontal, 0 vertical, -1 no tunnel"),
+    *(
+        field
+        for planner, what in (("bfs", "breadth-first search"), ("astar", "A*"))
+        for field in (
+            Field(f"{planner}_offsets", "<i8", 1, f"first move of each segment by {what}", "moves", "S + 1 offsets"),
+            Field(f"{planner}_moves", "u1", 1, f"moves from room q to room q + 1 by {what}", "code", _MOVES),
+            Field(f"{planner}_iterations", "<i4", 1, f"iterations of {what}, a segment", "cells taken", "plain"),
+            Field(f"{planner}_straight", "<i4", 1, f"straight moves of {what}", "moves", f"{_PAIRS}; -1 no path"),
+        )
+    ),
+    Field("astar_diagonal", "<i4", 1, "diagonal moves of A*, a pair", "moves", f"{_PAIRS}; empty under 4-connectivity"),
+)  # fmt: skip
+"""All datasets of a shard, in the order of the file. Under BFS "straight" counts all moves."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the root attributes of a shard say.
+
+    Attributes:
+        spec: the spec that the maps were drawn from, None for imported maps.
+        seed: the seed they were drawn with, None for imported maps.
+        start, stop: the maps are start <= i < stop.
+        map_size: (rows, columns).
+        movement: how the stored paths move.
+        resolution: metres per cell.
+    """
+
+    spec: MapSpec | None
+    seed: int | None
+    start: int
+    stop: int
+    map_size: tuple[int, int]
+    movement: Movement
+    resolution: float
+
+    @property
+    def identity(self) -> str | None:
+        """The identity of the dataset; None for imported maps, which are what their content hash says."""
+        return None if self.spec is None or self.seed is None else identity(self.spec, self.seed)
+
+
+class Shard(NamedTuple):
+    """A guarded shard: its header and its arrays, views of one memory mapping."""
+
+    path: Path
+    header: Header
+    content_hash: str
+    arrays: Mapping[str, Array]
+
+
+def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
+    """Return the bytes of a shard file and its content hash."""
+    content = content_hash(labels)
+    arrays = encode(labels)
+    file = h5py.File(
+        f"{id(arrays)}.h5",  # in RAM only, but HDF5 wants one name for each file that is open
+        "w",
+        driver="core",
+        backing_store=False,
+        libver=("v110", "v110"),
+        alignment_threshold=1,
+        alignment_interval=64,
+    )
+    with file:
+        for name, value in _attributes(header, content).items():
+            file.attrs[name] = value
+        for field in FIELDS:
+            dataset = file.create_dataset(field.name, data=np.ascontiguousarray(arrays[field.name], field.dtype))
+            for name in ("description", "units", "encoding"):
+                dataset.attrs[name] = getattr(field, name)
+        file.flush()
+        return file.id.get_file_image(), content
+
+
+def encode(labels: Labels) -> dict[str, Array]:
+    """Return labelled maps as the arrays of a shard."""
+    maps = labels.maps
+    used = np.arange(maps.seeds.shape[1]) < maps.rooms[:, None]
+    arrays: dict[str, Array] = {
+        "maps": maps.packed.astype("<u8", copy=False).view(np.uint8),
+        "split": maps.split,
+        "passage_width": maps.passage_width,
+        "room_offsets": maps.segment_offsets + np.arange(len(maps) + 1),
+        "pair_offsets": maps.pair_offsets,
+        "seeds": maps.seeds[used],
+        "sizes": maps.sizes[used],
+        "directions": maps.directions[used[:, 1:]],
+    }
+    for name, planner in (("bfs", labels.bfs), ("astar", labels.astar)):
+        arrays[f"{name}_offsets"] = planner.offsets
+        arrays[f"{name}_moves"] = pack_moves(planner.moves, bits_of(maps.movement))
+        arrays[f"{name}_iterations"] = planner.iterations
+        arrays[f"{name}_straight"] = planner.costs[:, 0]
+    diagonals = maps.movement.connectivity == 8
+    arrays["astar_diagonal"] = labels.astar.costs[:, 1] if diagonals else np.empty(0, np.int32)
+    return arrays
+
+
+def decode(shard: Shard) -> Labels:
+    """Return the labelled maps of a shard."""
+    arrays, header = shard.arrays, shard.header
+    rooms = np.diff(arrays["room_offsets"])
+    most = int(rooms.max(initial=2))
+    used = np.arange(most) < rooms[:, None]
+
+    def padded(name: str, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        table = np.full((*mask.shape, 2), -1, np.int64)
+        table[mask] = arrays[name]
+        return table
+
+    maps = Maps(
+        movement=header.movement,
+        columns=header.map_size[1],
+        index=np.arange(header.start, header.stop),
+        packed=np.array(arrays["maps"]).view("<u8"),
+        rooms=rooms,
+        passage_width=arrays["passage_width"].astype(np.int64),
+        seeds=padded("seeds", used),
+        sizes=padded("sizes", used),
+        directions=padded("directions", used[:, 1:]),
+        split=np.array(arrays["split"]),
+    )
+    diagonal = {"bfs": 0, "astar": arrays["astar_diagonal"] if len(arrays["astar_diagonal"]) else 0}
+    bfs, astar = (
+        PlannerLabels(
+            moves=unpack_moves(arrays[f"{name}_moves"], int(arrays[f"{name}_offsets"][-1]), bits_of(header.movement)),
+            offsets=np.array(arrays[f"{name}_offsets"]),
+            iterations=arrays[f"{name}_iterations"].astype(np.int64),
+            costs=np.stack(np.broadcast_arrays(arrays[f"{name}_straight"], diagonal[name]), axis=-1).astype(np.int64),
+        )
+        for name in ("bfs", "astar")
+    )
+    return Labels(maps, bfs, astar)
+
+
+def bits_of(movement: Movement) -> int:
+    """Return how many bits a stored move takes."""
+    return 2 if movement.connectivity == 4 else 4
+
+
+def pack_moves(moves: npt.NDArray[np.uint8], bits: int) -> npt.NDArray[np.uint8]:
+    """Pack moves, the first one in the lowest bits of a byte."""
+    each = 8 // bits
+    padded = np.zeros(-(-len(moves) // each) * each, np.uint8)
+    padded[: len(moves)] = moves
+    packed = np.zeros(len(padded) // each, np.uint8)
+    for k in range(each):
+        packed |= padded[k::each] << np.uint8(bits * k)
+    return packed
+
+
+def unpack_moves(packed: npt.NDArray[np.uint8], count: int, bits: int) -> npt.NDArray[np.uint8]:
+    """Undo `pack_moves`."""
+    shifts = np.arange(0, 8, bits, dtype=np.uint8)
+    return np.ascontiguousarray(((packed[:, None] >> shifts) & np.uint8(2**bits - 1)).reshape(-1)[:count])
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
+
+    Raises:
+        OSError: the disk is full or not writable; nothing is left behind under any name.
+    """
+    temporary = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames in ``folder`` durable; Windows cannot, and needs no such call."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def read_shard(path: str | os.PathLike[str]) -> Labels:
+    """Return all maps of a shard file with their labels.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ShardError: a file that is not a sound shard.
+    """
+    return decode(open_shard(path))
+
+
+def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
+    """Check a shard file and map it.
+
+    Args:
+        path: the file.
+        size: how many bytes the manifest says it has.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it links to.
+    """
+    path = Path(path)
+    with open(path, "rb") as file:
+        status = os.fstat(file.fileno())
+        if size is not None and status.st_size != size:
+            raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
+        if status.st_size == 0:
+            raise ShardError(f"{path}: empty file")
+        mapping = np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
+        try:
+            with h5py.File(path, "r", locking=False) as h5:
+                if not os.path.samestat(os.stat(path), status):
+                    raise ShardError(f"{path}: was replaced while it was opened; open it again")
+                header, content = _read_header(h5.attrs)
+                return Shard(path, header, content, _guard(h5.id, mapping, header))
+        except ShardError as error:
+            raise ShardError(f"{path}: {error}" if str(path) not in str(error) else str(error)) from None
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise ShardError(f"{path}: not a sound shard ({error})") from error
+
+
+def _attributes(header: Header, content: str) -> dict[str, object]:
+    """Return the root attributes of a shard."""
+    return {
+        "format": "mapdata",
+        "format_version": FORMAT_VERSION,
+        "library_version": mapdata.__version__,
+        "identity": header.identity or "",
+        "content_hash": content,
+        "spec": header.spec.to_json() if header.spec else "",
+        "seed": "" if header.seed is None else str(header.seed),
+        "start": header.start,
+        "stop": header.stop,
+        "map_size": np.array(header.map_size, "<i8"),
+        "movement": canonical_json(asdict(header.movement)),
+        "resolution": header.resolution,
+    }
+
+
+def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
+    """Return the header and the content hash that the root attributes state."""
+    if attributes.get("format") != "mapdata":
+        raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
+    version = int(attributes["format_version"])
+    if version != FORMAT_VERSION:
+        raise ShardError(f"format version {version}, this mapdata {mapdata.__version__} reads {FORMAT_VERSION}")
+    rows, columns = (int(side) for side in attributes["map_size"])
+    spec, seed = attributes["spec"], attributes["seed"]
+    header = Header(
+        spec=MapSpec.from_json(spec) if spec else None,
+        seed=int(seed) if seed else None,
+        start=int(attributes["start"]),
+        stop=int(attributes["stop"]),
+        map_size=(rows, columns),
+        movement=Movement(**json.loads(attributes["movement"])),
+        resolution=float(attributes["resolution"]),
+    )
+    if (header.identity or "") != attributes["identity"]:
+        raise ShardError("its identity is not that of its spec and seed")
+    return header, str(attributes["content_hash"])
+
+
+def _guard(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> dict[str, Array]:
+    """Return the arrays of a shard, after checking that each is plain data inside this very file."""
+    arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
+    (rows, columns), maps = header.map_size, header.stop - header.start
+    if not (header.start >= 0 and maps >= 0 and min(rows, columns) > 0):
+        raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
+    rooms, pairs = (int(arrays[name][-1]) if len(arrays[name]) else 0 for name in ("room_offsets", "pair_offsets"))
+    segments, diagonals = rooms - maps, header.movement.connectivity == 8
+    shapes = {
+        "maps": (maps, rows, -(-columns // WORD) * WORD // 8),
+        "split": (maps,),
+        "passage_width": (maps,),
+        "room_offsets": (maps + 1,),
+        "pair_offsets": (maps + 1,),
+        "seeds": (rooms, 2),
+        "sizes": (rooms, 2),
+        "directions": (segments, 2),
+        "astar_diagonal": (pairs if diagonals else 0,),
+    }
+    for planner in ("bfs", "astar"):
+        offsets = arrays[f"{planner}_offsets"]
+        moves = int(offsets[-1]) if len(offsets) else 0
+        shapes |= {
+            f"{planner}_offsets": (segments + 1,),
+            f"{planner}_moves": (-(-moves * bits_of(header.movement) // 8),),
+            f"{planner}_iterations": (segments,),
+            f"{planner}_straight": (pairs,),
+        }
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ShardError(f"dataset {name!r} has shape {arrays[name].shape}, expected {shape}")
+    _check_tables(arrays, header)
+    return arrays
+
+
+def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Array:
+    """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no other file."""
+    name = field.name.encode()
+    if name not in file:
+        raise ShardError(f"dataset {field.name!r} is missing")
+    if file.links.get_info(name).type != h5l.TYPE_HARD:
+        raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
+    dataset = h5o.open(file, name)
+    if not isinstance(dataset, h5d.DatasetID):
+        raise ShardError(f"{field.name!r} is not a dataset")
+    properties = dataset.get_create_plist()
+    if properties.get_layout() != h5d.CONTIGUOUS or properties.get_nfilters() or properties.get_external_count():
+        raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
+    if dataset.get_type().get_class() != h5py.h5t.INTEGER or dataset.dtype != np.dtype(field.dtype):
+        raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
+    if len(dataset.shape) != field.rank:
+        raise ShardError(f"dataset {field.name!r} has {len(dataset.shape)} dimensions, expected {field.rank}")
+    size = int(np.prod([int(side) for side in dataset.shape], dtype=object)) * dataset.dtype.itemsize
+    if size == 0:
+        return np.empty(dataset.shape if len(mapping) else 0, field.dtype)
+    offset = dataset.get_offset()
+    if offset is None or offset < 0 or offset + size > len(mapping) or offset % dataset.dtype.itemsize:
+        raise ShardError(f"dataset {field.name!r} reaches outside the file")
+    return mapping[offset : offset + size].view(field.dtype).reshape(dataset.shape)
+
+
+def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
+    """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the map."""
+    for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
+        offsets = arrays[name]
+        if len(offsets) == 0 or offsets[0] != 0 or (np.diff(offsets) < 0).any():
+            raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
+    rooms = np.diff(arrays["room_offsets"])
+    if (rooms < 1).any() or not np.array_equal(np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2):
+        raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
+    seeds = arrays["seeds"]
+    if ((seeds < 0) | (seeds >= header.map_size)).any():
+        raise ShardError("dataset 'seeds' holds cells outside the map")

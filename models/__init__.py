@@ -1,0 +1,1 @@
+"""Sample models: each file reads top to bottom and stands alone."""
