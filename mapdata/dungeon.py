@@ -162,9 +162,11 @@ def generate(spec: MapSpec, seed: int, indices: Iterable[int]) -> Maps:
     >>> maps.occupancy.shape, maps.rooms.tolist()
     ((3, 64, 64), [8, 9, 6])
     """
-    index = np.asarray(indices if isinstance(indices, np.ndarray) else list(indices))
-    if index.size and not (index.ndim == 1 and np.issubdtype(index.dtype, np.integer) and index.min() >= 0):
-        raise ValueError(f"indices: got {indices!r}, expected integers from 0")
+    index = np.asarray(
+        indices if isinstance(indices, np.ndarray) or not isinstance(indices, Iterable) else list(indices)
+    )
+    if index.ndim != 1 or (index.size and not (index.dtype.kind in "iu" and 0 <= index.min() and index.max() < 2**63)):
+        raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
     index = np.ascontiguousarray(index.reshape(-1), np.int64)
     (height, columns), most, count = spec.map_size, spec.rooms[1], len(index)
     limits = np.array([spec.rooms, spec.room_rows, spec.room_columns, spec.passage_width], np.int64)

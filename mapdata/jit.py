@@ -62,7 +62,7 @@ def kernel(function: F) -> F:
 
     The static type is that of the plain function, so that callers are checked.
     """
-    dispatcher = numba.njit(nogil=True, error_model="numpy", boundscheck=False)(function)
+    dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
     if _CACHED:
         # numba reads its cache folder from a process-wide setting, once, here.
         before = getattr(numba.config, "CACHE_DIR")  # noqa: B009

@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from mapdata.bitboard import MAX_SIDE as BIT_SIDE
+from mapdata.bitboard import bit_labels, bit_scratch
 from mapdata.dungeon import WORD, Maps
 from mapdata.jit import Int, kernel
 from mapdata.search import (
@@ -22,6 +24,7 @@ from mapdata.search import (
     astar_manhattan,
     count_moves,
     flood,
+    room,
     rule_of,
     scratch,
     taken_until,
@@ -82,7 +85,7 @@ class Labels:
     def segment(self, planner: str, i: int, q: int) -> Ints:
         """Return segment q of map i of the batch as found by ``planner``: (k, 2) int64 cells, (0, 2) without a path."""
         labels = self.of(planner)
-        if not (0 <= i < len(self.maps) and 0 <= q < self.maps.rooms[i] - 1):
+        if not 0 <= q < self._rooms(i) - 1:
             raise IndexError(f"map {i} of the batch has no segment {q}")
         s = int(self.maps.segment_offsets[i]) + q
         if not self.reachable[s]:
@@ -92,22 +95,29 @@ class Labels:
 
     def route(self, planner: str, i: int) -> list[Ints]:
         """Return the path through all rooms of map i in their order, a segment an array (k, 2)."""
-        return [self.segment(planner, i, q) for q in range(int(self.maps.rooms[i]) - 1)]
+        return [self.segment(planner, i, q) for q in range(self._rooms(i) - 1)]
 
     def iterations(self, planner: str, i: int) -> Ints:
         """Return (n - 1,) int64, the iterations of each segment of map i."""
-        return self.of(planner).iterations[slice(*self.maps.segment_offsets[i : i + 2])]
+        first = int(self.maps.segment_offsets[i])
+        return self.of(planner).iterations[first : first + self._rooms(i) - 1]
 
     def matrix(self, planner: str, i: int) -> npt.NDArray[np.float64]:
         """Return the connection matrix of map i, (n, n) float64: path costs (BFS: moves), 0 on the diagonal, -1 no
         path.
         """
-        n = int(self.maps.rooms[i])
+        n = self._rooms(i)
         straight, diagonal = self.of(planner).costs[slice(*self.maps.pair_offsets[i : i + 2])].T
         step = 1.0 if planner == "bfs" else self.maps.movement.diagonal_cost
         matrix = np.zeros((n, n))
         matrix[np.triu_indices(n, 1)] = straight + diagonal * step
         return matrix + matrix.T
+
+    def _rooms(self, i: int) -> int:
+        """Return the number of rooms of map i of the batch."""
+        if not 0 <= i < len(self.maps):
+            raise IndexError(f"map {i} of a batch of {len(self.maps)}")
+        return int(self.maps.rooms[i])
 
     def of(self, planner: str) -> PlannerLabels:
         """Return the labels by ``planner``, "bfs" or "astar"."""
@@ -130,6 +140,14 @@ def label(maps: Maps) -> Labels:
     array([[ 0., 33.],
            [33.,  0.]])
     """
+    used = np.arange(maps.seeds.shape[1]) < maps.rooms[:, None]
+    seeds, owner = maps.seeds[used], np.repeat(np.arange(len(maps)), maps.rooms)
+    outside = (seeds < 0) | (seeds >= (maps.packed.shape[1], maps.columns))
+    words = maps.packed[owner, seeds[:, 0] * ~outside.any(axis=1), seeds[:, 1] // WORD * ~outside.any(axis=1)]
+    bad = outside.any(axis=1) | (words >> (seeds[:, 1] % WORD).astype(np.uint64) & np.uint64(1) == 1)
+    if bad.any():
+        k = int(np.flatnonzero(bad)[0])
+        raise ValueError(f"seeds: {tuple(seeds[k].tolist())} of map {maps.index[owner[k]]} is not a free cell")
     segments, pairs = int(maps.segment_offsets[-1]), int(maps.pair_offsets[-1])
     tables = [np.empty((count, 2), np.int64) for count in (segments, pairs, segments, pairs)]
     moves = _label(
@@ -175,24 +193,31 @@ def _label(
     flooding, searching = scratch(cells, BFS, diagonals), scratch(cells, ASTAR, diagonals)
     bfs_moves, astar_moves = np.empty(1024, np.uint8), np.empty(1024, np.uint8)
     bfs_used, astar_used = 0, 0
+    small = diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
+    levels = bit_scratch(small)
     for m in range(len(packed)):
         _unpack(packed[m], columns, fresh)
         n = rooms[m]
         for q in range(n):
             seed_cells[q] = (seeds[m, q, 0] + 1) * stride + seeds[m, q, 1] + 1
         at, of = slice(segments[m], segments[m + 1]), slice(pairs[m], pairs[m + 1])
-        bfs_moves, bfs_used = _bfs_labels(
-            fresh,
-            flooding,
-            seed_cells[:n],
-            stride,
-            offsets,
-            diagonals,
-            bfs_table[at],
-            bfs_costs[of],
-            bfs_moves,
-            bfs_used,
-        )
+        if small:
+            bfs_moves, bfs_used = bit_labels(
+                packed[m], columns, seeds[m, :n], levels, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
+            )
+        else:
+            bfs_moves, bfs_used = _bfs_labels(
+                fresh,
+                flooding,
+                seed_cells[:n],
+                stride,
+                offsets,
+                diagonals,
+                bfs_table[at],
+                bfs_costs[of],
+                bfs_moves,
+                bfs_used,
+            )
         astar_moves, astar_used = _astar_labels(
             fresh,
             searching,
@@ -212,11 +237,16 @@ def _label(
 @kernel
 def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
     """Write one packed map into the padded ``fresh`` as UNSEEN and WALL (the codes differ in the lowest bit)."""
+    stride = columns + 2
     for row in range(words.shape[0]):
         for j in range(words.shape[1]):
-            word, base = words[row, j], (row + 1) * (columns + 2) + 1 + WORD * j
-            for k in range(min(WORD, columns - WORD * j)):
-                fresh[base + k] = UNSEEN | np.uint8((word >> np.uint64(k)) & np.uint64(1))
+            word, base, count = words[row, j], (row + 1) * stride + 1 + WORD * j, min(WORD, columns - WORD * j)
+            if row and word == words[row - 1, j]:  # most rows: maps are made of rectangles
+                for k in range(count):
+                    fresh[base + k] = fresh[base + k - stride]
+            else:
+                for k in range(count):
+                    fresh[base + k] = UNSEEN | np.uint8((word >> np.uint64(k)) & np.uint64(1))
 
 
 @kernel
@@ -248,7 +278,7 @@ def _bfs_labels(
             pair += 1
         length = max(costs[pair - n + a + 1, 0], 0)
         table[a, 0], table[a, 1] = length, taken_until(queue, count, seeds[a + 1])
-        moves, used = _room(moves, used, length), used + length
+        moves, used = room(moves, used, length), used + length
         if length:
             write_moves(came, offsets, seeds[a], seeds[a + 1], moves, used)
     return moves, used
@@ -292,7 +322,7 @@ def _astar_labels(
             if b == a + 1:
                 length = max(straight + diagonal, 0)
                 table[a, 0], table[a, 1] = length, taken
-                moves, used = _room(moves, used, length), used + length
+                moves, used = room(moves, used, length), used + length
                 if length and diagonals == 0:
                     write_moves(state, offsets, start, goal, moves, used)
                 elif length:
@@ -302,13 +332,3 @@ def _astar_labels(
             else:
                 wipe_heap(came, g, cell, pushes)
     return moves, used
-
-
-@kernel
-def _room(moves: Bytes, used: Int, more: Int) -> Bytes:
-    """Return ``moves``, or a larger copy of the ``used`` ones with room for ``more``."""
-    if used + more <= len(moves):
-        return moves
-    larger = np.empty(2 * (used + more), np.uint8)
-    larger[:used] = moves[:used]
-    return larger

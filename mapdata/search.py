@@ -72,6 +72,8 @@ class Rule(NamedTuple):
 
 def rule_of(movement: Movement) -> Rule:
     """Return ``movement`` as the kernels want it."""
+    if not isinstance(movement, Movement):
+        raise ValueError(f"movement: got {movement!r}, expected a Movement")
     diagonals = 0 if movement.connectivity == 4 else 1 + movement.corner_cutting
     return Rule(diagonals, UNIT if movement.diagonal_cost == 1 else DIAGONAL)
 
@@ -328,6 +330,16 @@ def _write_cells(
         path[k, 0], path[k, 1] = c // stride - 1, c % stride - 1
         if k:
             c -= offsets[np.uint64(came[np.uint64(c)] & 7)]
+
+
+@kernel
+def room(moves: Bytes, used: Int, more: Int) -> Bytes:
+    """Return ``moves``, or a larger copy of the ``used`` ones with room for ``more``."""
+    if used + more <= len(moves):
+        return moves
+    larger = np.empty(2 * (used + more), np.uint8)
+    larger[:used] = moves[:used]
+    return larger
 
 
 # --- kernels: whole grids -------------------------------------------------------------------------------------------
@@ -687,7 +699,10 @@ def _search(planner: int, grid: npt.ArrayLike, start: object, goal: object, move
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
     """Return ``grid`` as the one flavour that the kernels are compiled for: writable, contiguous uint8."""
-    array = np.asarray(grid)
+    try:
+        array = np.asarray(grid)
+    except ValueError as error:
+        raise ValueError(f"grid: {error}") from None
     if array.ndim != rank or 0 in array.shape[-2:]:
         raise ValueError(f"grid: got shape {array.shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty")
     if array.shape[-2] * array.shape[-1] > MAX_CELLS:

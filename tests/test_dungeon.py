@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference import reference_map
+from reference import block, reference_map
 from scipy import stats
 from test_spec import specs
 
@@ -118,10 +118,11 @@ def test_maps_are_distinct() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "indices", "culprit"), [(-1, [0], "seed"), (2**64, [0], "seed"), (0, [3, -2], "ind.*-2")]
+    ("seed", "indices", "culprit"),
+    [(-1, [0], "seed"), (2**64, [0], "seed"), (0, [3, -2], "ind.*-2"), (0, [2**63], "ind.*9223372036854775808")],
 )
 def test_numbers_beyond_the_generator_are_refused(seed: int, indices: list[int], culprit: str) -> None:
-    """A seed of more than 64 bits or a negative index would silently share another's maps."""
+    """A seed of more than 64 bits would share another's maps, and an index is 0 or a positive int64."""
     with pytest.raises(ValueError, match=culprit):
         generate(MapSpec(), seed, indices)
 
@@ -198,6 +199,17 @@ def test_skip_probability_is_obeyed(probability: float) -> None:
     maps = generate(MapSpec(skip_probability=probability), 4, range(5000))
     skipped, tunnels = int((maps.rooms - 1).sum() - maps.connected.sum()), int((maps.rooms - 1).sum())
     assert stats.binomtest(skipped, tunnels, probability).pvalue > 1e-4
+
+
+def test_a_probability_is_a_sharp_integer_threshold() -> None:
+    """A tunnel is skipped, and a map is for training, when the word is below p * 2**32, not when it equals it."""
+    skip, split = block(5, 9, 0, 0, 2)[0], block(5, 9, 0, 2, 0)[0]
+    for more, happens in ((0, False), (1, True)):
+        train = (split + more) / 2**32
+        spec = MapSpec(skip_probability=(skip + more) / 2**32, splits=(train, 0.0, 1.0 - train))
+        maps = generate(spec, 5, [9])
+        assert maps.connected[0, 0] != happens
+        assert maps.split[0] == (0 if happens else 2)
 
 
 @pytest.mark.parametrize("splits", [(0.8, 0.1, 0.1), (0.5, 0.0, 0.5), (1, 0, 0), (0, 1, 0), (0, 0, 1)])

@@ -87,12 +87,25 @@ def assert_same(found: SearchResult, expected: reference.ReferenceResult) -> Non
 
 @planners
 @movements
-@settings(SETTINGS, max_examples=1000)
+@settings(SETTINGS, max_examples=400)
 @given(problem=problems())
 def test_search_equals_the_reference(planner: Planner, truth: Truth, movement: Movement, problem: Problem) -> None:
     """Path, cost and iterations are the reference's, cell by cell, on any grid."""
     grid, start, goal = problem
     assert_same(planner(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement))
+
+
+@planners
+@movements
+@pytest.mark.parametrize("density", [0.02, 0.3])
+def test_search_equals_the_reference_far_away(
+    planner: Planner, truth: Truth, movement: Movement, density: float
+) -> None:
+    """Hundreds of diagonal moves: a rounded root of 2 or a sum of floats would put cells in another order."""
+    grid = (np.random.default_rng(2).random((181, 257)) < density).astype(np.uint8)
+    for start, goal in (((3, 5), (180, 250)), ((178, 2), (0, 256))):
+        grid[start] = grid[goal] = 0
+        assert_same(planner(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement))
 
 
 @movements
