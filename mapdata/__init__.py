@@ -12,16 +12,25 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mapdata.build import build as build
     from mapdata.build import verify as verify
+    from mapdata.dataset import MapDataset as MapDataset
+    from mapdata.dataset import OnlineMapDataset as OnlineMapDataset
+    from mapdata.datamodule import MapDataModule as MapDataModule
     from mapdata.dungeon import Maps as Maps
     from mapdata.dungeon import generate as generate
+    from mapdata.evaluate import Plan as Plan
+    from mapdata.evaluate import evaluate as evaluate
     from mapdata.labels import Labels as Labels
     from mapdata.labels import label as label
+    from mapdata.manifest import DatasetNotFoundError as DatasetNotFoundError
+    from mapdata.problems import Problems as Problems
+    from mapdata.sample import Sample as Sample
     from mapdata.search import SearchResult as SearchResult
     from mapdata.search import astar as astar
     from mapdata.search import bfs as bfs
     from mapdata.search import check_path as check_path
     from mapdata.search import distance_field as distance_field
     from mapdata.search import search_batch as search_batch
+    from mapdata.shard import ShardError as ShardError
     from mapdata.shard import read_shard as read_shard
     from mapdata.spec import MapSpec as MapSpec
     from mapdata.spec import Movement as Movement
@@ -32,16 +41,25 @@ __version__ = "0.1.0"
 _HOME = {
     "build": "build",
     "verify": "build",
+    "MapDataset": "dataset",
+    "OnlineMapDataset": "dataset",
+    "MapDataModule": "datamodule",
     "Maps": "dungeon",
     "generate": "dungeon",
+    "Plan": "evaluate",
+    "evaluate": "evaluate",
     "Labels": "labels",
     "label": "labels",
+    "DatasetNotFoundError": "manifest",
+    "Problems": "problems",
+    "Sample": "sample",
     "SearchResult": "search",
     "astar": "search",
     "bfs": "search",
     "check_path": "search",
     "distance_field": "search",
     "search_batch": "search",
+    "ShardError": "shard",
     "read_shard": "shard",
     "MapSpec": "spec",
     "Movement": "spec",

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 
 from tqdm import tqdm
 
@@ -303,3 +305,12 @@ def _problem(path: Path, entry: Entry, header: Header) -> str | None:
     if not content_hash(decode(shard)) == shard.content_hash == entry.content_hash:
         return "damaged (its content hash does not fit)"
     return None
+
+
+class _Module(ModuleType):
+    """``mapdata.build`` is this module once it is imported, and the public function before: calling either is the same."""
+
+    __call__ = staticmethod(build)
+
+
+sys.modules[__name__].__class__ = _Module

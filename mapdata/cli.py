@@ -109,7 +109,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    parser = _Parser(prog="mapdata", description="Grid maps with shortest paths, for planners that learn by example.")
+    parser = Parser(prog="mapdata", description="Grid maps with shortest paths, for planners that learn by example.")
     parser.add_argument("--version", action="version", version=f"mapdata {mapdata.__version__}")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     for name, command, add_arguments in (
@@ -128,7 +128,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def build_main(arguments: list[str] | None = None) -> None:
     """Run ``mapdata build`` with a default root: what ``scripts/build_shards.py`` is."""
-    parser = _Parser(description=build_command.__doc__)
+    parser = Parser(description=build_command.__doc__)
     parser.add_argument("root", metavar="ROOT", nargs="?", default="data/maps", help="folder (default: %(default)s)")
     add_build_arguments(parser)
     run(build_command, **vars(parser.parse_args(arguments)))
@@ -146,10 +146,11 @@ def run(command: Callable[..., None], **values: object) -> None:
         sys.exit(_complain(error, 2))
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
         sys.exit(_complain(f"{message} ({self.prog} --help says more)", 2))
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.jit import kernel
+from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, SPLIT, block, bounded, threshold
 from mapdata.spec import SPLITS, MapSpec, Movement, check_seed
 
@@ -65,8 +65,9 @@ class Maps:
     @cached_property
     def occupancy(self) -> Bytes:
         """The maps as (N, H, W) uint8: 1 occupied, 0 free."""
-        bits = np.unpackbits(self.packed.view(np.uint8), axis=-1, bitorder="little")
-        return np.ascontiguousarray(bits[:, :, : self.columns])
+        grids = np.empty((*self.packed.shape[:2], self.columns), np.uint8)
+        unpack_all(self.packed, grids)
+        return grids
 
     @property
     def connected(self) -> npt.NDArray[np.bool_]:
@@ -82,6 +83,34 @@ class Maps:
     def pair_offsets(self) -> Ints:
         """(N + 1,) int64: number of the first pair of rooms i < j of each map, n (n - 1) / 2 pairs a map."""
         return np.concatenate(([0], np.cumsum(self.rooms * (self.rooms - 1) // 2)))
+
+
+@kernel
+def unpack(words: npt.NDArray[np.uint64], first: Int, grid: Bytes) -> None:
+    """Write the packed map at ``words[first:]`` into ``grid``, (H, W)."""
+    rows, columns = grid.shape
+    count = (columns + WORD - 1) // WORD
+    ones, low, high = np.uint64(0x0101010101010101), np.uint64(0x8040201008040201), np.uint64(0x7F7F7F7F7F7F7F7F)
+    if columns % WORD == 0:
+        out = grid.reshape(-1).view(np.uint64)
+        for k in range(rows * count):
+            word = words[np.uint64(first + k)]
+            for j in range(8):  # a byte, 8 cells, becomes 8 bytes of 0 and 1
+                byte = (word >> np.uint64(8 * j)) & np.uint64(255)
+                out[np.uint64(8 * k + j)] = ((((byte * ones) & low) + high) >> np.uint64(7)) & ones
+    else:
+        for row in range(rows):
+            for column in range(columns):
+                word = words[np.uint64(first + row * count + column // WORD)]
+                grid[row, column] = (word >> np.uint64(column % WORD)) & np.uint64(1)
+
+
+@kernel
+def unpack_all(packed: npt.NDArray[np.uint64], grids: Bytes) -> None:
+    """Write packed maps, (N, H, words), into ``grids``, (N, H, W)."""
+    words = packed.reshape(-1)
+    for m in range(len(packed)):
+        unpack(words, m * packed.shape[1] * packed.shape[2], grids[m])
 
 
 @kernel
@@ -160,7 +189,7 @@ def generate(spec: MapSpec, seed: int, indices: Iterable[int]) -> Maps:
 
     >>> maps = generate(MapSpec(), seed=0, indices=range(3))
     >>> maps.occupancy.shape, maps.rooms.tolist()
-    ((3, 64, 64), [8, 9, 6])
+    ((3, 64, 64), [5, 9, 2])
     """
     index = np.asarray(
         indices if isinstance(indices, np.ndarray) or not isinstance(indices, Iterable) else list(indices)
@@ -170,7 +199,6 @@ def generate(spec: MapSpec, seed: int, indices: Iterable[int]) -> Maps:
     index = np.ascontiguousarray(index.reshape(-1), np.int64)
     (height, columns), most, count = spec.map_size, spec.rooms[1], len(index)
     limits = np.array([spec.rooms, spec.room_rows, spec.room_columns, spec.passage_width], np.int64)
-    train, val = spec.splits[:2]
     maps = Maps(
         movement=spec.movement,
         columns=columns,
@@ -183,7 +211,7 @@ def generate(spec: MapSpec, seed: int, indices: Iterable[int]) -> Maps:
         directions=np.full((count, most - 1, 2), -1, np.int64),
         split=np.empty(count, np.uint8),
     )
-    thresholds = np.array([threshold(spec.skip_probability), threshold(train), threshold(train + val)], np.uint64)
+    thresholds = np.array([threshold(spec.skip_probability), *_split_thresholds(spec)], np.uint64)
     _draw(
         np.uint64(check_seed(seed)),
         index,
@@ -201,6 +229,26 @@ def generate(spec: MapSpec, seed: int, indices: Iterable[int]) -> Maps:
     return maps
 
 
-def split_name(code: int) -> str:
-    """Return the name of a split's code."""
-    return SPLITS[code]
+def maps_of_split(spec: MapSpec, seed: int, split: str, count: int) -> Ints:
+    """Return the numbers of the first ``count`` maps of (spec, seed) that belong to ``split``."""
+    code = SPLITS.index(split)
+    if spec.splits[code] <= 0:
+        raise ValueError(f"split: the spec gives no map to {split!r} (splits {spec.splits})")
+    return _maps_of_split(np.uint64(check_seed(seed)), code, *_split_thresholds(spec), count)
+
+
+def _split_thresholds(spec: MapSpec) -> tuple[np.uint64, np.uint64]:
+    train, val = spec.splits[:2]
+    return np.uint64(threshold(train)), np.uint64(threshold(train + val))
+
+
+@kernel
+def _maps_of_split(seed: np.uint64, code: Int, train: np.uint64, train_and_val: np.uint64, count: Int) -> Ints:
+    found, numbers, i = 0, np.empty(count, np.int64), 0
+    while found < count:
+        w0, _, _, _ = block(seed, np.uint64(i), 0, SPLIT, 0)
+        if (w0 >= train) + np.int64(w0 >= train_and_val) == code:
+            numbers[found] = i
+            found += 1
+        i += 1
+    return numbers

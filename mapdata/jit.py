@@ -32,7 +32,7 @@ def source_hash(package: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_home() -> Path:
+def cache_home() -> Path:
     """Return the user's cache folder: compiled code is loaded from it, so it must not be a shared one like /tmp."""
     if override := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(override)
@@ -51,7 +51,7 @@ def _writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
-CACHE_FOLDER = _cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
+CACHE_FOLDER = cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
 _CACHED = _writable(CACHE_FOLDER)
 if not _CACHED:
     warnings.warn(f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process", stacklevel=2)

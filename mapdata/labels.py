@@ -137,8 +137,8 @@ def label(maps: Maps) -> Labels:
     >>> from mapdata import MapSpec, generate
     >>> labels = label(generate(MapSpec(), seed=0, indices=[2]))
     >>> labels.matrix("astar", 0)
-    array([[ 0., 33.],
-           [33.,  0.]])
+    array([[ 0., 39.],
+           [39.,  0.]])
     """
     used = np.arange(maps.seeds.shape[1]) < maps.rooms[:, None]
     seeds, owner = maps.seeds[used], np.repeat(np.arange(len(maps)), maps.rooms)

@@ -106,6 +106,11 @@ class Manifest:
         """(start, stop) of every shard that the dataset shall have."""
         return [(k, min(k + self.shard_size, self.maps)) for k in range(0, self.maps, self.shard_size)]
 
+    @property
+    def most_rooms(self) -> int:
+        """The largest number of rooms that a map can have."""
+        return self.spec.rooms[1] if self.spec else max(int(entry.counts["most_rooms"]) for entry in self.shards)
+
     def total(self, name: str) -> int:
         """Return the sum of one of the counts over all shards."""
         return sum(int(entry.counts[name]) for entry in self.shards)
@@ -297,6 +302,7 @@ def _counts(labels: Labels) -> dict[str, Any]:
         "drawn": int((maps.connected & used).sum()),
         "reachable": int(labels.reachable.sum()),
         "all_connected": int(labels.all_connected.sum()),
+        "most_rooms": int(maps.rooms.max(initial=0)),
     }
     for code, split in enumerate(SPLITS):
         row = {"maps": int((maps.split == code).sum())}

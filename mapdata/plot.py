@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
     from mapdata.labels import Labels
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}
 NAMES = {"bfs": "BFS", "astar": "A*"}
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = "osD^v<>PXph"
 
 
 def plot_grid(occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
@@ -54,6 +57,34 @@ def plot_map(labels: Labels, i: int, axes: Axes | None = None, *, paper_colours:
     state = "all connected" if labels.all_connected[i] else "not all connected"
     axes.set_title(f"map{maps.index[i]}: {len(seeds)} rooms, {state}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
+    return axes
+
+
+def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
+    """Draw cost ratio against expansion ratio, a mark a planner with its 95 % intervals: left and low is good.
+
+    Args:
+        table: what `evaluate` returns.
+        axes: where to draw; a new figure without.
+        subset: "hard" or "all".
+    """
+    axes = axes or _new_axes()
+    rows = table[table["subset"] == subset]
+    for k, row in enumerate(rows.to_dict("records")):
+        colour, x, y = PALETTE[k % len(PALETTE)], row["expansion_ratio"], row["cost_ratio"]
+        axes.plot([row["expansion_ratio_low"], row["expansion_ratio_high"]], [y, y], color=colour, linewidth=1)
+        axes.plot([x, x], [row["cost_ratio_low"], row["cost_ratio_high"]], color=colour, linewidth=1)
+        marker, label = MARKERS[k % len(MARKERS)], row["planner"]
+        axes.plot(x, y, marker, color=colour, markersize=9, markeredgewidth=2, markerfacecolor="none", label=label)
+    axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(
+        xlabel="expansions / expansions of A* (mean)",
+        ylabel="cost / optimal cost (mean of the solved)",
+        title=f"{subset} problems: {rows['n'].max()}",
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
     return axes
 
 

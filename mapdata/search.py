@@ -22,7 +22,8 @@ from mapdata.spec import Movement
 MAX_CELLS = 2**21
 """Largest number of cells of a grid. Up to here the fixed-point costs below order all paths exactly."""
 
-UNIT = 1 << 41
+UNIT_BITS = 41
+UNIT = 1 << UNIT_BITS
 DIAGONAL = 3109888511975
 """sqrt(2) * UNIT, an odd integer. A cost of s straight and d diagonal steps is ``s * UNIT + d * DIAGONAL``: sums are
 exact, and two costs compare as ``s + d * sqrt(2)`` does, since those differ by at least 1 / (2 sqrt(2) d) and the
@@ -39,7 +40,7 @@ STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-
 WALL, UNSEEN, ROOT = np.uint8(255), np.uint8(254), np.uint8(253)
 FREE = np.uint32(0xFFFFFFFF)
 _CLOSED, _G_SHIFT, _BELOW_G = np.uint32(8), np.uint32(4), np.uint32(15)
-_FAR = np.int64(2**62)
+FAR = np.int64(2**62)
 _ONE = np.uint64(1)
 
 Ints = npt.NDArray[np.int64]
@@ -205,9 +206,11 @@ def wipe(state: Cells, cell: Cells, pushes: Int) -> None:
 
 
 @inlined
-def _estimate(rows: Int, columns: Int, step: Int) -> Int:
-    """Return the cost of the shortest path on an empty grid: the octile heuristic (Chebyshev when step is UNIT)."""
+def estimate(rows: Int, columns: Int, diagonals: Int, step: Int) -> Int:
+    """Return the cost of the shortest path on an empty grid: Manhattan, octile, or Chebyshev when step is UNIT."""
     rows, columns = abs(rows), abs(columns)
+    if diagonals == 0:
+        return (rows + columns) * UNIT
     return abs(rows - columns) * UNIT + min(rows, columns) * step
 
 
@@ -228,7 +231,7 @@ def astar_heap(
     """A* with 8-connected moves; return (iterations, pushes).
 
     A binary heap of push numbers, the least f on top and among equal f the latest push. ``came`` holds WALL and
-    UNSEEN, then the move that led to a cell; ``g`` holds _FAR, -1 once a cell is closed; ``cell`` and ``f`` are the
+    UNSEEN, then the move that led to a cell; ``g`` holds FAR, -1 once a cell is closed; ``cell`` and ``f`` are the
     log of pushes.
     """
     goal_row, goal_column = goal // stride, goal % stride
@@ -271,7 +274,7 @@ def astar_heap(
             if longer < g[to]:
                 g[to] = longer
                 came[to] = move
-                key = longer + _estimate(to // stride - goal_row, to % stride - goal_column, step)
+                key = longer + estimate(to // stride - goal_row, to % stride - goal_column, diagonals, step)
                 cell[pushes], f[pushes] = to, key
                 at = size
                 while at and f[heap[(at - 1) >> 1]] >= key:  # up past entries of equal f: this is the latest push
@@ -292,7 +295,7 @@ def wipe_heap(came: Bytes, g: Ints, cell: Cells, pushes: Int) -> None:
     """Make ``came`` and ``g`` fresh again after `astar_heap`."""
     for k in range(pushes):
         came[cell[k]] = UNSEEN
-        g[cell[k]] = _FAR
+        g[cell[k]] = FAR
 
 
 @kernel
@@ -356,7 +359,7 @@ def scratch(cells: Int, planner: Int, diagonals: Int) -> Scratch:
     return (
         np.full(0 if stacks else cells, WALL, np.uint8),
         np.zeros(cells if stacks else 0, np.uint32),
-        np.full(cells if heap else 0, _FAR, np.int64),
+        np.full(cells if heap else 0, FAR, np.int64),
         np.empty(pushes + 1, np.uint32),
         np.empty(pushes + 1 if planner == ASTAR else 0, np.uint32),
         np.empty(pushes + 1 if heap else 0, np.int64),
@@ -364,7 +367,7 @@ def scratch(cells: Int, planner: Int, diagonals: Int) -> Scratch:
 
 
 @kernel
-def _load(grid: Bytes, came: Bytes, state: Cells) -> Int:
+def load(grid: Bytes, came: Bytes, state: Cells) -> Int:
     """Copy ``grid`` into the padded ``came`` and ``state``, whichever is not empty; return whether all is 0 or 1."""
     rows, columns = grid.shape
     seen = np.uint8(0)
@@ -403,7 +406,7 @@ def _solve(
     used = 0
     for k in range(len(starts)):
         stale = k == 0 or len(grids) > 1 or planner == BFS
-        if stale and not _load(grids[min(k, len(grids) - 1)], came, state):
+        if stale and not load(grids[min(k, len(grids) - 1)], came, state):
             return path, found, offsets, k
         start = (starts[k, 0] + 1) * stride + starts[k, 1] + 1
         goal = (goals[k, 0] + 1) * stride + goals[k, 1] + 1
@@ -455,30 +458,17 @@ def _field(grid: Bytes, row: Int, column: Int, diagonals: Int, step: Int, out: n
     cells = (rows + 2) * stride
     offsets = STEPS[:, 0] * stride + STEPS[:, 1]
     goal = (row + 1) * stride + column + 1
-    came = np.full(cells, WALL, np.uint8)
-    good = _load(grid, came, np.empty(0, np.uint32))
-    for r in range(rows):
-        for c in range(columns):
-            out[r, c] = -1
-    if not good or grid[row, column]:
-        return good
-    if diagonals == 0 or step == UNIT:
-        queue, depth = np.empty(cells + 1, np.uint32), np.zeros(cells, np.int32)
-        for k in range(flood(came, queue, stride, goal, np.empty(0, np.int64), diagonals)):
-            at = np.int64(queue[k])
-            if k:
-                depth[at] = depth[at - offsets[came[at]]] + 1
-            out[at // stride - 1, at % stride - 1] = depth[at]
-        return True
-    cost = np.full(cells, _FAR)
-    _dijkstra(came, cost, offsets, goal, diagonals, step)
-    for r in range(rows):
-        for c in range(columns):
-            value = cost[(r + 1) * stride + c + 1]
-            if value != _FAR:
-                straight, diagonal = parts(value)
-                out[r, c] = straight + diagonal * math.sqrt(2.0)
-    return True
+    came, costs = np.full(cells, WALL), np.empty(cells, np.int64)
+    good = load(grid, came, np.empty(0, np.uint32))
+    out[:, :] = -1
+    if good and not grid[row, column]:
+        log = log_size(cells, diagonals, step)
+        queue, below = np.empty(log, np.uint32), np.empty(log, np.uint32)
+        for k in range(shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)):
+            cell = np.int64(queue[k])
+            straight, diagonal = parts(costs[cell])
+            out[cell // stride - 1, cell % stride - 1] = straight + diagonal * math.sqrt(2.0)
+    return good
 
 
 @kernel
@@ -486,46 +476,84 @@ def parts(cost: Int) -> tuple[Int, Int]:
     """Return the straight and diagonal steps of a cost ``s * UNIT + d * DIAGONAL``."""
     low = np.uint64(UNIT - 1)
     diagonal = np.int64(((np.uint64(cost) & low) * np.uint64(_DIAGONAL_INVERSE)) & low)
-    return (cost - diagonal * DIAGONAL) >> 41, diagonal
+    return (cost - diagonal * DIAGONAL) >> UNIT_BITS, diagonal
 
 
 @kernel
-def _dijkstra(came: Bytes, cost: Ints, offsets: Ints, source: Int, diagonals: Int, step: Int) -> None:
-    """Write the cost of the shortest path from ``source`` into ``cost``, which holds _FAR.
+def log_size(cells: Int, diagonals: Int, step: Int) -> Int:
+    """Return how long the logs of `shortest_costs` must be."""
+    return 8 * cells + 2 if diagonals and step != UNIT else cells + 1
 
-    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper,
-    whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log
-    replace a heap.
+
+@kernel
+def shortest_costs(
+    came: Bytes, costs: Ints, queue: Cells, below: Cells, offsets: Ints, source: Int, diagonals: Int, step: Int
+) -> Int:
+    """Write the cost of the shortest path from ``source`` to every cell into ``costs``, FAR where there is none.
+
+    ``came`` is as `load` leaves it; ``queue`` and ``below`` are `log_size` long. Returns how many cells are reached; they stand in
+    ``queue``, each once.
     """
-    heads = np.full(3, -1, np.int64)
-    cell, below = np.empty(8 * len(came), np.uint32), np.empty(8 * len(came), np.int64)
-    cell[0], below[0], heads[0], cost[source] = source, -1, 0, 0
-    pushes, bucket, waiting = 1, 0, 1
+    costs[:] = FAR
+    if diagonals and step != UNIT:
+        costs[source] = 0
+        queue[1] = source
+        return bucket_search(came, costs, queue, below, offsets, 1, diagonals, step)
+    costs[source] = 0
+    count = flood(came, queue, offsets[2], source, np.empty(0, np.int64), diagonals)
+    for k in range(1, count):
+        cell = np.int64(queue[k])
+        costs[cell] = costs[cell - offsets[came[cell]]] + UNIT
+    return count
+
+
+@kernel
+def bucket_search(
+    came: Bytes, costs: Ints, cell: Cells, below: Cells, offsets: Ints, sources: Int, diagonals: Int, step: Int
+) -> Int:
+    """Write costs from the nearest of the sources ``cell[1:sources + 1]``, whose cost is 0 already.
+
+    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper, whatever
+    the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log replace a heap.
+    """
+    heads = np.zeros(3, np.int64)  # entry 0 ends a list
+    heads[0] = sources
+    for k in range(1, sources + 1):
+        below[k] = k - 1
+    pushes, bucket, waiting = sources + 1, 0, sources
     while waiting:
         entry = heads[bucket % 3]
-        if entry < 0:
+        if entry == 0:
             bucket += 1
             continue
         heads[bucket % 3] = below[entry]
         waiting -= 1
         c = np.int64(cell[entry])
-        if cost[c] >> 41 != bucket:
+        cost = costs[c]
+        if cost >> UNIT_BITS != bucket:
             continue
-        for move in range(8):
+        for move in range(8 if diagonals else 4):
             to = c + offsets[move]
             if came[to] == WALL:
+                continue
+            longer = cost + (UNIT if move < 4 else step)
+            if longer >= costs[to]:
                 continue
             if move >= 4 and diagonals == 1:
                 side = c + offsets[_ROW_PART[move]], c + offsets[_COLUMN_PART[move]]
                 if came[side[0]] == WALL or came[side[1]] == WALL:
                     continue
-            longer = cost[c] + (UNIT if move < 4 else step)
-            if longer < cost[to]:
-                cost[to] = longer
-                list_ = (longer >> 41) % 3
-                cell[pushes], below[pushes], heads[list_] = to, heads[list_], pushes
-                pushes += 1
-                waiting += 1
+            costs[to] = longer
+            ahead = (longer >> UNIT_BITS) % 3
+            cell[pushes], below[pushes], heads[ahead] = to, heads[ahead], pushes
+            pushes += 1
+            waiting += 1
+    count = 0
+    for k in range(len(costs)):
+        if costs[k] != FAR:
+            cell[count] = k
+            count += 1
+    return count
 
 
 # --- the Python door ------------------------------------------------------------------------------------------------

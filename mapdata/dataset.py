@@ -1,0 +1,566 @@
+"""Datasets for torch: `MapDataset` reads shards, `OnlineMapDataset` makes maps as they are asked for; one interface."""
+
+from __future__ import annotations
+
+import operator
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch.utils.data import Dataset
+
+from mapdata.draw import draw_pairs, draw_problems, draw_symmetries, turn_cells, turn_grids
+from mapdata.dungeon import Maps, generate, maps_of_split
+from mapdata.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.sample import Rows, Sample, row, sample_class, stack
+from mapdata.search import rule_of, search_batch
+from mapdata.spec import SPLITS, MapSpec, Movement, check_seed
+from mapdata.store import ShardStore
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Ints = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+FieldFunction = Callable[[Sample], Any]
+
+DEFAULT_FIELDS = ("map", "start", "goal", "path")
+PROBLEMS = ("route", "rooms", "random")
+
+_SUBSTITUTES = 100
+"""How many other maps are tried in place of one that has no problem of the kind asked for."""
+
+
+class ProblemDataset(Dataset[Sample], ABC):
+    """What both datasets share: indexing, fields, epochs, symmetries.
+
+    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader gets whole batches made at
+    once. A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a function of (order_seed,
+    epoch, index), never of worker state. A plain ``dataset[i]`` is epoch 0.
+    """
+
+    def __init__(
+        self,
+        *,
+        split: str | None,
+        fields: Sequence[str | FieldFunction],
+        problems: str,
+        planner: str,
+        movement: Movement,
+        unsolvable: bool,
+        min_distance: float | None,
+        min_hardness: float | None,
+        augment: bool,
+        order_seed: int,
+        max_length: int | None,
+    ) -> None:
+        """Check and keep the arguments that `MapDataset` describes."""
+        _check_choice("problems", problems, PROBLEMS)
+        _check_choice("planner", planner, ("bfs", "astar"))
+        if problems != "random" and (min_distance is not None or min_hardness is not None):
+            raise ValueError(
+                "min_distance, min_hardness: conditions of problems='random' only; use filter() on stored ones"
+            )
+        if problems == "random" and unsolvable:
+            raise ValueError("unsolvable: random problems always have a path")
+        if augment and split in ("val", "test"):
+            raise ValueError(f"augment: would change the split {split!r}, expected the training split")
+        if max_length is not None and ("path" not in fields or max_length < 1):
+            raise ValueError(f"max_length: got {max_length!r}, expected at least 1 and 'path' among the fields")
+        self.fields = _check_fields(fields)
+        self.split, self.problems, self.planner, self.movement = split, problems, planner, movement
+        self.unsolvable, self.min_distance, self.min_hardness = unsolvable, min_distance, min_hardness
+        self.augment, self.order_seed, self.max_length = augment, check_seed(order_seed), max_length
+        names = tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
+        self._sample = sample_class(names, max_length)
+        self._wanted = frozenset(names)
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return the number of problems."""
+
+    @abstractmethod
+    def _batch(self, numbers: Ints, epoch: int) -> Batch:
+        """Return problems ``numbers`` of an epoch, before fields are made of them."""
+
+    def __getitem__(self, index: Any) -> Sample:  # noqa: ANN401  (int, slice or sequence of int, as of an array)
+        if isinstance(index, slice):
+            return self._make(np.arange(*index.indices(len(self))), 0)
+        if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)):
+            return self.__getitems__(index).batch
+        i = operator.index(index)
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"index {i} is out of range for {len(self)} problems")
+        return row(self._make(np.array([i % len(self)]), 0), 0)
+
+    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Rows:
+        """Return a batch that looks like a list of samples; torch's DataLoader calls this."""
+        wanted, length = np.asarray(indices, np.int64).reshape(-1), len(self)
+        if len(wanted) and (length == 0 or wanted.min() < -length):
+            raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
+        epochs, numbers = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
+        if len(wanted) == 0 or (epochs == epochs[0]).all():
+            return Rows(self._make(numbers, int(epochs[0]) if len(wanted) else 0), len(wanted))
+        rows = [row(self._make(numbers[k : k + 1], epoch), 0) for k, epoch in enumerate(epochs.tolist())]
+        return Rows(stack(rows), len(rows))
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[i] for i in range(len(self)))
+
+    def _make(self, numbers: Ints, epoch: int) -> Sample:
+        """Return the fields of problems ``numbers``, batched."""
+        batch = self._batch(numbers, epoch)
+        if self.augment:
+            batch = _turned(batch, self.order_seed, epoch)
+        values: list[Any] = []
+        for field in self.fields:
+            if isinstance(field, str):
+                values.append(torch.from_numpy(np.ascontiguousarray(FIELDS[field](batch))))
+            else:
+                so_far = sample_class(self._sample._fields[: len(values)])(*values)
+                values.append(torch.as_tensor(field(so_far)))
+        return self._sample(*values)
+
+    def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
+        found = search_batch(self.planner, grids, starts, goals, self.movement)
+        return Paths(found.cells, found.offsets, found.iterations)
+
+    def _draw(self, grids: Bytes, numbers: Ints, epoch: int) -> tuple[Ints, Ints, npt.NDArray[np.bool_]]:
+        """Return drawn starts, goals, and whether each map has a problem under the conditions."""
+        starts, goals = np.zeros((2, len(numbers), 2), np.int64)
+        found = np.zeros(len(numbers), np.bool_)
+        draw_problems(
+            grids,
+            np.uint64(self.order_seed),
+            epoch,
+            numbers,
+            float(self.min_distance or 0),
+            float(self.min_hardness or 0),
+            *rule_of(self.movement),
+            starts,
+            goals,
+            found,
+        )
+        return starts, goals, found
+
+    def _no_problem(self) -> ValueError:
+        conditions = f"min_distance={self.min_distance}, min_hardness={self.min_hardness}"
+        return ValueError(f"problems={self.problems!r}: none on {_SUBSTITUTES} maps in a row ({conditions})")
+
+
+class MapDataset(ProblemDataset):
+    """The problems of one or more built datasets, as torch samples.
+
+    Args:
+        root: folder or fsspec URL of a dataset, or a list of them with one map size and movement.
+        split: "train", "val", "test" or None for all.
+        fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order of the sample.
+        problems: "route" (stored segments between consecutive rooms), "rooms" (all pairs of rooms i < j) or "random" (one
+            problem a map, drawn anew each epoch: a uniform free cell and a uniform one connected to it). Problems of length 0
+            are left out.
+        planner: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
+        movement: None for the stored one; under another, problems are solved on the fly.
+        unsolvable: keep route and rooms problems without a path, too.
+        min_distance: least cost of a random problem, in cells.
+        min_hardness: least hardness of a random problem.
+        augment: one of the 8 symmetries (4 when not square) a sample, drawn anew each epoch; not for val and test.
+        order_seed: seed of all that is drawn while loading; the maps have a seed of their own.
+        max_length: fixed number of rows of ``path``; a longer path is an error.
+
+    Raises:
+        DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
+        ShardError: a damaged or hostile file, found at its first touch.
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        split: str | None = None,
+        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
+        *,
+        problems: str = "route",
+        planner: str = "astar",
+        movement: Movement | None = None,
+        unsolvable: bool = False,
+        min_distance: float | None = None,
+        min_hardness: float | None = None,
+        augment: bool = False,
+        order_seed: int = 0,
+        max_length: int | None = None,
+    ) -> None:
+        """Read the manifests; shards are opened at their first touch."""
+        if split is not None:
+            _check_choice("split", split, SPLITS)
+        _check_choice("problems", problems, PROBLEMS)
+        roots = [root] if isinstance(root, (str, os.PathLike)) else list(root)
+        if not roots:
+            raise ValueError("root: got an empty list, expected at least one dataset")
+        self.roots = [os.fspath(each) for each in roots]
+        self.store = ShardStore(self.roots, split, problems, unsolvable)
+        super().__init__(
+            split=split,
+            fields=fields,
+            problems=problems,
+            planner=planner,
+            movement=self.store.movement if movement is None else movement,
+            unsolvable=unsolvable,
+            min_distance=min_distance,
+            min_hardness=min_hardness,
+            augment=augment,
+            order_seed=order_seed,
+            max_length=max_length,
+        )
+        self.filters: tuple[dict[str, Any], ...] = ()
+        self._kept: Ints | None = None
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return len(self.store) if self._kept is None else len(self._kept)
+
+    def __repr__(self) -> str:
+        filters = "".join(f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters)
+        where = self.roots[0] if len(self.roots) == 1 else self.roots
+        return f"MapDataset({where!r}, split={self.split!r}, problems={self.problems!r}){filters}: {len(self)} problems"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as paths and arguments: no file handle, no data."""
+        arguments = {
+            "root": self.roots,
+            "split": self.split,
+            "fields": self.fields,
+            "problems": self.problems,
+            "planner": self.planner,
+            "movement": self.movement,
+            "unsolvable": self.unsolvable,
+            "min_distance": self.min_distance,
+            "min_hardness": self.min_hardness,
+            "augment": self.augment,
+            "order_seed": self.order_seed,
+            "max_length": self.max_length,
+        }
+        return _reopen, (arguments, self.filters)
+
+    @property
+    def map_size(self) -> tuple[int, int]:
+        """(rows, columns) of all maps."""
+        return self.store.map_size
+
+    def filter(
+        self,
+        *,
+        rooms: tuple[int, int] | None = None,
+        path_length: tuple[int, int] | None = None,
+        reachable: bool | None = None,
+        all_connected: bool | None = None,
+        hardness: tuple[float, float] | None = None,
+    ) -> MapDataset:
+        """Return a view on the stored problems that meet all conditions; ranges are (lowest, highest), both included.
+
+        Args:
+            rooms: number of rooms of the map.
+            path_length: number of cells of the path.
+            reachable: whether the problem has a path (problems without one need ``unsolvable=True``).
+            all_connected: whether all rooms of the map are connected.
+            hardness: optimal cost over heuristic.
+
+        Raises:
+            ValueError: random problems, which are not stored; no condition; a range that is not two numbers.
+        """
+        if self.problems == "random":
+            raise ValueError("filter: random problems are not stored; use min_distance and min_hardness")
+        given = {
+            "rooms": rooms,
+            "path_length": path_length,
+            "reachable": reachable,
+            "all_connected": all_connected,
+            "hardness": hardness,
+        }
+        conditions = {name: value for name, value in given.items() if value is not None}
+        if not conditions:
+            raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
+        for name in ("rooms", "path_length", "hardness"):
+            if name in conditions and len(conditions[name]) != 2:
+                raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
+        numbers = np.arange(len(self.store)) if self._kept is None else self._kept
+        keep = [self._meets(numbers[k : k + 4096], conditions) for k in range(0, len(numbers), 4096)]
+        view = _reopen(self.__reduce__()[1][0], ())
+        view.filters = (*self.filters, conditions)
+        view._kept = numbers[np.concatenate([np.zeros(0, np.bool_), *keep])]
+        return view
+
+    def _meets(self, numbers: Ints, conditions: dict[str, Any]) -> npt.NDArray[np.bool_]:
+        """Return which problems meet the conditions of `filter`."""
+        keep = np.ones(len(numbers), np.bool_)
+        if "rooms" in conditions or "all_connected" in conditions:
+            shards, maps, _, _ = self.store.find(numbers)
+            matrices, centres = self.store.rooms(shards, maps, "astar")
+            counts = (centres[:, :, 0] >= 0).sum(axis=1)
+            if "rooms" in conditions:
+                keep &= _within(counts, conditions["rooms"])
+            if "all_connected" in conditions:
+                keep &= (matrices != -1).all(axis=(1, 2)) == conditions["all_connected"]
+        if {"path_length", "reachable", "hardness"} & set(conditions):
+            batch = replace(self._stored_batch(numbers), wanted=frozenset())
+            lengths = FIELDS["length"](batch)
+            if "path_length" in conditions:
+                keep &= _within(lengths, conditions["path_length"])
+            if "reachable" in conditions:
+                keep &= (lengths > 0) == conditions["reachable"]
+            if "hardness" in conditions:
+                keep &= _within(FIELDS["hardness"](batch), conditions["hardness"])
+        return keep
+
+    def table(self) -> pd.DataFrame:
+        """Return a row a map (of this split) with all items that the paper lists, under its names, and `split`."""
+        import pandas as pd
+
+        from mapdata.table import map_rows
+
+        rows: list[dict[str, Any]] = []
+        for k in range(len(self.store.shards)):
+            rows += map_rows(self.store.open(k), self.split)
+        return pd.DataFrame(rows)
+
+    def _batch(self, numbers: Ints, epoch: int) -> Batch:
+        if self._kept is not None:
+            numbers = self._kept[numbers]
+        return self._random_batch(numbers, epoch) if self.problems == "random" else self._stored_batch(numbers)
+
+    def _stored_batch(self, numbers: Ints) -> Batch:
+        shards, maps, first, second = self.store.find(numbers)
+        grids = self.store.grids(shards, maps)
+        starts, goals = (self.store.seeds(shards, maps, rooms) for rooms in (first, second))
+
+        def paths() -> Paths:
+            if self.problems == "route" and self.movement == self.store.movement:
+                return Paths(*self.store.paths(shards, maps, first, self.planner))
+            return self._solve(grids, starts, goals)
+
+        return self._as_batch(numbers, shards, maps, grids, starts, goals, paths)
+
+    def _random_batch(self, numbers: Ints, epoch: int) -> Batch:
+        chosen = numbers.copy()
+        shards, maps, _, _ = self.store.find(chosen)
+        grids = self.store.grids(shards, maps)
+        starts, goals, found = self._draw(grids, numbers, epoch)
+        for _ in range(_SUBSTITUTES):
+            missing = np.flatnonzero(~found)
+            if len(missing) == 0:
+                break
+            chosen[missing] = (chosen[missing] + 1) % len(self.store)
+            shards[missing], maps[missing], _, _ = self.store.find(chosen[missing])
+            grids[missing] = self.store.grids(shards[missing], maps[missing])
+            starts[missing], goals[missing], found[missing] = self._draw(grids[missing], numbers[missing], epoch)
+        if not found.all():
+            raise self._no_problem()
+        return self._as_batch(numbers, shards, maps, grids, starts, goals, lambda: self._solve(grids, starts, goals))
+
+    def _as_batch(
+        self,
+        numbers: Ints,
+        shards: Ints,
+        maps: Ints,
+        grids: Bytes,
+        starts: Ints,
+        goals: Ints,
+        paths: Callable[[], Paths],
+    ) -> Batch:
+        def rooms() -> Rooms:
+            matrices, centres = self.store.rooms(shards, maps, self.planner)
+            if self.movement != self.store.movement:
+                matrices = room_matrices(self.planner, grids, centres, self.movement)
+            return Rooms(matrices, centres)
+
+        return Batch(
+            self.movement, self.planner, grids, starts, goals, numbers, paths, rooms, self._wanted, self.max_length
+        )
+
+
+class OnlineMapDataset(ProblemDataset):
+    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would hold.
+
+    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and rooms problems are
+    one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is replaced by one from
+    beyond ``length``.
+
+    Args:
+        spec: the distribution of maps.
+        seed: their seed.
+        length: how many problems.
+        split: as in `MapDataset`, like all further arguments.
+
+    Raises:
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    def __init__(
+        self,
+        spec: MapSpec,
+        seed: int = 0,
+        length: int = 10_000,
+        split: str | None = None,
+        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
+        *,
+        problems: str = "route",
+        planner: str = "astar",
+        movement: Movement | None = None,
+        unsolvable: bool = False,
+        min_distance: float | None = None,
+        min_hardness: float | None = None,
+        augment: bool = False,
+        order_seed: int = 0,
+        max_length: int | None = None,
+    ) -> None:
+        """Check the arguments; no map is made yet."""
+        if split is not None:
+            _check_choice("split", split, SPLITS)
+        if length < 1:
+            raise ValueError(f"length: got {length}, expected at least 1")
+        self.spec, self.seed, self.length = spec, check_seed(seed), length
+        super().__init__(
+            split=split,
+            fields=fields,
+            problems=problems,
+            planner=planner,
+            movement=spec.movement if movement is None else movement,
+            unsolvable=unsolvable,
+            min_distance=min_distance,
+            min_hardness=min_hardness,
+            augment=augment,
+            order_seed=order_seed,
+            max_length=max_length,
+        )
+        self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return self.length
+
+    def __repr__(self) -> str:
+        return f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}): {self.length} problems"
+
+    @property
+    def map_size(self) -> tuple[int, int]:
+        """(rows, columns) of all maps."""
+        return self.spec.map_size
+
+    def _batch(self, numbers: Ints, epoch: int) -> Batch:
+        maps = self._maps(numbers)
+        grids, seeds, rooms = maps.occupancy, maps.seeds, maps.rooms
+        starts, goals = np.zeros((2, len(numbers), 2), np.int64)
+        first, count, iterations = np.zeros((3, len(numbers)), np.int64)
+        tried, substitutes = np.zeros((2, len(numbers)), np.int64)
+        pool, used, todo = [], 0, np.arange(len(numbers))
+        while len(todo):
+            on = grids if len(todo) == len(grids) else grids[todo]
+            begin, end, exists = self._pick(on, seeds[todo], rooms[todo], numbers[todo], epoch, tried[todo])
+            none = todo[~exists]
+            if len(none):
+                substitutes[none] += 1
+                if substitutes.max() > _SUBSTITUTES:
+                    raise self._no_problem()
+                other = self._maps(self.length + (numbers[none] + substitutes[none] - 1) % self.length)
+                grids[none], seeds[none], rooms[none], tried[none] = other.occupancy, other.seeds, other.rooms, 0
+                todo, begin, end = todo[exists], begin[exists], end[exists]
+                on = grids[todo]
+            paths = self._solve(on, begin, end)
+            starts[todo], goals[todo], iterations[todo] = begin, end, paths.iterations
+            first[todo], count[todo] = used + paths.offsets[:-1], np.diff(paths.offsets)
+            pool.append(paths.cells)
+            used += len(paths.cells)
+            tried[todo] += 1
+            fits = (begin != end).any(axis=1) & ((count[todo] > 0) | self.unsolvable)
+            todo = np.concatenate((none, todo[~fits]))
+        offsets = np.concatenate(([0], np.cumsum(count)))
+        cells = pool[0]
+        if len(pool) > 1:  # some were searched again: put the paths back in order
+            cells = np.concatenate(pool)[np.repeat(first - offsets[:-1], count) + np.arange(offsets[-1])]
+        return Batch(
+            self.movement,
+            self.planner,
+            grids,
+            starts,
+            goals,
+            numbers,
+            lambda: Paths(cells, offsets, iterations),
+            lambda: Rooms(room_matrices(self.planner, grids, seeds, self.movement), seeds),
+            self._wanted,
+            self.max_length,
+        )
+
+    def _maps(self, positions: Ints) -> Maps:
+        return generate(self.spec, self.seed, positions if self._numbers is None else self._numbers[positions])
+
+    def _pick(
+        self, grids: Bytes, seeds: Ints, rooms: Ints, numbers: Ints, epoch: int, tried: Ints
+    ) -> tuple[Ints, Ints, npt.NDArray[np.bool_]]:
+        """Return a start and a goal on each map, the next one after ``tried`` others, and whether there is one."""
+        if self.problems == "random":
+            return self._draw(grids, numbers, epoch)
+        route = self.problems == "route"
+        pairs = draw_pairs(np.uint64(self.order_seed), epoch, numbers, rooms, tried, route)
+        at = np.arange(len(rooms))
+        return seeds[at, pairs[:, 0]], seeds[at, pairs[:, 1]], pairs[:, 0] >= 0
+
+
+def _turned(batch: Batch, seed: int, epoch: int) -> Batch:
+    """Return the batch after the symmetries drawn for its problems; everything moves along."""
+    rows, columns = batch.grids.shape[1:]
+    codes = draw_symmetries(np.uint64(seed), epoch, batch.problems, rows == columns)
+
+    def paths() -> Paths:
+        cells, offsets, iterations = batch.paths
+        return Paths(turn_cells(cells, np.repeat(codes, np.diff(offsets)), rows, columns), offsets, iterations)
+
+    def rooms() -> Rooms:
+        matrix, centres = batch.rooms
+        each = np.repeat(codes, centres.shape[1])
+        return Rooms(matrix, turn_cells(centres.reshape(-1, 2), each, rows, columns).reshape(centres.shape))
+
+    return replace(
+        batch,
+        grids=turn_grids(batch.grids, codes),
+        starts=turn_cells(batch.starts, codes, rows, columns),
+        goals=turn_cells(batch.goals, codes, rows, columns),
+        find_paths=paths,
+        find_rooms=rooms,
+    )
+
+
+def _reopen(arguments: dict[str, Any], filters: tuple[dict[str, Any], ...]) -> MapDataset:
+    """Return the dataset that was pickled."""
+    dataset = MapDataset(**arguments)
+    for conditions in filters:
+        dataset = dataset.filter(**conditions)
+    return dataset
+
+
+def _check_fields(fields: Sequence[str | FieldFunction]) -> tuple[str | FieldFunction, ...]:
+    if isinstance(fields, str) or not fields:
+        raise ValueError(f"fields: got {fields!r}, expected a sequence of names or functions")
+    for field in fields:
+        if isinstance(field, str) and field not in FIELDS:
+            raise ValueError(f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}")
+        if not isinstance(field, str) and not callable(field):
+            raise ValueError(f"fields: got {field!r}, expected a name or a function")
+    names = [field if isinstance(field, str) else field.__name__ for field in fields]
+    if len(set(names)) < len(names):
+        raise ValueError(f"fields: got {names}, expected each name once")
+    if any(not name.isidentifier() for name in names):
+        raise ValueError("fields: a function gives its name to the sample; use 'def', not 'lambda'")
+    return tuple(fields)
+
+
+def _check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    if value not in choices:
+        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")
+
+
+def _within(values: npt.NDArray[Any], limits: tuple[float, float]) -> npt.NDArray[np.bool_]:
+    return np.asarray((values >= limits[0]) & (values <= limits[1]))

@@ -1,0 +1,178 @@
+"""Problems and symmetries that are drawn anew each epoch: functions of (order seed, epoch, number), never of worker state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.jit import Int, kernel
+from mapdata.rng import AUGMENTATION, ORDER, PROBLEM, block, bounded
+from mapdata.search import STEPS, UNIT, WALL, estimate, load, log_size, parts, shortest_costs
+
+Ints = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
+
+_TRIES = 32
+"""Start cells tried on one map before it is given up."""
+
+
+@kernel
+def draw_problems(
+    grids: Bytes,
+    seed: np.uint64,
+    epoch: Int,
+    numbers: Ints,
+    min_distance: float,
+    min_hardness: float,
+    diagonals: Int,
+    step: Int,
+    starts: Ints,
+    goals: Ints,
+    found: Flags,
+) -> None:
+    """Draw a start and a goal on each grid: a uniform free cell, then a uniform one of those that meet the conditions.
+
+    Args:
+        grids: (B, H, W).
+        seed: order seed.
+        epoch: pass over the data.
+        numbers: (B,) number of each problem.
+        min_distance: least cost of the shortest path.
+        min_hardness: least ratio of that cost to the heuristic.
+        diagonals: as in `search.Rule`.
+        step: as in `search.Rule`.
+        starts: (B, 2), filled.
+        goals: (B, 2), filled.
+        found: (B,), filled: False where no problem of the map meets the conditions.
+    """
+    rows, columns = grids.shape[1], grids.shape[2]
+    stride = columns + 2
+    cells = (rows + 2) * stride
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    came, costs, candidates = np.full(cells, WALL), np.empty(cells, np.int64), np.empty(cells, np.int64)
+    log = log_size(cells, diagonals, step)
+    queue, below = np.empty(log, np.uint32), np.empty(log, np.uint32)
+    for b in range(len(grids)):
+        found[b], free = False, 0
+        for row in range(rows):
+            for column in range(columns):
+                free += grids[b, row, column] == 0
+        for attempt in range(_TRIES if free > 1 else 0):
+            w0, w1, w2, w3 = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, attempt)
+            start = _free_cell(grids[b], bounded(w0, 0, free - 1))
+            load(grids[b], came, np.empty(0, np.uint32))
+            source = (start // columns + 1) * stride + start % columns + 1
+            count = shortest_costs(came, costs, queue, below, offsets, source, diagonals, step)
+            kept = 0
+            for k in range(count):
+                cell = np.int64(queue[k])
+                if cell == source:
+                    continue
+                straight, diagonal = parts(costs[cell])
+                least = estimate(cell // stride - source // stride, cell % stride - source % stride, diagonals, step)
+                if straight + diagonal * math.sqrt(2.0) >= min_distance and costs[cell] / UNIT >= min_hardness * (
+                    least / UNIT
+                ):
+                    candidates[kept] = cell
+                    kept += 1
+            if kept:
+                cell = candidates[bounded(w1, 0, kept - 1)]
+                starts[b, 0], starts[b, 1] = start // columns, start % columns
+                goals[b, 0], goals[b, 1] = cell // stride - 1, cell % stride - 1
+                found[b] = True
+                break
+
+
+@kernel
+def _free_cell(grid: Bytes, number: Int) -> Int:
+    """Return the ``number``-th free cell of a grid, in row-major order, as row * columns + column."""
+    left = number
+    for row in range(grid.shape[0]):
+        for column in range(grid.shape[1]):
+            if grid[row, column] == 0:
+                if left == 0:
+                    return row * grid.shape[1] + column
+                left -= 1
+    return -1
+
+
+@kernel
+def draw_pairs(seed: np.uint64, epoch: Int, numbers: Ints, rooms: Ints, tried: Ints, route: Int) -> Ints:
+    """Return (B, 2), a pair of rooms of each map: a drawn one, or the ``tried``-th after it; (-1, -1) when all were tried.
+
+    With ``route`` the pairs are (q, q + 1), else all i < j in row-major order.
+    """
+    pairs = np.full((len(numbers), 2), -1)
+    for b in range(len(numbers)):
+        n = rooms[b]
+        count = n - 1 if route else n * (n - 1) // 2
+        if tried[b] < count:
+            word, _, _, _ = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, 0)
+            k = (bounded(word, 0, count - 1) + tried[b]) % count
+            i = k if route else 0
+            while not route and k >= n - 1 - i:
+                k -= n - 1 - i
+                i += 1
+            pairs[b, 0], pairs[b, 1] = i, i + 1 if route else i + 1 + k
+    return pairs
+
+
+@kernel
+def draw_symmetries(seed: np.uint64, epoch: Int, numbers: Ints, square: Int) -> Ints:
+    """Return (B,) codes of symmetries: bit 0 flips rows, bit 1 flips columns, bit 2 (only square maps) transposes."""
+    codes = np.empty(len(numbers), np.int64)
+    for b in range(len(numbers)):
+        w0, w1, w2, w3 = block(seed, np.uint64(numbers[b]), epoch, AUGMENTATION, 0)
+        codes[b] = bounded(w0, 0, 7 if square else 3)
+    return codes
+
+
+@kernel
+def turn_grids(grids: Bytes, codes: Ints) -> Bytes:
+    """Return the grids (B, H, W) after their symmetries."""
+    turned = np.empty_like(grids)
+    rows, columns = grids.shape[1], grids.shape[2]
+    for b in range(len(grids)):
+        for row in range(rows):
+            for column in range(columns):
+                to = turned_cell(row, column, rows, columns, codes[b])
+                turned[b, to[0], to[1]] = grids[b, row, column]
+    return turned
+
+
+@kernel
+def turn_cells(cells: Ints, codes: Ints, rows: Int, columns: Int) -> Ints:
+    """Return cells (M, 2) after their symmetries, (M,); (-1, -1) stays what it is."""
+    turned = np.empty_like(cells)
+    for k in range(len(cells)):
+        if cells[k, 0] < 0:
+            turned[k, 0] = turned[k, 1] = -1
+        else:
+            turned[k, 0], turned[k, 1] = turned_cell(cells[k, 0], cells[k, 1], rows, columns, codes[k])
+    return turned
+
+
+@kernel
+def turned_cell(row: Int, column: Int, rows: Int, columns: Int, code: Int) -> tuple[Int, Int]:
+    """Return one cell after a symmetry."""
+    if code & 1:
+        row = rows - 1 - row
+    if code & 2:
+        column = columns - 1 - column
+    return (column, row) if code & 4 else (row, column)
+
+
+@kernel
+def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
+    """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream ORDER."""
+    order = np.arange(count)
+    for k in range(count - 1, 0, -1):
+        w0, w1, w2, w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
+        # multiply-high of a 64-bit word, in two halves
+        n = np.uint64(k + 1)
+        j = (w0 * n + ((w1 * n) >> np.uint64(32))) >> np.uint64(32)
+        order[k], order[np.int64(j)] = order[np.int64(j)], order[k]
+    return order
