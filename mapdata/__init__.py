@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mapdata.build import build as build
     from mapdata.build import verify as verify
+    from mapdata.datamodule import MapDataModule as MapDataModule
     from mapdata.dataset import MapDataset as MapDataset
     from mapdata.dataset import OnlineMapDataset as OnlineMapDataset
-    from mapdata.datamodule import MapDataModule as MapDataModule
     from mapdata.dungeon import Maps as Maps
     from mapdata.dungeon import generate as generate
     from mapdata.evaluate import Plan as Plan

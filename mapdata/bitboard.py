@@ -1,10 +1,11 @@
-"""Breadth-first search of small maps, 64 cells at a time: a row of a map is one word, a level of the search one word a row.
+"""Breadth-first search of small maps, 64 cells at a time: a row of a map is one word, a level of the search one word
+a row.
 
-The order of a first-in-first-out queue seems lost in a set of bits, but it is not. Within a level, cells stand in the order of
-their paths, compared move by move (N < E < S < W), because a cell's parent is the first of its neighbours and neighbours are
-seen in the order of moves. So the path that the queue finds is the first of all shortest ones, which a descent from the start
-through the levels around the goal meets; and the cells taken before the goal are all nearer ones, and those of its level whose
-path comes first, a set that can be carried along the path.
+The order of a first-in-first-out queue seems lost in a set of bits, but it is not. Within a level, cells stand in the
+order of their paths, compared move by move (N < E < S < W), because a cell's parent is the first of its neighbours
+and neighbours are seen in the order of moves. So the path that the queue finds is the first of all shortest ones,
+which a descent from the start through the levels around the goal meets; and the cells taken before the goal are all
+nearer ones, and those of its level whose path comes first, a set that can be carried along the path.
 """
 
 from __future__ import annotations
@@ -84,10 +85,10 @@ def bit_labels(
             here, new = level[at : at + _LEVEL], level[at + _LEVEL : at + 2 * _LEVEL]
             new[low - 3] = new[low - 2] = new[high + 2] = new[high + 3] = 0
             for r in range(low - 1, high + 2):
-                k = np.uint64(r)
-                f = ((here[k] << _ONE) | (here[k] >> _ONE) | here[k - _ONE] | here[k + _ONE]) & unseen[k]
-                new[k] = f
-                unseen[k] ^= f
+                i = np.uint64(r)
+                f = ((here[i] << _ONE) | (here[i] >> _ONE) | here[i - _ONE] | here[i + _ONE]) & unseen[i]
+                new[i] = f
+                unseen[i] ^= f
             low, high = low - 1, high + 1
             while low <= high and new[low] == 0:
                 low += 1
@@ -157,7 +158,7 @@ def _trace(
 @kernel
 def count_bits(words: Words, first: Int, last: Int) -> Int:
     """Return the number of ones in ``words[first:last]``."""
-    total = 0
+    total: Int = 0
     for k in range(first, last):
         w = words[k]
         w -= (w >> _ONE) & np.uint64(0x5555555555555555)

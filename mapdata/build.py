@@ -308,7 +308,9 @@ def _problem(path: Path, entry: Entry, header: Header) -> str | None:
 
 
 class _Module(ModuleType):
-    """``mapdata.build`` is this module once it is imported, and the public function before: calling either is the same."""
+    """``mapdata.build`` is this module once it is imported, and the public function before: calling either is the
+    same.
+    """
 
     __call__ = staticmethod(build)
 

@@ -17,6 +17,8 @@ from torch.utils.data import Dataset
 from mapdata.draw import draw_pairs, draw_problems, draw_symmetries, turn_cells, turn_grids
 from mapdata.dungeon import Maps, generate, maps_of_split
 from mapdata.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.fields import hardness as problem_hardness
+from mapdata.fields import length as path_length_of
 from mapdata.sample import Rows, Sample, row, sample_class, stack
 from mapdata.search import rule_of, search_batch
 from mapdata.spec import SPLITS, MapSpec, Movement, check_seed
@@ -39,9 +41,9 @@ _SUBSTITUTES = 100
 class ProblemDataset(Dataset[Sample], ABC):
     """What both datasets share: indexing, fields, epochs, symmetries.
 
-    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader gets whole batches made at
-    once. A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a function of (order_seed,
-    epoch, index), never of worker state. A plain ``dataset[i]`` is epoch 0.
+    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader gets whole
+    batches made at once. A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a
+    function of (order_seed, epoch, index), never of worker state. A plain ``dataset[i]`` is epoch 0.
     """
 
     def __init__(
@@ -160,9 +162,9 @@ class MapDataset(ProblemDataset):
         root: folder or fsspec URL of a dataset, or a list of them with one map size and movement.
         split: "train", "val", "test" or None for all.
         fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order of the sample.
-        problems: "route" (stored segments between consecutive rooms), "rooms" (all pairs of rooms i < j) or "random" (one
-            problem a map, drawn anew each epoch: a uniform free cell and a uniform one connected to it). Problems of length 0
-            are left out.
+        problems: "route" (stored segments between consecutive rooms), "rooms" (all pairs of rooms i < j) or "random"
+            (one problem a map, drawn anew each epoch: a uniform free cell and a uniform one connected to it).
+            Problems of length 0 are left out.
         planner: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
         movement: None for the stored one; under another, problems are solved on the fly.
         unsolvable: keep route and rooms problems without a path, too.
@@ -281,7 +283,7 @@ class MapDataset(ProblemDataset):
             "all_connected": all_connected,
             "hardness": hardness,
         }
-        conditions = {name: value for name, value in given.items() if value is not None}
+        conditions: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         if not conditions:
             raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
         for name in ("rooms", "path_length", "hardness"):
@@ -307,13 +309,13 @@ class MapDataset(ProblemDataset):
                 keep &= (matrices != -1).all(axis=(1, 2)) == conditions["all_connected"]
         if {"path_length", "reachable", "hardness"} & set(conditions):
             batch = replace(self._stored_batch(numbers), wanted=frozenset())
-            lengths = FIELDS["length"](batch)
+            lengths = path_length_of(batch)
             if "path_length" in conditions:
                 keep &= _within(lengths, conditions["path_length"])
             if "reachable" in conditions:
                 keep &= (lengths > 0) == conditions["reachable"]
             if "hardness" in conditions:
-                keep &= _within(FIELDS["hardness"](batch), conditions["hardness"])
+                keep &= _within(problem_hardness(batch), conditions["hardness"])
         return keep
 
     def table(self) -> pd.DataFrame:
@@ -383,11 +385,12 @@ class MapDataset(ProblemDataset):
 
 
 class OnlineMapDataset(ProblemDataset):
-    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would hold.
+    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would
+    hold.
 
-    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and rooms problems are
-    one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is replaced by one from
-    beyond ``length``.
+    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and rooms
+    problems are one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is
+    replaced by one from beyond ``length``.
 
     Args:
         spec: the distribution of maps.

@@ -1,4 +1,6 @@
-"""Problems and symmetries that are drawn anew each epoch: functions of (order seed, epoch, number), never of worker state."""
+"""Problems and symmetries that are drawn anew each epoch: functions of (order seed, epoch, number), never of worker
+state.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,7 @@ def draw_problems(
             for column in range(columns):
                 free += grids[b, row, column] == 0
         for attempt in range(_TRIES if free > 1 else 0):
-            w0, w1, w2, w3 = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, attempt)
+            w0, w1, _w2, _w3 = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, attempt)
             start = _free_cell(grids[b], bounded(w0, 0, free - 1))
             load(grids[b], came, np.empty(0, np.uint32))
             source = (start // columns + 1) * stride + start % columns + 1
@@ -79,9 +81,9 @@ def draw_problems(
                     candidates[kept] = cell
                     kept += 1
             if kept:
-                cell = candidates[bounded(w1, 0, kept - 1)]
+                chosen = candidates[bounded(w1, 0, kept - 1)]
                 starts[b, 0], starts[b, 1] = start // columns, start % columns
-                goals[b, 0], goals[b, 1] = cell // stride - 1, cell % stride - 1
+                goals[b, 0], goals[b, 1] = chosen // stride - 1, chosen % stride - 1
                 found[b] = True
                 break
 
@@ -101,7 +103,8 @@ def _free_cell(grid: Bytes, number: Int) -> Int:
 
 @kernel
 def draw_pairs(seed: np.uint64, epoch: Int, numbers: Ints, rooms: Ints, tried: Ints, route: Int) -> Ints:
-    """Return (B, 2), a pair of rooms of each map: a drawn one, or the ``tried``-th after it; (-1, -1) when all were tried.
+    """Return (B, 2), a pair of rooms of each map: a drawn one, or the ``tried``-th after it; (-1, -1) when all were
+    tried.
 
     With ``route`` the pairs are (q, q + 1), else all i < j in row-major order.
     """
@@ -125,7 +128,7 @@ def draw_symmetries(seed: np.uint64, epoch: Int, numbers: Ints, square: Int) -> 
     """Return (B,) codes of symmetries: bit 0 flips rows, bit 1 flips columns, bit 2 (only square maps) transposes."""
     codes = np.empty(len(numbers), np.int64)
     for b in range(len(numbers)):
-        w0, w1, w2, w3 = block(seed, np.uint64(numbers[b]), epoch, AUGMENTATION, 0)
+        w0, _w1, _w2, _w3 = block(seed, np.uint64(numbers[b]), epoch, AUGMENTATION, 0)
         codes[b] = bounded(w0, 0, 7 if square else 3)
     return codes
 
@@ -170,7 +173,7 @@ def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
     """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream ORDER."""
     order = np.arange(count)
     for k in range(count - 1, 0, -1):
-        w0, w1, w2, w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
+        w0, w1, _w2, _w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
         # multiply-high of a 64-bit word, in two halves
         n = np.uint64(k + 1)
         j = (w0 * n + ((w1 * n) >> np.uint64(32))) >> np.uint64(32)

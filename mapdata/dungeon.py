@@ -194,7 +194,7 @@ def generate(spec: MapSpec, seed: int, indices: Iterable[int]) -> Maps:
     index = np.asarray(
         indices if isinstance(indices, np.ndarray) or not isinstance(indices, Iterable) else list(indices)
     )
-    if index.ndim != 1 or (index.size and not (index.dtype.kind in "iu" and 0 <= index.min() and index.max() < 2**63)):
+    if index.ndim != 1 or (index.size and not (index.dtype.kind in "iu" and index.min() >= 0 and index.max() < 2**63)):
         raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
     index = np.ascontiguousarray(index.reshape(-1), np.int64)
     (height, columns), most, count = spec.map_size, spec.rooms[1], len(index)

@@ -212,7 +212,9 @@ def _metrics(means: Floats) -> Floats:
 
 
 class _Module(ModuleType):
-    """``mapdata.evaluate`` is this module once it is imported, and the public function before: calling either is the same."""
+    """``mapdata.evaluate`` is this module once it is imported, and the public function before: calling either is the
+    same.
+    """
 
     __call__ = staticmethod(evaluate)
 

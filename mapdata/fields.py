@@ -203,7 +203,8 @@ def cost_to_go(batch: Batch) -> Floats:
 
 
 def optimal_moves(batch: Batch) -> Bytes:
-    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k (`search.STEPS`) starts a shortest path to the goal.
+    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k (`search.STEPS`) starts a shortest path to the
+    goal.
 
     0 at the goal, in walls and where the goal cannot be reached.
     """
@@ -375,7 +376,7 @@ def _goal_fields(
 
 
 @kernel
-def _in_cells(cost: Int) -> float:
+def _in_cells(cost: Int) -> Int:
     straight, diagonal = parts(cost)
     return straight + diagonal * math.sqrt(2.0)
 

@@ -1,4 +1,4 @@
-"""Roots that are URLs: the manifest and each shard are fetched once to a local cache and checked against their hashes."""
+"""Roots that are URLs: manifest and shards are fetched once to a local cache and checked against their hashes."""
 
 from __future__ import annotations
 

@@ -20,7 +20,8 @@ PATH_STEP = 16
 class Sample(tuple[Any, ...]):
     """Base class of all samples and batches: a NamedTuple with exactly the fields asked for, in that order.
 
-    It is registered with torch's default collate function, so that a plain ``DataLoader(dataset, 256)`` gives padded batches.
+    It is registered with torch's default collate function, so that a plain ``DataLoader(dataset, 256)`` gives padded
+    batches.
     """
 
     __slots__ = ()
@@ -34,8 +35,10 @@ class Sample(tuple[Any, ...]):
 
 @cache
 def sample_class(names: tuple[str, ...], room: int | None = None) -> type[Sample]:
-    """Return the class of samples with these fields, whose ``path`` has room for so many cells (None: as many as it needs)."""
-    return type("Sample", (Sample, namedtuple("Sample", names)), {"__slots__": (), "_room": room})  # type: ignore[misc]
+    """Return the class of samples with these fields, whose ``path`` has room for so many cells (None: as many as it
+    needs).
+    """
+    return type("Sample", (Sample, namedtuple("Sample", names)), {"__slots__": (), "_room": room})
 
 
 def _restore(names: tuple[str, ...], room: int | None, values: tuple[Any, ...]) -> Sample:
@@ -74,7 +77,9 @@ def row(batch: Sample, i: int) -> Sample:
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:  # noqa: ANN401
-    """Stack samples into a batch; paths are padded with -1 to a multiple of 16 cells, or to the dataset's ``max_length``."""
+    """Stack samples into a batch; paths are padded with -1 to a multiple of 16 cells, or to the dataset's
+    ``max_length``.
+    """
     kind = type(samples[0])
     columns = dict(zip(kind._fields, zip(*samples, strict=True), strict=True))
     return kind(

@@ -491,8 +491,8 @@ def shortest_costs(
 ) -> Int:
     """Write the cost of the shortest path from ``source`` to every cell into ``costs``, FAR where there is none.
 
-    ``came`` is as `load` leaves it; ``queue`` and ``below`` are `log_size` long. Returns how many cells are reached; they stand in
-    ``queue``, each once.
+    ``came`` is as `load` leaves it; ``queue`` and ``below`` are `log_size` long. Returns how many cells are reached;
+    they stand in ``queue``, each once.
     """
     costs[:] = FAR
     if diagonals and step != UNIT:
@@ -513,8 +513,9 @@ def bucket_search(
 ) -> Int:
     """Write costs from the nearest of the sources ``cell[1:sources + 1]``, whose cost is 0 already.
 
-    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper, whatever
-    the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log replace a heap.
+    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper,
+    whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log
+    replace a heap.
     """
     heads = np.zeros(3, np.int64)  # entry 0 ends a list
     heads[0] = sources

@@ -1,6 +1,7 @@
 """The shards behind a dataset: opened at first touch, read by one kernel a batch through a table of addresses.
 
-A kernel call for each shard would cost more than the work, so the kernels get the addresses of the arrays of all open shards.
+A kernel call for each shard would cost more than the work, so the kernels get the addresses of the arrays of all open
+shards.
 """
 
 from __future__ import annotations
@@ -9,13 +10,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import llvmlite.ir
+import numba
 import numpy as np
 import numpy.typing as npt
-from numba import carray, types
+from numba import types
 from numba.extending import intrinsic
 
 from mapdata.dungeon import WORD, unpack
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined, kernel
 from mapdata.manifest import Entry, read_manifest
 from mapdata.remote import local_file, local_root
 from mapdata.search import STEPS
@@ -56,12 +58,19 @@ def _pointer(_context: Any, address: Any) -> Any:  # noqa: ANN401  (numba's own 
     return types.voidptr(types.int64), generate
 
 
+@inlined
+def _array(address: Int, shape: tuple[Int, ...], dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
+    """Return the array at an address, as a view."""
+    pointer: Any = _pointer
+    return numba.carray(pointer(address), shape, dtype)  # type: ignore[attr-defined]
+
+
 @kernel
 def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
     """Unpack map ``maps[b]`` of shard ``shards[b]`` into ``grids[b]``, (B, H, W)."""
     size = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD)
     for b in range(len(shards)):
-        words = carray(_pointer(table[shards[b], _MAPS]), ((maps[b] + 1) * size,), np.uint64)
+        words = _array(table[shards[b], _MAPS], ((maps[b] + 1) * size,), np.uint64)
         unpack(words, maps[b] * size, grids[b])
 
 
@@ -69,11 +78,11 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
 def read_seeds(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
     """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no such room."""
     for b in range(len(shards)):
-        offsets = carray(_pointer(table[shards[b], _ROOMS]), (maps[b] + 2,), np.int64)
+        offsets = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
         room = offsets[maps[b]] + rooms[b]
         out[b, 0] = out[b, 1] = -1
         if room < offsets[maps[b] + 1]:
-            seeds = carray(_pointer(table[shards[b], _SEEDS]), (2 * room + 2,), np.int16)
+            seeds = _array(table[shards[b], _SEEDS], (2 * room + 2,), np.int16)
             out[b, 0], out[b, 1] = seeds[2 * room], seeds[2 * room + 1]
 
 
@@ -84,27 +93,27 @@ def read_paths(
     """Return the stored path from room ``rooms[b]`` to the next one of each map.
 
     Returns:
-        cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the first damaged path or -1.
-        A path that does not arrive has no cells; one that leaves the map is damaged.
+        cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the first damaged path
+        or -1. A path that does not arrive has no cells; one that leaves the map is damaged.
     """
     count, each = len(shards), 8 // bits
     offsets, iterations, first = np.zeros(count + 1, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     for b in range(count):
-        room_offsets = carray(_pointer(table[shards[b], _ROOMS]), (maps[b] + 1,), np.int64)
+        room_offsets = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)
         segment = room_offsets[maps[b]] - maps[b] + rooms[b]
-        moves = carray(_pointer(table[shards[b], planner]), (segment + 2,), np.int64)
-        taken = carray(_pointer(table[shards[b], planner + 2]), (segment + 1,), np.int32)
+        moves = _array(table[shards[b], planner], (segment + 2,), np.int64)
+        taken = _array(table[shards[b], planner + 2], (segment + 1,), np.int32)
         iterations[b], first[b] = taken[segment], moves[segment]
         offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
     cells = np.empty((offsets[count], 2), np.int64)
     at = 0
     for b in range(count):
         length = offsets[b + 1] - offsets[b] - 1
-        room = carray(_pointer(table[shards[b], _ROOMS]), (maps[b] + 1,), np.int64)[maps[b]] + rooms[b]
-        seeds = carray(_pointer(table[shards[b], _SEEDS]), (2 * room + 4,), np.int16)
+        room = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)[maps[b]] + rooms[b]
+        seeds = _array(table[shards[b], _SEEDS], (2 * room + 4,), np.int16)
         row, column = np.int64(seeds[2 * room]), np.int64(seeds[2 * room + 1])
         goal_row, goal_column = np.int64(seeds[2 * room + 2]), np.int64(seeds[2 * room + 3])
-        packed = carray(_pointer(table[shards[b], planner + 1]), ((first[b] + length) // each + 1,), np.uint8)
+        packed = _array(table[shards[b], planner + 1], ((first[b] + length) // each + 1,), np.uint8)
         offsets[b] = at
         if length == 0 and (row != goal_row or column != goal_column):
             continue
@@ -138,13 +147,13 @@ def read_rooms(
 ) -> None:
     """Fill connection matrices (B, R, R), -2 padding, and centres (B, R, 2), -1 padding."""
     for b in range(len(shards)):
-        rooms = carray(_pointer(table[shards[b], _ROOMS]), (maps[b] + 2,), np.int64)
+        rooms = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
         first, last = rooms[maps[b]], rooms[maps[b] + 1]
-        pair = carray(_pointer(table[shards[b], _PAIRS]), (maps[b] + 1,), np.int64)[maps[b]]
+        pair = _array(table[shards[b], _PAIRS], (maps[b] + 1,), np.int64)[maps[b]]
         pairs = pair + (last - first) * (last - first - 1) // 2
-        seeds = carray(_pointer(table[shards[b], _SEEDS]), (2 * last,), np.int16)
-        moves = carray(_pointer(table[shards[b], straight]), (pairs,), np.int32)
-        diagonals = carray(_pointer(table[shards[b], _DIAGONAL]), (pairs,), np.int32)
+        seeds = _array(table[shards[b], _SEEDS], (2 * last,), np.int16)
+        moves = _array(table[shards[b], straight], (pairs,), np.int32)
+        diagonals = _array(table[shards[b], _DIAGONAL], (pairs,), np.int32)
         matrices[b], centres[b] = -2, -1
         for i in range(last - first):
             centres[b, i, 0], centres[b, i, 1] = seeds[2 * (first + i)], seeds[2 * (first + i) + 1]

@@ -13,8 +13,8 @@ from mapdata.spec import SPLITS
 def map_rows(shard: Shard, split: str | None = None) -> list[dict[str, Any]]:
     """Return the items of the maps of a shard, those of one split or all.
 
-    The names are those of arXiv 2110.13242, section III-D, with ``bfs`` and ``astar`` before what a planner found. Paths are the route,
-    joined without its repeated joints; iterations are one number a segment.
+    The names are those of arXiv 2110.13242, section III-D, with ``bfs`` and ``astar`` before what a planner found.
+    Paths are the route, joined without its repeated joints; iterations are one number a segment.
     """
     labels = decode(shard)
     maps, rows = labels.maps, []
