@@ -56,7 +56,7 @@ def bit_labels(
     Returns:
         ``moves``, perhaps a larger copy, and how many are used.
     """
-    n, pair, nearer, need = len(seeds), 0, 0, -1
+    n, pair, nearer, need = len(seeds), 0, 0, np.int64(-1)
     unseen, before = np.zeros(_LEVEL, np.uint64), np.empty((2, _LEVEL), np.uint64)
     for s in range(n):
         # Flood around s until all later seeds are seen, and the seed before it, where a segment starts.

@@ -44,8 +44,8 @@ def draw_problems(
         numbers: (B,) number of each problem.
         min_distance: least cost of the shortest path.
         min_hardness: least ratio of that cost to the heuristic.
-        diagonals: as in `search.Rule`.
-        step: as in `search.Rule`.
+        diagonals: as `search.rule_of` gives it.
+        step: as `search.rule_of` gives it.
         starts: (B, 2), filled.
         goals: (B, 2), filled.
         found: (B,), filled: False where no problem of the map meets the conditions.
@@ -65,7 +65,7 @@ def draw_problems(
         for attempt in range(_TRIES if free > 1 else 0):
             w0, w1, _w2, _w3 = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, attempt)
             start = _free_cell(grids[b], bounded(w0, 0, free - 1))
-            load(grids[b], came, np.empty(0, np.uint32))
+            load(grids[b], came)
             source = (start // columns + 1) * stride + start % columns + 1
             count = shortest_costs(came, costs, queue, below, offsets, source, diagonals, step)
             kept = 0

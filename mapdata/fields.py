@@ -348,7 +348,7 @@ def _goal_fields(
     queue, below = np.empty(log, np.uint32), np.empty(log, np.uint32)
     for b in range(count):
         goal = (goals[b, 0] + 1) * stride + goals[b, 1] + 1
-        load(grids[b], came, np.empty(0, np.uint32))
+        load(grids[b], came)
         reached = shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)
         if len(cost_to_go):
             cost_to_go[b] = -1
@@ -439,7 +439,7 @@ def _path_probability(
     for b in range(count):
         if ends[b] == ends[b + 1]:
             continue
-        load(grids[b], came, np.empty(0, np.uint32))
+        load(grids[b], came)
         costs[:] = FAR
         for k, cell in enumerate((starts[b], goals[b])):
             queue[1] = (cell[0] + 1) * stride + cell[1] + 1
@@ -484,7 +484,7 @@ def _room_matrices(grids: Bytes, centres: Ints, diagonals: Int, step: Int) -> Fl
         for i in range(most):
             if centres[b, i, 0] < 0:
                 break
-            load(grids[b], came, np.empty(0, np.uint32))
+            load(grids[b], came)
             source = (centres[b, i, 0] + 1) * stride + centres[b, i, 1] + 1
             shortest_costs(came, costs, queue, below, offsets, source, diagonals, step)
             for j in range(most):

@@ -15,7 +15,6 @@ from mapdata.jit import Int, kernel
 from mapdata.search import (
     ASTAR,
     BFS,
-    FREE,
     STEPS,
     UNSEEN,
     WALL,
@@ -29,7 +28,6 @@ from mapdata.search import (
     scratch,
     taken_until,
     wipe,
-    wipe_heap,
     write_moves,
 )
 
@@ -192,7 +190,8 @@ def _label(
     fresh, seed_cells = np.full(cells, WALL, np.uint8), np.empty(seeds.shape[1], np.int64)
     flooding, searching = scratch(cells, BFS, diagonals), scratch(cells, ASTAR, diagonals)
     bfs_moves, astar_moves = np.empty(1024, np.uint8), np.empty(1024, np.uint8)
-    bfs_used, astar_used = 0, 0
+    # numbers that are handed on get their final type at once: else the kernels that take them are compiled twice
+    bfs_used, astar_used = np.int64(0), np.int64(0)
     small = diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
     levels = bit_scratch(small)
     for m in range(len(packed)):
@@ -265,10 +264,9 @@ def _bfs_labels(
     """Label one map by BFS: one flood from each seed until all later ones are seen; return the moves and their
     number.
     """
-    came, queue, pair, n = buffers[0], buffers[3], 0, len(seeds)
+    came, queue, pair, n = buffers[0], buffers[2], 0, len(seeds)
     for a in range(n - 1):
-        for k in range(len(fresh)):
-            came[k] = fresh[k]
+        came[:] = fresh
         count = flood(came, queue, stride, seeds[a], seeds[a + 1 :], diagonals)
         for b in range(a + 1, n):
             costs[pair, 0], costs[pair, 1] = -1, 0
@@ -299,20 +297,16 @@ def _astar_labels(
     used: Int,
 ) -> tuple[Bytes, Int]:
     """Label one map by A*: a search for each pair of rooms; return the moves and their number."""
-    came, state, g, cell, below, f = buffers
-    for k in range(len(came)):
-        came[k] = fresh[k]
-    for k in range(len(state)):
-        state[k] = FREE if fresh[k] == UNSEEN else np.uint32(0)
+    came, g, cell, below, f = buffers
+    came[:] = fresh
     pair = 0
     for a in range(len(seeds) - 1):
         for b in range(a + 1, len(seeds)):
-            start, goal, diagonal = seeds[a], seeds[b], 0
-            straight: Int = -1
+            start, goal, straight, diagonal = seeds[a], seeds[b], -1, 0
             if diagonals == 0:
-                taken, pushes = astar_manhattan(state, cell, below, stride, start, goal)
-                if state[goal] != FREE:
-                    straight = np.int64(state[goal] >> np.uint32(4)) - 1
+                taken, pushes = astar_manhattan(came, g, cell, below, stride, start, goal)
+                if came[goal] != UNSEEN:
+                    straight = g[goal]
             else:
                 taken, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
                 if came[goal] != UNSEEN:
@@ -323,12 +317,7 @@ def _astar_labels(
                 length = max(straight + diagonal, 0)
                 table[a, 0], table[a, 1] = length, taken
                 moves, used = room(moves, used, length), used + length
-                if length and diagonals == 0:
-                    write_moves(state, offsets, start, goal, moves, used)
-                elif length:
+                if length:
                     write_moves(came, offsets, start, goal, moves, used)
-            if diagonals == 0:
-                wipe(state, cell, pushes)
-            else:
-                wipe_heap(came, g, cell, pushes)
+            wipe(came, cell, pushes)
     return moves, used

@@ -10,7 +10,7 @@ with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
 from __future__ import annotations
 
 import math
-import operator
+from operator import index
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +38,7 @@ STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-
 """(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); the number of a move is its code everywhere."""
 
 WALL, UNSEEN, ROOT = np.uint8(255), np.uint8(254), np.uint8(253)
-FREE = np.uint32(0xFFFFFFFF)
-_CLOSED, _G_SHIFT, _BELOW_G = np.uint32(8), np.uint32(4), np.uint32(15)
+CLOSED = np.uint8(8)
 FAR = np.int64(2**62)
 _ONE = np.uint64(1)
 
@@ -62,21 +61,15 @@ class SearchResult(NamedTuple):
     iterations: int
 
 
-class Rule(NamedTuple):
-    """A `Movement` as the kernels want it."""
+def rule_of(movement: Movement) -> tuple[int, int]:
+    """Return ``movement`` as the kernels want it: ``diagonals`` and ``step``.
 
-    diagonals: int
-    """0 none, 1 only beside two free cells, 2 unrestricted."""
-    step: int
-    """Cost of a diagonal step, in units of 1 / UNIT."""
-
-
-def rule_of(movement: Movement) -> Rule:
-    """Return ``movement`` as the kernels want it."""
+    ``diagonals``: 0 none, 1 only beside two free cells, 2 unrestricted. ``step``: cost of a diagonal step, in 1 / UNIT.
+    """
     if not isinstance(movement, Movement):
         raise ValueError(f"movement: got {movement!r}, expected a Movement")
-    diagonals = 0 if movement.connectivity == 4 else 1 + movement.corner_cutting
-    return Rule(diagonals, UNIT if movement.diagonal_cost == 1 else DIAGONAL)
+    diagonals = 0 if movement.connectivity == 4 else 2 if movement.corner_cutting else 1
+    return diagonals, UNIT if movement.diagonal_cost == 1 else DIAGONAL
 
 
 # --- kernels: one search on a padded grid ---------------------------------------------------------------------------
@@ -150,20 +143,22 @@ def taken_until(queue: Cells, count: Int, goal: Int) -> Int:
 
 
 @kernel
-def astar_manhattan(state: Cells, cell: Cells, below: Cells, stride: Int, start: Int, goal: Int) -> tuple[Int, Int]:
+def astar_manhattan(
+    came: Bytes, g: Ints, cell: Cells, below: Cells, stride: Int, start: Int, goal: Int
+) -> tuple[Int, Int]:
     """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
 
     A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the nearer one is exactly the
-    order of the format. Both stacks are lists through one log of pushes (``cell``, ``below``), which tells the caller
-    what to clean. ``state`` holds 0 in walls, FREE, else ``g << 4 | closed << 3 | move``.
+    order of the format. Both stacks are lists through one log of pushes, ``cell[1:]`` and ``below``, where 0 ends a
+    list. ``came`` holds WALL and UNSEEN, then the move that led to a cell, with CLOSED once it is taken; ``g`` needs
+    no content.
     """
     p, target = np.uint32(stride), np.uint32(goal)
     goal_row = target // p
     goal_column = target - goal_row * p
     near, far, pushes, taken = np.uint32(1), np.uint32(0), np.uint32(2), 0
-    cell[1] = start
-    below[1] = 0
-    state[start] = 1 << 4
+    cell[1], below[1] = start, 0
+    came[start], g[start] = 0, 0
     while True:
         if near == 0:
             if far == 0:
@@ -171,27 +166,27 @@ def astar_manhattan(state: Cells, cell: Cells, below: Cells, stride: Int, start:
             near, far = far, near
         c = cell[np.uint64(near)]
         near = below[np.uint64(near)]
-        now = state[np.uint64(c)]
-        if now & _CLOSED:
+        if came[np.uint64(c)] & CLOSED:
             continue
-        state[np.uint64(c)] = now | _CLOSED
+        came[np.uint64(c)] |= CLOSED
         taken += 1
         if c == target:
             return taken, np.int64(pushes)
-        g = (now >> _G_SHIFT) + np.uint32(1)
+        longer = g[np.uint64(c)] + 1
         row = c // p
         column = c - row * p
         for move in range(4):
             if move == 0:
-                to, closer = c - p, row > goal_row
+                to, closer = np.uint64(c - p), row > goal_row
             elif move == 1:
-                to, closer = c + np.uint32(1), column < goal_column
+                to, closer = np.uint64(c + np.uint32(1)), column < goal_column
             elif move == 2:
-                to, closer = c + p, row < goal_row
+                to, closer = np.uint64(c + p), row < goal_row
             else:
-                to, closer = c - np.uint32(1), column > goal_column
-            if state[np.uint64(to)] > ((g << _G_SHIFT) | _BELOW_G):
-                state[np.uint64(to)] = (g << _G_SHIFT) | np.uint32(move)
+                to, closer = np.uint64(c - np.uint32(1)), column > goal_column
+            before = came[to]
+            if before == UNSEEN or (before < CLOSED and g[to] > longer):
+                came[to], g[to] = move, longer
                 cell[np.uint64(pushes)] = to
                 below[np.uint64(pushes)] = near if closer else far
                 near, far = (pushes, far) if closer else (near, pushes)
@@ -199,10 +194,10 @@ def astar_manhattan(state: Cells, cell: Cells, below: Cells, stride: Int, start:
 
 
 @kernel
-def wipe(state: Cells, cell: Cells, pushes: Int) -> None:
-    """Make ``state`` fresh again after `astar_manhattan`."""
+def wipe(came: Bytes, cell: Cells, pushes: Int) -> None:
+    """Make ``came`` fresh again after an A*."""
     for k in range(1, pushes):
-        state[np.uint64(cell[np.uint64(k)])] = FREE
+        came[np.uint64(cell[np.uint64(k)])] = UNSEEN
 
 
 @inlined
@@ -230,15 +225,13 @@ def astar_heap(
 ) -> tuple[Int, Int]:
     """A* with 8-connected moves; return (iterations, pushes).
 
-    A binary heap of push numbers, the least f on top and among equal f the latest push. ``came`` holds WALL and
-    UNSEEN, then the move that led to a cell; ``g`` holds FAR, -1 once a cell is closed; ``cell`` and ``f`` are the
-    log of pushes.
+    A binary heap of push numbers, the least f on top and among equal f the latest push. ``cell[1:]`` and ``f`` are
+    the log of pushes; ``came`` and ``g`` are as in `astar_manhattan`.
     """
     goal_row, goal_column = goal // stride, goal % stride
-    came[start] = ROOT
-    g[start] = 0
-    cell[0], f[0], heap[0] = start, 0, 0
-    pushes, size, taken = 1, 1, 0
+    came[start], g[start] = 0, 0
+    cell[1], f[1], heap[0] = start, 0, 1
+    pushes, size, taken = 2, 1, 0
     while size:
         c = np.int64(cell[heap[0]])
         size -= 1
@@ -255,10 +248,10 @@ def astar_heap(
             heap[at] = best
             at, child = child, 2 * child + 1
         heap[at] = last
-        cost = g[c]
-        if cost < 0:
+        if came[c] & CLOSED:
             continue
-        g[c] = -1
+        came[c] |= CLOSED
+        cost = g[c]
         taken += 1
         if c == goal:
             break
@@ -271,9 +264,9 @@ def astar_heap(
                 if came[side[0]] == WALL or came[side[1]] == WALL:
                     continue
             longer = cost + (UNIT if move < 4 else step)
-            if longer < g[to]:
-                g[to] = longer
-                came[to] = move
+            before = came[to]
+            if before == UNSEEN or (before < CLOSED and g[to] > longer):
+                came[to], g[to] = move, longer
                 key = longer + estimate(to // stride - goal_row, to % stride - goal_column, diagonals, step)
                 cell[pushes], f[pushes] = to, key
                 at = size
@@ -291,21 +284,13 @@ _COLUMN_PART = np.array([0, 1, 2, 3, 1, 1, 3, 3])
 
 
 @kernel
-def wipe_heap(came: Bytes, g: Ints, cell: Cells, pushes: Int) -> None:
-    """Make ``came`` and ``g`` fresh again after `astar_heap`."""
-    for k in range(pushes):
-        came[cell[k]] = UNSEEN
-        g[cell[k]] = FAR
-
-
-@kernel
-def count_moves(came: Bytes | Cells, offsets: Ints, start: Int, goal: Int) -> tuple[Int, Int]:
+def count_moves(came: Bytes, offsets: Ints, start: Int, goal: Int) -> tuple[Int, Int]:
     """Return how many straight and diagonal moves led from ``start`` to ``goal``."""
     straight: Int = 0
     diagonal: Int = 0
     c = goal
     while c != start:
-        move = np.uint64(came[np.uint64(c)] & 7)
+        move = np.uint64(came[np.uint64(c)] & np.uint8(7))
         straight += move < 4
         diagonal += move >= 4
         c -= offsets[move]
@@ -313,26 +298,24 @@ def count_moves(came: Bytes | Cells, offsets: Ints, start: Int, goal: Int) -> tu
 
 
 @kernel
-def write_moves(came: Bytes | Cells, offsets: Ints, start: Int, goal: Int, moves: Bytes, end: Int) -> None:
+def write_moves(came: Bytes, offsets: Ints, start: Int, goal: Int, moves: Bytes, end: Int) -> None:
     """Write the moves that led from ``start`` to ``goal`` so that the last one stands before ``moves[end]``."""
     c = goal
     while c != start:
-        move = np.uint64(came[np.uint64(c)] & 7)
+        move = np.uint64(came[np.uint64(c)] & np.uint8(7))
         end -= 1
         moves[end] = move
         c -= offsets[move]
 
 
 @kernel
-def _write_cells(
-    came: Bytes | Cells, offsets: Ints, stride: Int, start: Int, goal: Int, count: Int, path: Ints
-) -> None:
+def _write_cells(came: Bytes, offsets: Ints, stride: Int, start: Int, goal: Int, count: Int, path: Ints) -> None:
     """Write the ``count`` moves from ``start`` to ``goal`` as the cells of ``path``, (count + 1, 2)."""
     c = goal
     for k in range(count, -1, -1):
         path[k, 0], path[k, 1] = c // stride - 1, c % stride - 1
         if k:
-            c -= offsets[np.uint64(came[np.uint64(c)] & 7)]
+            c -= offsets[np.uint64(came[np.uint64(c)] & np.uint8(7))]
 
 
 @kernel
@@ -347,105 +330,126 @@ def room(moves: Bytes, used: Int, more: Int) -> Bytes:
 
 # --- kernels: whole grids -------------------------------------------------------------------------------------------
 
-Scratch = tuple[Bytes, Cells, Ints, Cells, Cells, Ints]
+Scratch = tuple[Bytes, Ints, Cells, Cells, Ints]
 
 
 @kernel
 def scratch(cells: Int, planner: Int, diagonals: Int) -> Scratch:
-    """Return (came, state, g, cell, below, f) for searches on ``cells`` padded cells; what is not needed is empty."""
-    heap, stacks = planner == ASTAR and diagonals > 0, planner == ASTAR and diagonals == 0
+    """Return (came, g, cell, below, f) for searches on ``cells`` padded cells; what is not needed is empty."""
     # A cell is pushed at most once for each neighbour (on the two stacks: once for each), so the logs cannot overflow.
-    pushes = 8 * cells if heap else 2 * cells if stacks else cells
+    pushes = cells if planner == BFS else 2 * cells if diagonals == 0 else 8 * cells
     return (
-        np.full(0 if stacks else cells, WALL, np.uint8),
-        np.zeros(cells if stacks else 0, np.uint32),
-        np.full(cells if heap else 0, FAR, np.int64),
-        np.empty(pushes + 1, np.uint32),
-        np.empty(pushes + 1 if planner == ASTAR else 0, np.uint32),
-        np.empty(pushes + 1 if heap else 0, np.int64),
+        np.full(cells, WALL),
+        np.empty(cells if planner == ASTAR else 0, np.int64),
+        np.empty(pushes + 2, np.uint32),
+        np.empty(pushes + 2 if planner == ASTAR else 0, np.uint32),
+        np.empty(pushes + 2 if planner == ASTAR and diagonals else 0, np.int64),
     )
 
 
 @kernel
-def load(grid: Bytes, came: Bytes, state: Cells) -> Int:
-    """Copy ``grid`` into the padded ``came`` and ``state``, whichever is not empty; return whether all is 0 or 1."""
+def load(grid: Bytes, came: Bytes) -> Int:
+    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL; return whether all of it is 0 or 1."""
     rows, columns = grid.shape
     seen = np.uint8(0)
     for row in range(rows):
         base = np.uint64((row + 1) * (columns + 2) + 1)
-        line = grid[row]
-        if len(came):
-            for column in range(columns):
-                seen |= line[column]
-                came[base + np.uint64(column)] = UNSEEN | line[column]
-        if len(state):
-            for column in range(columns):
-                seen |= line[column]
-                state[base + np.uint64(column)] = np.uint32(line[column]) - np.uint32(1)
+        for column in range(columns):
+            value = grid[row, column]
+            seen |= value
+            came[base + np.uint64(column)] = UNSEEN | value
     return seen <= 1
 
 
 @kernel
-def _solve(
-    grids: Bytes, starts: Ints, goals: Ints, planner: Int, diagonals: Int, step: Int
-) -> tuple[Ints, Ints, Ints, Int]:
+def _find(
+    stride: Int, start: Int, goal: Int, planner: Int, diagonals: Int, step: Int, offsets: Ints, buffers: Scratch
+) -> tuple[Int, Int, Int, Int]:
+    """Search one problem on a grid that is loaded; return straight and diagonal moves or (-1, 0), iterations,
+    pushes.
+    """
+    came, g, cell, below, f = buffers
+    pushes = 0
+    if planner == BFS:
+        target = np.empty(1, np.int64)
+        target[0] = goal
+        taken = taken_until(cell, flood(came, cell, stride, start, target, diagonals), goal)
+    elif diagonals == 0:
+        taken, pushes = astar_manhattan(came, g, cell, below, stride, start, goal)
+        if came[goal] != UNSEEN:
+            return g[goal], 0, taken, pushes
+    else:
+        taken, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
+    if came[goal] == UNSEEN:
+        return -1, 0, taken, pushes
+    straight, diagonal = count_moves(came, offsets, start, goal)
+    return straight, diagonal, taken, pushes
+
+
+@kernel
+def _solve_one(
+    grid: Bytes,
+    start_row: Int,
+    start_column: Int,
+    goal_row: Int,
+    goal_column: Int,
+    planner: Int,
+    diagonals: Int,
+    step: Int,
+) -> tuple[Ints, Int, Int, Int]:
+    """Search one problem; return its path, straight and diagonal moves, and iterations (0 when the problem is bad)."""
+    stride = grid.shape[1] + 2
+    cells = (grid.shape[0] + 2) * stride
+    buffers = scratch(cells, planner, diagonals)
+    if not load(grid, buffers[0]) or grid[start_row, start_column] or grid[goal_row, goal_column]:
+        return np.empty((0, 2), np.int64), -1, 0, 0
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    start, goal = (start_row + 1) * stride + start_column + 1, (goal_row + 1) * stride + goal_column + 1
+    straight, diagonal, taken, _ = _find(stride, start, goal, planner, diagonals, step, offsets, buffers)
+    path = np.empty((straight + diagonal + 1, 2), np.int64)
+    if len(path):
+        _write_cells(buffers[0], offsets, stride, start, goal, straight + diagonal, path)
+    return path, straight, diagonal, taken
+
+
+@kernel
+def _solve(grids: Bytes, starts: Ints, goals: Ints, planner: Int, diagonals: Int, step: Int) -> tuple[Ints, Ints, Int]:
     """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one grid).
 
     Returns:
         cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1, 0), iterations,
-        and the end of the path in ``cells``; the padded offsets of the moves; the number of problems solved before
-        one was found bad.
+        and the end of the path in ``cells``; the number of problems solved before one was found bad.
     """
     stride = grids.shape[2] + 2
     cells = (grids.shape[1] + 2) * stride
     offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    came, state, g, cell, below, f = scratch(cells, planner, diagonals)
+    buffers = scratch(cells, planner, diagonals)
+    came, cell = buffers[0], buffers[2]
     found = np.empty((len(starts), 4), np.int64)
     path = np.empty((64 * len(starts) + 64, 2), np.int64)
-    target = np.empty(1, np.int64)
     used = 0
     for k in range(len(starts)):
+        grid = grids[k if len(grids) > 1 else 0]
         stale = k == 0 or len(grids) > 1 or planner == BFS
-        if stale and not load(grids[min(k, len(grids) - 1)], came, state):
-            return path, found, offsets, k
+        if stale and not load(grid, came):
+            return path, found, k
+        if grid[starts[k, 0], starts[k, 1]] or grid[goals[k, 0], goals[k, 1]]:
+            return path, found, k
         start = (starts[k, 0] + 1) * stride + starts[k, 1] + 1
         goal = (goals[k, 0] + 1) * stride + goals[k, 1] + 1
-        grid = grids[min(k, len(grids) - 1)]
-        if grid[starts[k, 0], starts[k, 1]] or grid[goals[k, 0], goals[k, 1]]:
-            return path, found, offsets, k
-        straight: Int = -1
-        diagonal: Int = 0
-        if planner == BFS:
-            target[0] = goal
-            taken = taken_until(cell, flood(came, cell, stride, start, target, diagonals), goal)
-            if came[goal] != UNSEEN:
-                straight, diagonal = count_moves(came, offsets, start, goal)
-        elif diagonals == 0:
-            taken, pushes = astar_manhattan(state, cell, below, stride, start, goal)
-            if state[goal] != FREE:
-                straight = np.int64(state[goal] >> _G_SHIFT) - 1
-        else:
-            taken, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
-            if came[goal] != UNSEEN:
-                straight, diagonal = count_moves(came, offsets, start, goal)
-        if straight >= 0:
-            count = straight + diagonal
-            if used + count + 1 > len(path):
-                longer = np.empty((2 * (used + count + 1), 2), np.int64)
-                longer[:used] = path[:used]
-                path = longer
-            to = path[used : used + count + 1]
-            if planner == ASTAR and diagonals == 0:
-                _write_cells(state, offsets, stride, start, goal, count, to)
-            else:
-                _write_cells(came, offsets, stride, start, goal, count, to)
-            used += count + 1
+        straight, diagonal, taken, pushes = _find(stride, start, goal, planner, diagonals, step, offsets, buffers)
+        count = straight + diagonal
+        if used + count + 1 > len(path):
+            longer = np.empty((2 * (used + count + 1), 2), np.int64)
+            longer[:used] = path[:used]
+            path = longer
+        if count >= 0:
+            _write_cells(came, offsets, stride, start, goal, count, path[used : used + count + 1])
+        used += count + 1
         found[k, 0], found[k, 1], found[k, 2], found[k, 3] = straight, diagonal, taken, used
-        if planner == ASTAR and diagonals == 0:
-            wipe(state, cell, pushes)
-        elif planner == ASTAR:
-            wipe_heap(came, g, cell, pushes)
-    return path[:used], found, offsets, len(starts)
+        if planner == ASTAR:
+            wipe(came, cell, pushes)
+    return path[:used], found, len(starts)
 
 
 @kernel
@@ -459,7 +463,7 @@ def _field(grid: Bytes, row: Int, column: Int, diagonals: Int, step: Int, out: n
     offsets = STEPS[:, 0] * stride + STEPS[:, 1]
     goal = (row + 1) * stride + column + 1
     came, costs = np.full(cells, WALL), np.empty(cells, np.int64)
-    good = load(grid, came, np.empty(0, np.uint32))
+    good = load(grid, came)
     out[:, :] = -1
     if good and not grid[row, column]:
         log = log_size(cells, diagonals, step)
@@ -645,7 +649,7 @@ def search_batch(
             raise ValueError(f"problem {k}: {name} {_cell_text(points[k])} is outside the map of {_size(stack)} cells")
     starts, goals = cells
     code, (diagonals, step) = ASTAR if planner == "astar" else BFS, rule_of(movement)
-    path, found, _, solved = _solve(stack, starts, goals, code, diagonals, step)
+    path, found, solved = _solve(stack, starts, goals, code, diagonals, step)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         raise ValueError(f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}")
@@ -716,14 +720,11 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
 
 def _search(planner: int, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
     array = _grid(grid, 2)
-    ends = np.array((_cell("start", start, array), _cell("goal", goal, array)))
-    diagonals, step = rule_of(movement)
-    path, found, _, solved = _solve(array[None], ends[:1], ends[1:], planner, diagonals, step)
-    if not solved:
-        raise ValueError(_complaint(array, *(tuple(cell) for cell in ends.tolist())))
-    straight, diagonal, iterations, _ = found[0].tolist()
-    cost = straight + diagonal * (1.0 if planner == BFS else movement.diagonal_cost)
-    return SearchResult(path, float(cost), iterations)
+    begin, end = _cell("start", start, array), _cell("goal", goal, array)
+    path, straight, diagonal, iterations = _solve_one(array, *begin, *end, planner, *rule_of(movement))
+    if iterations == 0:
+        raise ValueError(_complaint(array, begin, end))
+    return SearchResult(path, straight + diagonal * (1.0 if planner == BFS else movement.diagonal_cost), iterations)
 
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
@@ -752,7 +753,8 @@ def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
 def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
     """Return ``cell`` as two ints inside ``grid``."""
     try:
-        row, column = (operator.index(side) for side in cell)  # type: ignore[attr-defined]
+        row, column = cell  # type: ignore[misc]
+        row, column = index(row), index(column)  # type: ignore[has-type]
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {cell!r}, expected a cell (row, col) of two integers") from None
     if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):

@@ -1,0 +1,171 @@
+"""Building a dataset beside the kernels alone, and what a newcomer waits for: python benchmarks/build.py [--quick].
+
+Everything is measured in one run. Wall time, so the machine should be idle; every build starts from an empty folder and
+ends with both hashes and all bytes on disk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from measure import Row, each, interleaved, median_ratio, print_table, seconds
+
+from mapdata import MapSpec, build, generate, label
+from mapdata.shard import write_file
+
+PACKAGES = ("mapdata", "numpy", "numba", "h5py")
+SCRIPT = Path(__file__).parent.parent / "scripts" / "build_shards.py"
+SPEC = MapSpec.preset("paper")
+SHARD = 1000
+HEAVY = ("torch", "lightning", "pytorch_lightning", "pandas", "matplotlib")
+"""What ``import mapdata`` must not import."""
+
+
+def kernels(maps: int) -> None:
+    """Do what a build computes, shard by shard, and keep nothing."""
+    for start in range(0, maps, SHARD):
+        label(generate(SPEC, 0, range(start, min(start + SHARD, maps))))
+
+
+def build_rows(folder: Path, maps: int, rounds: int, target: str, *, beside_kernels: bool) -> list[Row]:
+    """Return the rows of building ``maps`` maps with one worker and with two."""
+    hashes = set()
+
+    def run(workers: int) -> None:
+        root = tempfile.mkdtemp(dir=folder)
+        hashes.add(build(root, SPEC, maps=maps, seed=0, shard_size=SHARD, workers=workers).content_hash)
+
+    def write() -> None:
+        root = Path(tempfile.mkdtemp(dir=folder))
+        for k, image in enumerate(images):
+            write_file(root / f"{k}.bin", image)
+
+    def clean() -> None:
+        for root in folder.iterdir():
+            shutil.rmtree(root)
+
+    manifest = build(folder / "first", SPEC, maps=maps, seed=0, shard_size=SHARD)
+    images = [(folder / "first" / entry.name).read_bytes() for entry in manifest.shards]
+    size = sum(len(image) for image in images)
+    clean()
+    contestants = {"one": lambda: run(1), "two": lambda: run(2)}
+    if beside_kernels:
+        contestants |= {"kernels": lambda: kernels(maps), "write": write}
+    times = interleaved(contestants, rounds, after=clean)
+    if hashes != {manifest.content_hash}:
+        raise SystemExit(f"one and two workers gave different maps: content hashes {hashes}")
+    one, two = times["one"], times["two"]
+    ratio = median_ratio(one, two)
+    rows = [
+        Row(
+            f"{maps:,} maps, 2 workers",
+            each(two, 1),
+            each(one, 1),
+            f"{ratio:.2f}x",
+            target,
+            "1 worker, same content hash",
+        )
+    ]
+    if beside_kernels:
+        rate = maps / statistics.median(one)
+        alone = maps / statistics.median(times["kernels"])
+        share = median_ratio(times["kernels"], one)
+        disk = f"{size / 1e6:.1f} MB in {len(images)} shards"
+        rows = [
+            Row(
+                f"{maps:,} maps to disk, 1 worker",
+                f"{each(one, 1)}, {rate:,.0f} maps/s",
+                f"{each(times['kernels'], 1)}, {alone:,.0f} maps/s",
+                f"{share:.2f}x",
+                "0.75x",
+                "generate and label alone, nothing kept",
+            ),
+            Row("of which writing and fsync", each(times["write"], 1), note=f"{disk}, written once more with fsync"),
+            *rows,
+        ]
+    return rows
+
+
+def first_rows(folder: Path, repeats: int) -> list[Row]:
+    """Return the rows of the very first build: a fresh process and no compiled kernel, then once more with them."""
+    cold: list[float] = []
+    warm: list[float] = []
+    for k in range(repeats):
+        cache = folder / f"cache-{k}"
+        environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": str(cache)}
+        for name, times in (("cold", cold), ("warm", warm)):
+            command = [sys.executable, str(SCRIPT), str(folder / f"{name}-{k}")]
+            times.append(_wall(command, environment)[0])
+    return [
+        Row(
+            "first build ever, 10,000 maps, a process",
+            each(cold, 1),
+            target="15 s",
+            note="compiles every kernel it needs",
+        ),
+        Row("the next build, 10,000 maps, a process", each(warm, 1), note="kernels from the cache; imports included"),
+    ]
+
+
+def import_rows(repeats: int) -> list[Row]:
+    """Return the rows of imports, each in fresh processes."""
+    rows = []
+    for work, statement, target in (
+        ("import mapdata", "import mapdata", "0.5 s"),
+        ("import all that a build needs", "from mapdata import MapSpec, build", ""),
+    ):
+        program = f"import sys, time; began = time.perf_counter(); {statement}; print(time.perf_counter() - began);"
+        program += f"print(', '.join(name for name in {HEAVY} if name in sys.modules) or 'none')"
+        times, loaded = [], set()
+        for _ in range(repeats):
+            inside, names = _wall([sys.executable, "-c", program], dict(os.environ))[1].splitlines()
+            times.append(float(inside))
+            loaded.add(names)
+        rows.append(
+            Row(work, each(times, 1), target=target, note=f"of {', '.join(HEAVY)}: {', '.join(sorted(loaded))}")
+        )
+    return rows
+
+
+def _wall(command: list[str], environment: dict[str, str]) -> tuple[float, str]:
+    """Return the wall seconds of a process, and what it printed."""
+    output = []
+
+    def run() -> None:
+        output.append(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+
+    return seconds(run), output[0]
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--quick", action="store_true", help="a small run: no 100,000 maps, rough figures")
+    parser.add_argument("--folder", metavar="FOLDER", help="where to write (default: the temporary folder)")
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    rounds = 3 if quick else 9
+    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+        folder = Path(name)
+        (folder / "builds").mkdir()
+        rows = build_rows(folder / "builds", 10_000, rounds, "1.6x", beside_kernels=True)
+        if not quick:
+            rows += build_rows(folder / "builds", 100_000, 5, "1.8x", beside_kernels=False)
+        rows += first_rows(folder, 1 if quick else 3)
+        rows += import_rows(5 if quick else 15)
+        notes = (
+            f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3}), taking turns",
+            f"preset paper, shards of {SHARD} maps, written below {folder.parent}; a target in seconds is a limit",
+        )
+        print_table("Building a dataset", rows, packages=PACKAGES, notes=notes)
+
+
+if __name__ == "__main__":
+    main()
