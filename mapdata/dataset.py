@@ -7,6 +7,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +15,13 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset
 
-from mapdata.draw import draw_pairs, draw_problems, draw_symmetries, turn_cells, turn_grids
+from mapdata.draw import draw_problems, draw_symmetries, replace_paths, solve_pairs, turn_cells, turn_grids
 from mapdata.dungeon import Maps, generate, maps_of_split
 from mapdata.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.fields import hardness as problem_hardness
 from mapdata.fields import length as path_length_of
 from mapdata.sample import Rows, Sample, row, sample_class, stack
-from mapdata.search import rule_of, search_batch
+from mapdata.search import ASTAR, BFS, rule_of, search_batch
 from mapdata.spec import SPLITS, MapSpec, Movement, check_seed
 from mapdata.store import ShardStore
 
@@ -78,6 +79,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         self.split, self.problems, self.planner, self.movement = split, problems, planner, movement
         self.unsolvable, self.min_distance, self.min_hardness = unsolvable, min_distance, min_hardness
         self.augment, self.order_seed, self.max_length = augment, check_seed(order_seed), max_length
+        _keep_freed_memory()
         names = tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
         self._sample = sample_class(names, max_length)
         self._wanted = frozenset(names)
@@ -93,7 +95,7 @@ class ProblemDataset(Dataset[Sample], ABC):
     def __getitem__(self, index: Any) -> Sample:  # noqa: ANN401  (int, slice or sequence of int, as of an array)
         if isinstance(index, slice):
             return self._make(np.arange(*index.indices(len(self))), 0)
-        if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)):
+        if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)) and np.ndim(index):
             return self.__getitems__(index).batch
         i = operator.index(index)
         if not -len(self) <= i < len(self):
@@ -102,7 +104,10 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Rows:
         """Return a batch that looks like a list of samples; torch's DataLoader calls this."""
-        wanted, length = np.asarray(indices, np.int64).reshape(-1), len(self)
+        given, length = np.asarray(indices), len(self)
+        if given.size and given.dtype.kind not in "iu":
+            raise TypeError(f"indices: got {given.dtype}, expected integers")
+        wanted = given.astype(np.int64, copy=False).reshape(-1)
         if len(wanted) and (length == 0 or wanted.min() < -length):
             raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
         epochs, numbers = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
@@ -113,6 +118,22 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
+
+    def _arguments(self) -> dict[str, Any]:
+        """Return the arguments that both datasets take."""
+        return {
+            "split": self.split,
+            "fields": self.fields,
+            "problems": self.problems,
+            "planner": self.planner,
+            "movement": self.movement,
+            "unsolvable": self.unsolvable,
+            "min_distance": self.min_distance,
+            "min_hardness": self.min_hardness,
+            "augment": self.augment,
+            "order_seed": self.order_seed,
+            "max_length": self.max_length,
+        }
 
     def _make(self, numbers: Ints, epoch: int) -> Sample:
         """Return the fields of problems ``numbers``, batched."""
@@ -232,21 +253,7 @@ class MapDataset(ProblemDataset):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""
-        arguments = {
-            "root": self.roots,
-            "split": self.split,
-            "fields": self.fields,
-            "problems": self.problems,
-            "planner": self.planner,
-            "movement": self.movement,
-            "unsolvable": self.unsolvable,
-            "min_distance": self.min_distance,
-            "min_hardness": self.min_hardness,
-            "augment": self.augment,
-            "order_seed": self.order_seed,
-            "max_length": self.max_length,
-        }
-        return _reopen, (arguments, self.filters)
+        return _reopen, ({"root": self.roots, **self._arguments()}, self.filters)
 
     @property
     def map_size(self) -> tuple[int, int]:
@@ -445,6 +452,10 @@ class OnlineMapDataset(ProblemDataset):
         """Return the number of problems."""
         return self.length
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as arguments: no maps, no class made at run time."""
+        return partial(OnlineMapDataset, self.spec, self.seed, self.length, **self._arguments()), ()
+
     def __repr__(self) -> str:
         return f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}): {self.length} problems"
 
@@ -455,35 +466,21 @@ class OnlineMapDataset(ProblemDataset):
 
     def _batch(self, numbers: Ints, epoch: int) -> Batch:
         maps = self._maps(numbers)
-        grids, seeds, rooms = maps.occupancy, maps.seeds, maps.rooms
-        starts, goals = np.zeros((2, len(numbers), 2), np.int64)
-        first, count, iterations = np.zeros((3, len(numbers)), np.int64)
-        tried, substitutes = np.zeros((2, len(numbers)), np.int64)
-        pool, used, todo = [], 0, np.arange(len(numbers))
-        while len(todo):
-            on = grids if len(todo) == len(grids) else grids[todo]
-            begin, end, exists = self._pick(on, seeds[todo], rooms[todo], numbers[todo], epoch, tried[todo])
-            none = todo[~exists]
-            if len(none):
-                substitutes[none] += 1
-                if substitutes.max() > _SUBSTITUTES:
-                    raise self._no_problem()
-                other = self._maps(self.length + (numbers[none] + substitutes[none] - 1) % self.length)
-                grids[none], seeds[none], rooms[none], tried[none] = other.occupancy, other.seeds, other.rooms, 0
-                todo, begin, end = todo[exists], begin[exists], end[exists]
-                on = grids[todo]
-            paths = self._solve(on, begin, end)
-            starts[todo], goals[todo], iterations[todo] = begin, end, paths.iterations
-            first[todo], count[todo] = used + paths.offsets[:-1], np.diff(paths.offsets)
-            pool.append(paths.cells)
-            used += len(paths.cells)
-            tried[todo] += 1
-            fits = (begin != end).any(axis=1) & ((count[todo] > 0) | self.unsolvable)
-            todo = np.concatenate((none, todo[~fits]))
-        offsets = np.concatenate(([0], np.cumsum(count)))
-        cells = pool[0]
-        if len(pool) > 1:  # some were searched again: put the paths back in order
-            cells = np.concatenate(pool)[np.repeat(first - offsets[:-1], count) + np.arange(offsets[-1])]
+        grids, seeds = maps.occupancy, maps.seeds
+        ends, paths = self._problem(maps, numbers, epoch)
+        for attempt in range(_SUBSTITUTES):
+            missing = np.flatnonzero(ends[:, 0] < 0)
+            if len(missing) == 0:
+                break
+            others = self._maps(self.length + (numbers[missing] + attempt) % self.length)
+            grids[missing], seeds[missing] = others.occupancy, others.seeds
+            ends[missing], new = self._problem(others, numbers[missing], epoch)
+            cells, offsets = replace_paths(paths.cells, paths.offsets, new.cells, new.offsets, missing)
+            paths.iterations[missing] = new.iterations
+            paths = Paths(cells, offsets, paths.iterations)
+        else:
+            raise self._no_problem()
+        starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
         return Batch(
             self.movement,
             self.planner,
@@ -491,7 +488,7 @@ class OnlineMapDataset(ProblemDataset):
             starts,
             goals,
             numbers,
-            lambda: Paths(cells, offsets, iterations),
+            lambda: paths,
             lambda: Rooms(room_matrices(self.planner, grids, seeds, self.movement), seeds),
             self._wanted,
             self.max_length,
@@ -500,16 +497,38 @@ class OnlineMapDataset(ProblemDataset):
     def _maps(self, positions: Ints) -> Maps:
         return generate(self.spec, self.seed, positions if self._numbers is None else self._numbers[positions])
 
-    def _pick(
-        self, grids: Bytes, seeds: Ints, rooms: Ints, numbers: Ints, epoch: int, tried: Ints
-    ) -> tuple[Ints, Ints, npt.NDArray[np.bool_]]:
-        """Return a start and a goal on each map, the next one after ``tried`` others, and whether there is one."""
-        if self.problems == "random":
-            return self._draw(grids, numbers, epoch)
-        route = self.problems == "route"
-        pairs = draw_pairs(np.uint64(self.order_seed), epoch, numbers, rooms, tried, route)
-        at = np.arange(len(rooms))
-        return seeds[at, pairs[:, 0]], seeds[at, pairs[:, 1]], pairs[:, 0] >= 0
+    def _problem(self, maps: Maps, numbers: Ints, epoch: int) -> tuple[Ints, Paths]:
+        """Return start and goal on each map, (B, 4), -1 where it has no such problem, and the paths."""
+        if self.problems != "random":
+            ends, *found = solve_pairs(
+                maps.occupancy,
+                maps.seeds,
+                maps.rooms,
+                np.uint64(self.order_seed),
+                epoch,
+                numbers,
+                self.problems == "route",
+                self.unsolvable,
+                ASTAR if self.planner == "astar" else BFS,
+                *rule_of(self.movement),
+            )
+            return ends, Paths(*found)
+        starts, goals, there = self._draw(maps.occupancy, numbers, epoch)
+        ends = np.where(there[:, None], np.concatenate((starts, goals), axis=1), -1)
+        offsets, iterations = np.zeros(len(ends) + 1, np.int64), np.zeros(len(ends), np.int64)
+        solved = self._solve(maps.occupancy[there], starts[there], goals[there])
+        offsets[1:][there], iterations[there] = np.diff(solved.offsets), solved.iterations
+        return ends, Paths(solved.cells, np.cumsum(offsets), iterations)
+
+
+def _keep_freed_memory() -> None:
+    """Make malloc keep the memory of past batches for the next ones.
+
+    glibc hands freed blocks back to the system above a threshold that grows with the largest block that was ever
+    freed. Batches are below that size but above the threshold, so each would fault all its pages in again, which
+    costs more than filling them. The block is never touched, so this takes no memory.
+    """
+    np.empty(31 << 20, np.uint8)
 
 
 def _turned(batch: Batch, seed: int, epoch: int) -> Batch:

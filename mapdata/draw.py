@@ -11,7 +11,22 @@ import numpy.typing as npt
 
 from mapdata.jit import Int, kernel
 from mapdata.rng import AUGMENTATION, ORDER, PROBLEM, block, bounded
-from mapdata.search import STEPS, UNIT, WALL, estimate, load, log_size, parts, shortest_costs
+from mapdata.search import (
+    ASTAR,
+    BFS,
+    STEPS,
+    UNIT,
+    WALL,
+    estimate,
+    find,
+    load,
+    log_size,
+    parts,
+    scratch,
+    shortest_costs,
+    wipe,
+    write_cells,
+)
 
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
@@ -102,25 +117,113 @@ def _free_cell(grid: Bytes, number: Int) -> Int:
 
 
 @kernel
-def draw_pairs(seed: np.uint64, epoch: Int, numbers: Ints, rooms: Ints, tried: Ints, route: Int) -> Ints:
-    """Return (B, 2), a pair of rooms of each map: a drawn one, or the ``tried``-th after it; (-1, -1) when all were
+def solve_pairs(
+    grids: Bytes,
+    seeds: Ints,
+    rooms: Ints,
+    seed: np.uint64,
+    epoch: Int,
+    numbers: Ints,
+    route: Int,
+    unsolvable: Int,
+    planner: Int,
+    diagonals: Int,
+    step: Int,
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """Draw a pair of rooms on each grid and search its path; a pair without one gives way to the next, until all were
     tried.
 
-    With ``route`` the pairs are (q, q + 1), else all i < j in row-major order.
+    Args:
+        grids: (B, H, W).
+        seeds: (B, R, 2) cells of the rooms.
+        rooms: (B,) number of rooms.
+        seed: order seed.
+        epoch: pass over the data.
+        numbers: (B,) number of each problem.
+        route: draw from the pairs (q, q + 1) instead of all i < j.
+        unsolvable: keep pairs without a path.
+        planner: as `search.BFS` and `search.ASTAR`.
+        diagonals: as `search.rule_of` gives it.
+        step: likewise.
+
+    Returns:
+        ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of the paths;
+        iterations (B,).
     """
-    pairs = np.full((len(numbers), 2), -1)
-    for b in range(len(numbers)):
-        n = rooms[b]
-        count = n - 1 if route else n * (n - 1) // 2
-        if tried[b] < count:
-            word, _, _, _ = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, 0)
-            k = (bounded(word, 0, count - 1) + tried[b]) % count
-            i = k if route else 0
-            while not route and k >= n - 1 - i:
-                k -= n - 1 - i
-                i += 1
-            pairs[b, 0], pairs[b, 1] = i, i + 1 if route else i + 1 + k
-    return pairs
+    count, stride = len(grids), grids.shape[2] + 2
+    padded = (grids.shape[1] + 2) * stride
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    buffers = scratch(padded, planner, diagonals)
+    ends, ways, iterations = np.full((count, 4), -1), np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
+    cells = np.empty((64 * count + 64, 2), np.int64)
+    for b in range(count):
+        n, used = rooms[b], ways[b]
+        ways[b + 1] = used
+        pairs = n - 1 if route else n * (n - 1) // 2
+        word, _, _, _ = block(seed, np.uint64(numbers[b]), epoch, PROBLEM, 0)
+        drawn = bounded(word, 0, pairs - 1)
+        load(grids[b], buffers[0])
+        for attempt in range(pairs):
+            i, j = _pair((drawn + attempt) % pairs, n, route)
+            start = (seeds[b, i, 0] + 1) * stride + seeds[b, i, 1] + 1
+            goal = (seeds[b, j, 0] + 1) * stride + seeds[b, j, 1] + 1
+            if start == goal:
+                continue
+            if planner == BFS and attempt:
+                load(grids[b], buffers[0])
+            straight, diagonal, taken, pushes = find(stride, start, goal, planner, diagonals, step, offsets, buffers)
+            length = straight + diagonal + 1
+            if length or unsolvable:
+                ends[b, 0], ends[b, 1], ends[b, 2], ends[b, 3] = (
+                    seeds[b, i, 0],
+                    seeds[b, i, 1],
+                    seeds[b, j, 0],
+                    seeds[b, j, 1],
+                )
+                if used + length > len(cells):
+                    longer = np.empty((2 * (used + length), 2), np.int64)
+                    longer[:used] = cells[:used]
+                    cells = longer
+                if length:
+                    write_cells(buffers[0], offsets, stride, start, goal, length - 1, cells[used : used + length])
+                ways[b + 1], iterations[b] = used + length, taken
+                break
+            if planner == ASTAR:
+                wipe(buffers[0], buffers[2], pushes)
+    return ends, cells[: ways[count]], ways, iterations
+
+
+@kernel
+def _pair(number: Int, rooms: Int, route: Int) -> tuple[Int, Int]:
+    """Return rooms i < j of pair ``number``: (q, q + 1) with ``route``, else in row-major order."""
+    if route:
+        return number, number + 1
+    i, k = 0, number
+    while k >= rooms - 1 - i:
+        k -= rooms - 1 - i
+        i += 1
+    return i, i + 1 + k
+
+
+@kernel
+def replace_paths(cells: Ints, ways: Ints, others: Ints, other_ways: Ints, where: Ints) -> tuple[Ints, Ints]:
+    """Return paths with those numbered ``where`` (ascending) replaced by ``others``."""
+    lengths = np.diff(ways)
+    for k in range(len(where)):
+        lengths[where[k]] = other_ways[k + 1] - other_ways[k]
+    new_ways = np.zeros(len(ways), np.int64)
+    for b in range(len(lengths)):
+        new_ways[b + 1] = new_ways[b] + lengths[b]
+    new = np.empty((new_ways[-1], 2), np.int64)
+    k = 0
+    for b in range(len(lengths)):
+        source, first = cells, ways[b]
+        if k < len(where) and where[k] == b:
+            source, first = others, other_ways[k]
+            k += 1
+        for c in range(lengths[b]):
+            new[new_ways[b] + c, 0], new[new_ways[b] + c, 1] = source[first + c, 0], source[first + c, 1]
+    return new, new_ways
 
 
 @kernel

@@ -117,10 +117,11 @@ def unpack_all(packed: npt.NDArray[np.uint64], grids: Bytes) -> None:
 def _carve(words: npt.NDArray[np.uint64], columns: int, top: int, left: int, height: int, width: int) -> None:
     """Free a rectangle of one packed map, clipped at the border. Words: (H, ceil(W / 64))."""
     first, last = max(left, 0), min(left + width, columns)
-    for row in range(max(top, 0), min(top + height, words.shape[0])):
-        for j in range(first // WORD, (last + WORD - 1) // WORD):
-            low, high = max(first - WORD * j, 0), min(last - WORD * j, WORD)
-            words[row, j] &= ~((_FULL << np.uint64(low)) & (_FULL >> np.uint64(WORD - high)))
+    for j in range(first // WORD, (last + WORD - 1) // WORD):
+        low, high = max(first - WORD * j, 0), min(last - WORD * j, WORD)
+        kept = ~((_FULL << np.uint64(low)) & (_FULL >> np.uint64(WORD - high)))
+        for row in range(max(top, 0), min(top + height, words.shape[0])):
+            words[row, j] &= kept
 
 
 @kernel

@@ -349,25 +349,34 @@ def _goal_fields(
     for b in range(count):
         goal = (goals[b, 0] + 1) * stride + goals[b, 1] + 1
         load(grids[b], came)
-        reached = shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)
-        if len(cost_to_go):
-            cost_to_go[b] = -1
-        if len(optimal_moves):
-            optimal_moves[b] = 0
-        if len(heuristic_ratio):
-            heuristic_ratio[b] = 0
-        for k in range(reached):
-            cell = np.int64(queue[k])
-            row, column = cell // stride - 1, cell % stride - 1
-            if len(cost_to_go) or len(heuristic_ratio):
-                value = _in_cells(costs[cell])
-                if len(cost_to_go):
-                    cost_to_go[b, 0, row, column] = value
-                if len(heuristic_ratio):
-                    least = _in_cells(estimate(row - goals[b, 0], column - goals[b, 1], diagonals, step))
-                    heuristic_ratio[b, 0, row, column] = least / value if value > 0 else 1.0
-            if len(optimal_moves):
-                optimal_moves[b, 0, row, column] = _moves_from(costs, came, offsets, cell, diagonals, step)
+        shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)
+        for row in range(rows):
+            for column in range(columns):
+                cell = (row + 1) * stride + column + 1
+                cost = costs[cell]
+                if len(cost_to_go) or len(heuristic_ratio):
+                    value = _in_cells(cost) if cost != FAR else -1.0
+                    if len(cost_to_go):
+                        cost_to_go[b, 0, row, column] = value
+                    if len(heuristic_ratio):
+                        least = _in_cells(estimate(row - goals[b, 0], column - goals[b, 1], diagonals, step))
+                        heuristic_ratio[b, 0, row, column] = least / value if value > 0 else 1.0 + value
+                if len(optimal_moves):
+                    found = np.uint8(0)
+                    if cost != FAR:
+                        for move in range(4):
+                            found |= np.uint8(costs[cell + offsets[move]] + UNIT == cost) << np.uint8(move)
+                        if diagonals:
+                            for move in range(4, 8):
+                                if costs[cell + offsets[move]] + step == cost and (
+                                    diagonals == 2
+                                    or (
+                                        came[cell + (-stride if move in (4, 7) else stride)] != WALL
+                                        and came[cell + (1 if move in (4, 5) else -1)] != WALL
+                                    )
+                                ):
+                                    found |= np.uint8(1) << np.uint8(move)
+                    optimal_moves[b, 0, row, column] = found
         if len(optimal_mask):
             optimal_mask[b] = 0
             cell = (starts[b, 0] + 1) * stride + starts[b, 1] + 1

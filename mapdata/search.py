@@ -309,7 +309,7 @@ def write_moves(came: Bytes, offsets: Ints, start: Int, goal: Int, moves: Bytes,
 
 
 @kernel
-def _write_cells(came: Bytes, offsets: Ints, stride: Int, start: Int, goal: Int, count: Int, path: Ints) -> None:
+def write_cells(came: Bytes, offsets: Ints, stride: Int, start: Int, goal: Int, count: Int, path: Ints) -> None:
     """Write the ``count`` moves from ``start`` to ``goal`` as the cells of ``path``, (count + 1, 2)."""
     c = goal
     for k in range(count, -1, -1):
@@ -362,7 +362,7 @@ def load(grid: Bytes, came: Bytes) -> Int:
 
 
 @kernel
-def _find(
+def find(
     stride: Int, start: Int, goal: Int, planner: Int, diagonals: Int, step: Int, offsets: Ints, buffers: Scratch
 ) -> tuple[Int, Int, Int, Int]:
     """Search one problem on a grid that is loaded; return straight and diagonal moves or (-1, 0), iterations,
@@ -405,10 +405,10 @@ def _solve_one(
         return np.empty((0, 2), np.int64), -1, 0, 0
     offsets = STEPS[:, 0] * stride + STEPS[:, 1]
     start, goal = (start_row + 1) * stride + start_column + 1, (goal_row + 1) * stride + goal_column + 1
-    straight, diagonal, taken, _ = _find(stride, start, goal, planner, diagonals, step, offsets, buffers)
+    straight, diagonal, taken, _ = find(stride, start, goal, planner, diagonals, step, offsets, buffers)
     path = np.empty((straight + diagonal + 1, 2), np.int64)
     if len(path):
-        _write_cells(buffers[0], offsets, stride, start, goal, straight + diagonal, path)
+        write_cells(buffers[0], offsets, stride, start, goal, straight + diagonal, path)
     return path, straight, diagonal, taken
 
 
@@ -437,14 +437,14 @@ def _solve(grids: Bytes, starts: Ints, goals: Ints, planner: Int, diagonals: Int
             return path, found, k
         start = (starts[k, 0] + 1) * stride + starts[k, 1] + 1
         goal = (goals[k, 0] + 1) * stride + goals[k, 1] + 1
-        straight, diagonal, taken, pushes = _find(stride, start, goal, planner, diagonals, step, offsets, buffers)
+        straight, diagonal, taken, pushes = find(stride, start, goal, planner, diagonals, step, offsets, buffers)
         count = straight + diagonal
         if used + count + 1 > len(path):
             longer = np.empty((2 * (used + count + 1), 2), np.int64)
             longer[:used] = path[:used]
             path = longer
         if count >= 0:
-            _write_cells(came, offsets, stride, start, goal, count, path[used : used + count + 1])
+            write_cells(came, offsets, stride, start, goal, count, path[used : used + count + 1])
         used += count + 1
         found[k, 0], found[k, 1], found[k, 2], found[k, 3] = straight, diagonal, taken, used
         if planner == ASTAR:

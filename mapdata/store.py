@@ -240,6 +240,8 @@ class ShardStore:
             self.movement,
         ):
             raise ShardError(f"{shard.path}: holds other maps than the manifest says")
+        if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_rooms:  # kernels rely on it
+            raise ShardError(f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_rooms})")
         rows = problem_rows(shard, self._split, self._problems, self._unsolvable)
         first, last = self.offsets[k : k + 2].tolist()
         if len(rows) != last - first:
