@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from mapdata.build import verify as verify
     from mapdata.datamodule import MapDataModule as MapDataModule
     from mapdata.dataset import MapDataset as MapDataset
-    from mapdata.dataset import OnlineMapDataset as OnlineMapDataset
     from mapdata.dungeon import Maps as Maps
     from mapdata.dungeon import generate as generate
     from mapdata.evaluate import Plan as Plan
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from mapdata.labels import Labels as Labels
     from mapdata.labels import label as label
     from mapdata.manifest import DatasetNotFoundError as DatasetNotFoundError
+    from mapdata.online import OnlineMapDataset as OnlineMapDataset
     from mapdata.problems import Problems as Problems
     from mapdata.sample import Sample as Sample
     from mapdata.search import SearchResult as SearchResult
@@ -42,7 +42,7 @@ _HOME = {
     "build": "build",
     "verify": "build",
     "MapDataset": "dataset",
-    "OnlineMapDataset": "dataset",
+    "OnlineMapDataset": "online",
     "MapDataModule": "datamodule",
     "Maps": "dungeon",
     "generate": "dungeon",

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.jit import Int, kernel
-from mapdata.search import room
+from mapdata.kernels import room
 
 MAX_SIDE = 64
 """Most rows and columns of a map that is searched here."""

@@ -15,9 +15,10 @@ from torch.utils.data import DataLoader
 from torch.utils.data.distributed import DistributedSampler
 
 from mapdata.build import Recipe, build
-from mapdata.dataset import DEFAULT_FIELDS, MapDataset, OnlineMapDataset
+from mapdata.dataset import DEFAULT_FIELDS, MapDataset
 from mapdata.draw import permutation
 from mapdata.manifest import MANIFEST, read_manifest
+from mapdata.online import OnlineMapDataset
 from mapdata.remote import is_url
 from mapdata.sample import Sample
 from mapdata.spec import SPLITS, Movement

@@ -1,4 +1,4 @@
-"""Datasets for torch: `MapDataset` reads shards, `OnlineMapDataset` makes maps as they are asked for; one interface."""
+"""`MapDataset`, the problems of built datasets as torch samples, and what all such datasets share."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,14 +14,14 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset
 
-from mapdata.draw import draw_problems, draw_symmetries, replace_paths, solve_pairs, turn_cells, turn_grids
-from mapdata.dungeon import Maps, generate, maps_of_split
+from mapdata.draw import draw_problems, draw_symmetries, turn_cells, turn_grids
 from mapdata.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.fields import hardness as problem_hardness
 from mapdata.fields import length as path_length_of
+from mapdata.kernels import rule_of
 from mapdata.sample import Rows, Sample, row, sample_class, stack
-from mapdata.search import ASTAR, BFS, rule_of, search_batch
-from mapdata.spec import SPLITS, MapSpec, Movement, check_seed
+from mapdata.search import search_batch
+from mapdata.spec import SPLITS, Movement, check_seed
 from mapdata.store import ShardStore
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ FieldFunction = Callable[[Sample], Any]
 DEFAULT_FIELDS = ("map", "start", "goal", "path")
 PROBLEMS = ("route", "rooms", "random")
 
-_SUBSTITUTES = 100
+SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
 
@@ -63,8 +62,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         max_length: int | None,
     ) -> None:
         """Check and keep the arguments that `MapDataset` describes."""
-        _check_choice("problems", problems, PROBLEMS)
-        _check_choice("planner", planner, ("bfs", "astar"))
+        check_choice("problems", problems, PROBLEMS)
+        check_choice("planner", planner, ("bfs", "astar"))
         if problems != "random" and (min_distance is not None or min_hardness is not None):
             raise ValueError(
                 "min_distance, min_hardness: conditions of problems='random' only; use filter() on stored ones"
@@ -173,7 +172,7 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     def _no_problem(self) -> ValueError:
         conditions = f"min_distance={self.min_distance}, min_hardness={self.min_hardness}"
-        return ValueError(f"problems={self.problems!r}: none on {_SUBSTITUTES} maps in a row ({conditions})")
+        return ValueError(f"problems={self.problems!r}: none on {SUBSTITUTES} maps in a row ({conditions})")
 
 
 class MapDataset(ProblemDataset):
@@ -219,8 +218,8 @@ class MapDataset(ProblemDataset):
     ) -> None:
         """Read the manifests; shards are opened at their first touch."""
         if split is not None:
-            _check_choice("split", split, SPLITS)
-        _check_choice("problems", problems, PROBLEMS)
+            check_choice("split", split, SPLITS)
+        check_choice("problems", problems, PROBLEMS)
         roots = [root] if isinstance(root, (str, os.PathLike)) else list(root)
         if not roots:
             raise ValueError("root: got an empty list, expected at least one dataset")
@@ -358,7 +357,7 @@ class MapDataset(ProblemDataset):
         shards, maps, _, _ = self.store.find(chosen)
         grids = self.store.grids(shards, maps)
         starts, goals, found = self._draw(grids, numbers, epoch)
-        for _ in range(_SUBSTITUTES):
+        for _ in range(SUBSTITUTES):
             missing = np.flatnonzero(~found)
             if len(missing) == 0:
                 break
@@ -389,136 +388,6 @@ class MapDataset(ProblemDataset):
         return Batch(
             self.movement, self.planner, grids, starts, goals, numbers, paths, rooms, self._wanted, self.max_length
         )
-
-
-class OnlineMapDataset(ProblemDataset):
-    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would
-    hold.
-
-    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and rooms
-    problems are one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is
-    replaced by one from beyond ``length``.
-
-    Args:
-        spec: the distribution of maps.
-        seed: their seed.
-        length: how many problems.
-        split: as in `MapDataset`, like all further arguments.
-
-    Raises:
-        ValueError: arguments that do not fit, or that would do nothing.
-    """
-
-    def __init__(
-        self,
-        spec: MapSpec,
-        seed: int = 0,
-        length: int = 10_000,
-        split: str | None = None,
-        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
-        *,
-        problems: str = "route",
-        planner: str = "astar",
-        movement: Movement | None = None,
-        unsolvable: bool = False,
-        min_distance: float | None = None,
-        min_hardness: float | None = None,
-        augment: bool = False,
-        order_seed: int = 0,
-        max_length: int | None = None,
-    ) -> None:
-        """Check the arguments; no map is made yet."""
-        if split is not None:
-            _check_choice("split", split, SPLITS)
-        if length < 1:
-            raise ValueError(f"length: got {length}, expected at least 1")
-        self.spec, self.seed, self.length = spec, check_seed(seed), length
-        super().__init__(
-            split=split,
-            fields=fields,
-            problems=problems,
-            planner=planner,
-            movement=spec.movement if movement is None else movement,
-            unsolvable=unsolvable,
-            min_distance=min_distance,
-            min_hardness=min_hardness,
-            augment=augment,
-            order_seed=order_seed,
-            max_length=max_length,
-        )
-        self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
-
-    def __len__(self) -> int:
-        """Return the number of problems."""
-        return self.length
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as arguments: no maps, no class made at run time."""
-        return partial(OnlineMapDataset, self.spec, self.seed, self.length, **self._arguments()), ()
-
-    def __repr__(self) -> str:
-        return f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}): {self.length} problems"
-
-    @property
-    def map_size(self) -> tuple[int, int]:
-        """(rows, columns) of all maps."""
-        return self.spec.map_size
-
-    def _batch(self, numbers: Ints, epoch: int) -> Batch:
-        maps = self._maps(numbers)
-        grids, seeds = maps.occupancy, maps.seeds
-        ends, paths = self._problem(maps, numbers, epoch)
-        for attempt in range(_SUBSTITUTES):
-            missing = np.flatnonzero(ends[:, 0] < 0)
-            if len(missing) == 0:
-                break
-            others = self._maps(self.length + (numbers[missing] + attempt) % self.length)
-            grids[missing], seeds[missing] = others.occupancy, others.seeds
-            ends[missing], new = self._problem(others, numbers[missing], epoch)
-            cells, offsets = replace_paths(paths.cells, paths.offsets, new.cells, new.offsets, missing)
-            paths.iterations[missing] = new.iterations
-            paths = Paths(cells, offsets, paths.iterations)
-        else:
-            raise self._no_problem()
-        starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
-        return Batch(
-            self.movement,
-            self.planner,
-            grids,
-            starts,
-            goals,
-            numbers,
-            lambda: paths,
-            lambda: Rooms(room_matrices(self.planner, grids, seeds, self.movement), seeds),
-            self._wanted,
-            self.max_length,
-        )
-
-    def _maps(self, positions: Ints) -> Maps:
-        return generate(self.spec, self.seed, positions if self._numbers is None else self._numbers[positions])
-
-    def _problem(self, maps: Maps, numbers: Ints, epoch: int) -> tuple[Ints, Paths]:
-        """Return start and goal on each map, (B, 4), -1 where it has no such problem, and the paths."""
-        if self.problems != "random":
-            ends, *found = solve_pairs(
-                maps.occupancy,
-                maps.seeds,
-                maps.rooms,
-                np.uint64(self.order_seed),
-                epoch,
-                numbers,
-                self.problems == "route",
-                self.unsolvable,
-                ASTAR if self.planner == "astar" else BFS,
-                *rule_of(self.movement),
-            )
-            return ends, Paths(*found)
-        starts, goals, there = self._draw(maps.occupancy, numbers, epoch)
-        ends = np.where(there[:, None], np.concatenate((starts, goals), axis=1), -1)
-        offsets, iterations = np.zeros(len(ends) + 1, np.int64), np.zeros(len(ends), np.int64)
-        solved = self._solve(maps.occupancy[there], starts[there], goals[there])
-        offsets[1:][there], iterations[there] = np.diff(solved.offsets), solved.iterations
-        return ends, Paths(solved.cells, np.cumsum(offsets), iterations)
 
 
 def _keep_freed_memory() -> None:
@@ -579,7 +448,8 @@ def _check_fields(fields: Sequence[str | FieldFunction]) -> tuple[str | FieldFun
     return tuple(fields)
 
 
-def _check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Refuse a value that is not one of ``choices``."""
     if value not in choices:
         raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")
 

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.jit import Int, kernel
-from mapdata.rng import AUGMENTATION, ORDER, PROBLEM, block, bounded
-from mapdata.search import (
+from mapdata.kernels import (
     ASTAR,
     BFS,
     STEPS,
@@ -27,6 +26,7 @@ from mapdata.search import (
     wipe,
     write_cells,
 )
+from mapdata.rng import AUGMENTATION, ORDER, PROBLEM, block, bounded
 
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
@@ -59,8 +59,8 @@ def draw_problems(
         numbers: (B,) number of each problem.
         min_distance: least cost of the shortest path.
         min_hardness: least ratio of that cost to the heuristic.
-        diagonals: as `search.rule_of` gives it.
-        step: as `search.rule_of` gives it.
+        diagonals: as `kernels.rule_of` gives it.
+        step: as `kernels.rule_of` gives it.
         starts: (B, 2), filled.
         goals: (B, 2), filled.
         found: (B,), filled: False where no problem of the map meets the conditions.
@@ -142,8 +142,8 @@ def solve_pairs(
         numbers: (B,) number of each problem.
         route: draw from the pairs (q, q + 1) instead of all i < j.
         unsolvable: keep pairs without a path.
-        planner: as `search.BFS` and `search.ASTAR`.
-        diagonals: as `search.rule_of` gives it.
+        planner: as `kernels.BFS` and `kernels.ASTAR`.
+        diagonals: as `kernels.rule_of` gives it.
         step: likewise.
 
     Returns:

@@ -12,7 +12,7 @@ from mapdata.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.bitboard import bit_labels, bit_scratch
 from mapdata.dungeon import WORD, Maps
 from mapdata.jit import Int, kernel
-from mapdata.search import (
+from mapdata.kernels import (
     ASTAR,
     BFS,
     STEPS,
@@ -44,7 +44,7 @@ class PlannerLabels:
     condensed form); `Maps.segment_offsets` and `Maps.pair_offsets` say where those of a map begin.
 
     Attributes:
-        moves: (M,) uint8, the moves of all segments one after another, numbered as `search.STEPS`.
+        moves: (M,) uint8, the moves of all segments one after another, numbered as `kernels.STEPS`.
         offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves, like one from a
             cell to itself.
         iterations: (S,) int64, cells taken from the frontier.

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from mapdata.evaluate import BatchPlanner, Bytes, Cell, Ints, Plan
 from mapdata.jit import Int, kernel
-from mapdata.search import STEPS, UNIT, rule_of, search_batch
+from mapdata.kernels import STEPS, UNIT, rule_of
+from mapdata.search import search_batch
 from mapdata.spec import Movement
 
 MAX_ESTIMATE = 2**20

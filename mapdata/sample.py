@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
@@ -28,13 +28,18 @@ class Sample(tuple[Any, ...]):
     _fields: tuple[str, ...]
     _room: int | None
 
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+            """Fields are tensors."""
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as field names and values: the class is made at run time, and loader workers must find it again."""
         return _restore, (self._fields, self._room, tuple(self))
 
 
 @cache
-def sample_class(names: tuple[str, ...], room: int | None = None) -> type[Sample]:
+def sample_class(names: tuple[str, ...], room: int | None = None) -> type[Any]:
     """Return the class of samples with these fields, whose ``path`` has room for so many cells (None: as many as it
     needs).
     """

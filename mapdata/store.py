@@ -18,9 +18,9 @@ from numba.extending import intrinsic
 
 from mapdata.dungeon import WORD, unpack
 from mapdata.jit import Int, inlined, kernel
+from mapdata.kernels import STEPS
 from mapdata.manifest import Entry, read_manifest
 from mapdata.remote import local_file, local_root
-from mapdata.search import STEPS
 from mapdata.shard import Shard, ShardError, bits_of, open_shard
 from mapdata.spec import SPLITS
 
