@@ -7,11 +7,13 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from tqdm import tqdm
 
@@ -23,6 +25,7 @@ from mapdata.manifest import (
     MANIFEST,
     Entry,
     Manifest,
+    counts_of,
     entry_of,
     is_shard_name,
     load_shard,
@@ -32,7 +35,7 @@ from mapdata.manifest import (
     sweep,
 )
 from mapdata.shard import Header, Shard, ShardError, decode, open_shard, shard_image, write_file
-from mapdata.spec import FORMAT_VERSION, PRESETS, MapSpec, check_seed, identity
+from mapdata.spec import FORMAT_VERSION, PRESETS, MapSpec, check_count, check_seed, identity
 
 _MERGE_EVERY = 2.0
 """Seconds between two writes of the manifest."""
@@ -69,7 +72,7 @@ class Recipe:
             text = Path(text).read_text(encoding="utf-8")
         try:
             values = json.loads(text)
-        except json.JSONDecodeError as error:
+        except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"recipe: not JSON ({error})") from None
         known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
         if not isinstance(values, dict) or not set(values) <= known:
@@ -79,7 +82,7 @@ class Recipe:
         recipe = Recipe(
             spec=MapSpec.from_dict(values.get("spec", {})),
             seed=check_seed(values.get("seed", 0)),
-            maps=_positive("maps", values.get("maps", Recipe.maps)),
+            maps=check_count("maps", values.get("maps", Recipe.maps)),
             content_hash=values.get("content_hash"),
         )
         if values.get("identity") not in (None, identity(recipe.spec, recipe.seed)):
@@ -126,12 +129,12 @@ def build(
         raise ValueError(f"spec: got {spec!r}, expected a MapSpec")
     if workers is not None and executor is not None:
         raise ValueError("workers: would do nothing beside an executor")
-    _positive("workers", 1 if workers is None else workers)
+    check_count("workers", 1 if workers is None else workers)
     wanted = Manifest(
         spec=spec,
         seed=check_seed(seed),
-        maps=_positive("maps", maps),
-        shard_size=_positive("shard_size", shard_size),
+        maps=check_count("maps", maps),
+        shard_size=check_count("shard_size", shard_size),
         map_size=spec.map_size,
         movement=spec.movement,
         resolution=spec.resolution,
@@ -140,12 +143,12 @@ def build(
     sweep(root)
     todo = [header for header in headers(wanted) if (header.start, header.stop) not in have]
     manifest = replace(wanted, shards=tuple(have.values()))
-    with tqdm(total=maps, initial=_count(manifest.shards), unit=" maps", disable=not progress) as bar:
+    with _bar(progress, total=maps, initial=_count(manifest.shards), unit=" maps") as advance:
         pool = executor or ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="mapdata")
         try:
             written = time.monotonic()
             for entry in _run(pool, root, todo):
-                bar.update(entry.stop - entry.start)
+                advance(entry.stop - entry.start)
                 manifest = replace(manifest, shards=(*manifest.shards, entry))
                 if time.monotonic() - written > _MERGE_EVERY:
                     merge(root, manifest)
@@ -215,6 +218,8 @@ def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
             raise ValueError(f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder")
         if not os.access(root, os.W_OK):
             raise PermissionError(f"root: no permission to write in {root}")
+        for path in root.glob("maps-*.h5"):
+            _check_owner(path, wanted)
         # The manifest comes first: it says what the root is for, to whoever finds it before it is complete.
         found = merge(root, wanted)
     else:
@@ -228,12 +233,34 @@ def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
             raise ValueError(f"root: {root} holds a dataset with {name} {theirs}, asked for {name} {mine}")
     if wanted.maps < found.maps:
         raise ValueError(f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows")
-    plan = set(wanted.plan)
-    return {
-        (entry.start, entry.stop): entry
-        for entry in found.shards
-        if (entry.start, entry.stop) in plan and _size(root / entry.name) == entry.bytes
-    }
+    plan, have = set(wanted.plan), {}
+    for entry in found.shards:
+        if _size(root / entry.name) != entry.bytes:
+            (root / entry.name).unlink(missing_ok=True)  # damaged: it is made again
+        elif (entry.start, entry.stop) in plan:
+            have[entry.start, entry.stop] = entry
+    return have
+
+
+@contextmanager
+def _bar(shown: bool, **arguments: Any) -> Iterator[Callable[[int], object]]:  # noqa: ANN401  (tqdm's own)
+    """Yield what advances a progress bar; a bar that is not shown is not made, since tqdm takes a lock and a thread."""
+    if shown:
+        with tqdm(**arguments) as bar:
+            yield bar.update
+    else:
+        yield lambda _: None
+
+
+def _check_owner(path: Path, wanted: Manifest) -> None:
+    """Refuse a root without a manifest whose shards are of another dataset; damaged ones are made again."""
+    try:
+        header = open_shard(path).header
+    except ShardError:
+        return
+    for name, mine, theirs in (("spec", wanted.spec, header.spec), ("seed", wanted.seed, header.seed)):
+        if mine != theirs:
+            raise ValueError(f"root: {path} is of a dataset with {name} {theirs}, asked for {name} {mine}")
 
 
 def _ours(name: str) -> bool:
@@ -251,12 +278,6 @@ def _count(shards: Iterable[Entry]) -> int:
     return sum(entry.stop - entry.start for entry in shards)
 
 
-def _positive(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ValueError(f"{name}: got {value!r}, expected an integer of at least 1")
-    return value
-
-
 def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]:
     """Return what is wrong with a dataset, a line each; an empty list when all is well.
 
@@ -271,15 +292,17 @@ def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]
     except ShardError as error:
         return [str(error)]
     problems = []
-    if (root / MANIFEST).read_text(encoding="utf-8") != manifest.to_json():
-        problems.append(f"{root / MANIFEST}: damaged (it is not what its shards give)")
+    text = (root / MANIFEST).read_text(encoding="utf-8")
+    if text != json.dumps(json.loads(text), indent=1) + "\n":
+        problems.append(f"{root / MANIFEST}: damaged (its text is not as it was written)")
     planned = {(header.start, header.stop): header for header in headers(manifest)}
-    bar = tqdm(manifest.shards, unit=" shards", disable=not progress)
-    for entry in bar:
-        header = planned.pop((entry.start, entry.stop), None)
-        problem = "not a shard of this dataset" if header is None else _problem(root / entry.name, entry, header)
-        if problem:
-            problems.append(problem if str(root) in problem else f"{root / entry.name}: {problem}")
+    with _bar(progress, total=len(manifest.shards), unit=" shards") as advance:
+        for entry in manifest.shards:
+            header = planned.pop((entry.start, entry.stop), None)
+            problem = "not a shard of this dataset" if header is None else _problem(root / entry.name, entry, header)
+            if problem:
+                problems.append(problem if str(root) in problem else f"{root / entry.name}: {problem}")
+            advance(1)
     problems += [f"{root / shard_name(*missing)}: missing (the build did not finish)" for missing in planned]
     return problems
 
@@ -302,8 +325,11 @@ def _problem(path: Path, entry: Entry, header: Header) -> str | None:
         return str(error)
     if shard.header != header:
         return "holds other maps than the manifest says"
-    if not content_hash(decode(shard)) == shard.content_hash == entry.content_hash:
+    labels = decode(shard)
+    if not content_hash(labels) == shard.content_hash == entry.content_hash:
         return "damaged (its content hash does not fit)"
+    if counts_of(labels) != entry.counts:
+        return "the manifest counts other problems than it holds"
     return None
 
 

@@ -1,5 +1,5 @@
-"""The command ``mapdata``: build, info, verify, show. Exit codes: 0 good, 1 the data are damaged or disagree, 2 usage
-or environment.
+"""The command ``mapdata``: build, info, verify, show, report, and the verbs of `cli_formats`. Exit codes: 0 good, 1 the
+data are damaged or disagree, 2 usage or environment.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import NoReturn
 
 import mapdata
 from mapdata.build import Recipe, build, verify
+from mapdata.cli_formats import add_verbs as add_format_verbs
 from mapdata.manifest import Manifest, read_manifest
-from mapdata.shard import ShardError, read_shard
+from mapdata.shard import ShardError, write_file
 from mapdata.spec import PRESETS
 
 
@@ -53,10 +54,17 @@ def build_command(
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
 
-def info_command(root: str, recipe: bool) -> None:
-    """Say what a dataset is."""
+def info_command(root: str, recipe: bool, card: str | None) -> None:
+    """Say what a dataset is, or write its card."""
     manifest = read_manifest(Path(root))
-    print(manifest.recipe() if recipe else summary(root, manifest))
+    if card is None:
+        print(manifest.recipe() if recipe else summary(root, manifest))
+        return
+    from mapdata.card import card as card_of
+
+    path = Path(card) if card else Path(root) / "README.md"
+    write_file(path, card_of(root).encode())
+    print(f"wrote {path}")
 
 
 def verify_command(root: str) -> None:
@@ -69,21 +77,26 @@ def verify_command(root: str) -> None:
     print(f"{root}: all is well")
 
 
-def show_command(root: str, index: int, output: str, paper_colours: bool) -> None:
-    """Draw one map with both paths and its numbered seeds."""
-    from matplotlib.figure import Figure
+def show_command(root: str, index: int | None, output: str, paper_colours: bool, figure: str) -> None:
+    """Draw one map with both paths and its numbered seeds, or another figure."""
+    from mapdata.figures import OF_ONE_MAP, WITH_GRID, draw
 
-    from mapdata.plot import plot_map
-
-    manifest = read_manifest(Path(root))
-    entry = next((entry for entry in manifest.shards if entry.start <= index < entry.stop), None)
-    if entry is None:
-        raise ValueError(f"index: got {index}, {root} holds maps 0 to {manifest.maps - 1}")
-    figure = Figure(figsize=(6, 6.5), layout="constrained")
-    labels = read_shard(Path(root) / entry.name)
-    plot_map(labels, index - entry.start, figure.add_subplot(), paper_colours=paper_colours)
-    figure.savefig(output, dpi=150, bbox_inches="tight")
+    if index is not None and figure not in OF_ONE_MAP:
+        raise ValueError(f"--index: does nothing with --figure {figure}, which shows the whole dataset")
+    if paper_colours and figure not in WITH_GRID:
+        raise ValueError(f"--paper-colours: does nothing with --figure {figure}, which shows no map")
+    drawn = draw(root, figure, index=index or 0, paper_colours=paper_colours)
+    drawn.savefig(output, dpi=150, bbox_inches="tight")
     print(f"wrote {output}")
+
+
+def report_command(root: str, output: str, maps: int) -> None:
+    """Write one page to look at a dataset in a browser: maps with filters, distributions, the card."""
+    from mapdata.report import report
+
+    text = report(root, maps).encode()
+    write_file(Path(output), text)
+    print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
@@ -92,8 +105,9 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     size = sum(entry.bytes for entry in manifest.shards)
     segments = max(manifest.total("segments"), 1)
     rows, columns = manifest.map_size
+    shards = f"{len(manifest.shards)} shard{'s' * (len(manifest.shards) != 1)}"
     lines = {
-        "maps": f"{done:,} of {rows} x {columns} cells in {len(manifest.shards)} shards"
+        "maps": f"{done:,} of {rows} x {columns} cells in {shards}"
         + ("" if manifest.complete else f" (of {manifest.maps:,}: not finished)"),
         "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
         "size": f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map",
@@ -117,11 +131,13 @@ def main(arguments: list[str] | None = None) -> None:
         ("info", info_command, _add_info_arguments),
         ("verify", verify_command, lambda _: None),
         ("show", show_command, _add_show_arguments),
+        ("report", report_command, _add_report_arguments),
     ):
         verb = verbs.add_parser(name, help=(command.__doc__ or "").split("\n")[0], description=command.__doc__)
         verb.add_argument("root", metavar="ROOT", help="folder of the dataset")
         add_arguments(verb)
         verb.set_defaults(command=command)
+    add_format_verbs(verbs)
     values = vars(parser.parse_args(arguments))
     run(values.pop("command"), **values)
 
@@ -168,13 +184,29 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--recipe", action="store_true", help="print the few lines of JSON that are the dataset")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--recipe", action="store_true", help="print the few lines of JSON that are the dataset")
+    what.add_argument(
+        "--card", metavar="FILE", nargs="?", const="", help="write the dataset card (default: README.md in ROOT)"
+    )
 
 
 def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--index", metavar="I", type=int, default=0, help="number of the map (default: %(default)s)")
+    parser.add_argument("--index", metavar="I", type=int, help="number of the map (default: 0)")
     parser.add_argument("-o", "--output", metavar="FILE", default="map.png", help="picture (default: %(default)s)")
     parser.add_argument("--paper-colours", action="store_true", help="free black and occupied white")
+    parser.add_argument(
+        "--figure",
+        metavar="NAME",
+        choices=("map", "gallery", "path", "matrix", "distributions"),
+        default="map",
+        help="map, gallery, path, matrix or distributions (default: %(default)s)",
+    )
+
+
+def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--output", metavar="FILE", default="report.html", help="page (default: %(default)s)")
+    parser.add_argument("--maps", metavar="N", type=int, default=500, help="maps to browse (default: %(default)s)")
 
 
 def _complain(error: object, code: int) -> int:

@@ -47,7 +47,7 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     n, pairs = maps.rooms, np.diff(maps.pair_offsets)
     ends = [planner.offsets[maps.segment_offsets] for planner in (labels.bfs, labels.astar)]
     moves = sum(np.diff(end) for end in ends)
-    packed = maps.packed.view(np.uint8).reshape(count, -1)
+    packed = maps.packed.view(np.uint8).reshape(count, maps.packed.shape[1] * maps.packed.shape[2] * 8)
     sizes = 4 * (7 + 10 * n - 6 + 4 * pairs) + packed.shape[1] + -(-moves // 4) * 4
     offsets = np.concatenate(([0], np.cumsum(sizes)))
     records = np.zeros(offsets[-1], np.uint8)

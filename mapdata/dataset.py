@@ -74,6 +74,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise ValueError(f"augment: would change the split {split!r}, expected the training split")
         if max_length is not None and ("path" not in fields or max_length < 1):
             raise ValueError(f"max_length: got {max_length!r}, expected at least 1 and 'path' among the fields")
+        rule_of(movement)  # refuses what is no movement
         self.fields = _check_fields(fields)
         self.split, self.problems, self.planner, self.movement = split, problems, planner, movement
         self.unsolvable, self.min_distance, self.min_hardness = unsolvable, min_distance, min_hardness
@@ -146,7 +147,8 @@ class ProblemDataset(Dataset[Sample], ABC):
             else:
                 so_far = sample_class(self._sample._fields[: len(values)])(*values)
                 values.append(torch.as_tensor(field(so_far)))
-        return self._sample(*values)
+        sample: Sample = self._sample(*values)
+        return sample
 
     def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
         found = search_batch(self.planner, grids, starts, goals, self.movement)

@@ -9,11 +9,13 @@ import numpy.typing as npt
 
 from mapdata.jit import Int, kernel
 from mapdata.kernels import FAR, STEPS, UNIT, WALL, bucket_search, estimate, load, log_size, parts, shortest_costs
-from mapdata.sample import PADDING
 
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
+
+PADDING = -1
+"""What fills the rows of ``path`` beyond a path's own cells."""
 
 PROBABLE = 0.95
 """TransPath's threshold of the path probability."""

@@ -19,12 +19,12 @@ from filelock import FileLock
 import mapdata
 from mapdata.content import combine, content_hash
 from mapdata.labels import Labels
-from mapdata.shard import Header, Shard, ShardError, decode, open_shard, write_file
-from mapdata.spec import FORMAT_VERSION, SPLITS, MapSpec, Movement, canonical_json, identity
+from mapdata.shard import Header, Shard, ShardError, decode, is_hash, open_shard, write_file
+from mapdata.spec import FORMAT_VERSION, SPLITS, MapSpec, Movement, canonical_json, check_count, check_seed, identity
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
-_TEMPORARY = re.compile(r"\..+\.(?P<host>[^/]+)\.(?P<pid>\d+)\.tmp")
+_TEMPORARY = re.compile(r"\.(?:maps-\d+-\d+\.h5|manifest\.json)\.(?P<host>.+)\.(?P<pid>\d+)\.tmp")
 
 
 class DatasetNotFoundError(FileNotFoundError):
@@ -32,10 +32,15 @@ class DatasetNotFoundError(FileNotFoundError):
 
     def __init__(self, root: object, why: str = "it does not exist") -> None:
         """Say what was looked for under ``root`` and what to do."""
+        self.root, self.why = root, why
         super().__init__(
             f"no dataset at {root}: {why}. Make one with 'python scripts/build_shards.py {root}', with "
             f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, build='paper')"
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as arguments: an exception of a worker says the same in its parent."""
+        return DatasetNotFoundError, (self.root, self.why)
 
     def __str__(self) -> str:
         """Return the message alone (an OSError would show its arguments as a tuple)."""
@@ -149,9 +154,11 @@ class Manifest:
             "seed": self.seed,
             "maps": self.maps,
             "identity": self.identity,
-            "content_hash": self.content_hash,
         }
-        return json.dumps(values, indent=1)
+        if self.complete:
+            values["content_hash"] = self.content_hash
+        lines = (f" {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items())
+        return "{\n" + ",\n".join(lines) + "\n}"
 
 
 def shard_name(start: int, stop: int) -> str:
@@ -173,7 +180,7 @@ def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
         bytes=len(image),
         sha256=hashlib.sha256(image).hexdigest(),
         content_hash=shard.content_hash,
-        counts=_counts(labels),
+        counts=counts_of(labels),
     )
 
 
@@ -209,24 +216,42 @@ def parse_manifest(text: str, path: str) -> Manifest:
         if stated != _hash(values):
             raise ShardError(f"{path}: damaged (its hash does not fit)")
         spec = values["spec"]
-        entries = tuple(Entry(**entry) for entry in values["shards"])
-        for entry in entries:
-            if not is_shard_name(entry.name):
-                raise ShardError(f"{path}: {entry.name!r} is not the name of a shard")
-        return Manifest(
+        entries = tuple(_entry(entry, path) for entry in values["shards"])
+        manifest = Manifest(
             spec=None if spec is None else MapSpec.from_dict(spec),
-            seed=values["seed"],
-            maps=values["maps"],
-            shard_size=values["shard_size"],
+            seed=None if values["seed"] is None else check_seed(values["seed"]),
+            maps=check_count("maps", values["maps"]),
+            shard_size=check_count("shard_size", values["shard_size"]),
             map_size=(values["map_size"][0], values["map_size"][1]),
             movement=Movement(**values["movement"]),
             resolution=values["resolution"],
             shards=entries,
         )
+        if (values["identity"], values["content_hash"]) != (manifest.identity, manifest.content_hash):
+            raise ShardError(f"{path}: damaged (its identity or content hash is not what its values give)")
+        return manifest
     except ShardError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, ArithmeticError) as error:
         raise ShardError(f"{path}: damaged ({type(error).__name__}: {error})") from None
+
+
+def _entry(values: dict[str, Any], path: str) -> Entry:
+    """Return one entry of the manifest at ``path``, checked."""
+    entry = Entry(**values)
+    if not is_shard_name(entry.name) or entry.name != shard_name(entry.start, entry.stop):
+        raise ShardError(
+            f"{path}: {entry.name!r} is not the name of a shard, or not of maps {entry.start} to {entry.stop}"
+        )
+    check_count("bytes", entry.bytes)
+    if not (is_hash(entry.sha256) and is_hash(entry.content_hash)):
+        raise ShardError(f"{path}: {entry.name} has no hashes")
+    for name in ("segments", "drawn", "reachable", "all_connected", "most_rooms"):
+        check_count(name, entry.counts[name], 0)
+    for split in SPLITS:
+        for name in ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable"):
+            check_count(name, entry.counts[split][name], 0)
+    return entry
 
 
 def merge(root: Path, mine: Manifest) -> Manifest:
@@ -234,24 +259,25 @@ def merge(root: Path, mine: Manifest) -> Manifest:
     union.
     """
     with FileLock(root / LOCK):
-        union = mine
-        if (root / MANIFEST).exists():
-            union = _union(mine, read_manifest(root))
+        theirs = read_manifest(root) if (root / MANIFEST).exists() else mine
+        union = _union(mine, theirs)
         write_file(root / MANIFEST, union.to_json().encode())
         kept = {entry.name for entry in union.shards}
-        for entry in mine.shards:
-            if entry.name not in kept:
-                (root / entry.name).unlink(missing_ok=True)
+        for name in {entry.name for entry in (*mine.shards, *theirs.shards)} - kept:
+            (root / name).unlink(missing_ok=True)
         return union
 
 
 def _union(mine: Manifest, theirs: Manifest) -> Manifest:
     if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
         raise ValueError("another dataset appeared under the same root while this one was built")
-    maps = max(mine.maps, theirs.maps)
-    plan = set(replace(mine, maps=maps).plan)
+    union = replace(mine, maps=max(mine.maps, theirs.maps))
+    plan = set(union.plan)
     known = {(entry.start, entry.stop): entry for entry in (*theirs.shards, *mine.shards)}
-    return replace(mine, maps=maps, shards=tuple(known[key] for key in sorted(known) if key in plan))
+    whole = {start for start, stop in known if (start, stop) in plan}
+    # A partial last shard stays until the larger one that takes its place is there.
+    kept = (known[key] for key in sorted(known) if key in plan or key[0] not in whole)
+    return replace(union, shards=tuple(kept))
 
 
 def sweep(root: Path) -> None:
@@ -259,14 +285,14 @@ def sweep(root: Path) -> None:
     with FileLock(root / LOCK):
         for path in root.glob(".*.tmp"):
             match = _TEMPORARY.fullmatch(path.name)
-            if match and match["host"].endswith(socket.gethostname()) and not _alive(int(match["pid"])):
+            if match and match["host"] == socket.gethostname() and not _alive(int(match["pid"])):
                 path.unlink(missing_ok=True)
 
 
 def _alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):
         return False
     except OSError:
         return True
@@ -290,7 +316,7 @@ def _hash(values: dict[str, Any]) -> str:
     return hashlib.sha256(canonical_json(values).encode()).hexdigest()
 
 
-def _counts(labels: Labels) -> dict[str, Any]:
+def counts_of(labels: Labels) -> dict[str, Any]:
     """Count what the summary states and what a dataset needs to number its problems."""
     maps = labels.maps
     used = np.arange(maps.directions.shape[1]) < (maps.rooms - 1)[:, None]

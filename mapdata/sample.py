@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
 
-PADDING = -1
-"""What fills the rows of ``path`` beyond a path's own cells."""
+from mapdata.field_kernels import PADDING
 
 PATH_STEP = 16
 """Batches pad paths to a multiple of this, so that their shapes are few."""
@@ -47,7 +46,8 @@ def sample_class(names: tuple[str, ...], room: int | None = None) -> type[Any]:
 
 
 def _restore(names: tuple[str, ...], room: int | None, values: tuple[Any, ...]) -> Sample:
-    return sample_class(names, room)(*values)
+    sample: Sample = sample_class(names, room)(*values)
+    return sample
 
 
 class Rows(Sequence[Sample]):

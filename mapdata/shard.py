@@ -8,8 +8,10 @@ opening: the guard checks the file once, then each array is a view of one memory
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import os
+import re
 import socket
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -282,8 +284,23 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
                 return Shard(path, header, content, _guard(h5.id, mapping, header))
         except ShardError as error:
             raise ShardError(f"{path}: {error}" if str(path) not in str(error) else str(error)) from None
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             raise ShardError(f"{path}: not a sound shard ({error})") from error
+
+
+ATTRIBUTES = (
+    "format_version",
+    "identity",
+    "content_hash",
+    "spec",
+    "seed",
+    "start",
+    "stop",
+    "map_size",
+    "movement",
+    "resolution",
+)
+"""The root attributes that a reader needs."""
 
 
 def _attributes(header: Header, content: str) -> dict[str, object]:
@@ -308,6 +325,9 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     """Return the header and the content hash that the root attributes state."""
     if attributes.get("format") != "mapdata":
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
+    for name in ATTRIBUTES:
+        if name not in attributes:
+            raise ShardError(f"attribute {name!r} is missing")
     version = int(attributes["format_version"])
     if version != FORMAT_VERSION:
         raise ShardError(f"format version {version}, this mapdata {mapdata.__version__} reads {FORMAT_VERSION}")
@@ -324,7 +344,19 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     )
     if (header.identity or "") != attributes["identity"]:
         raise ShardError("its identity is not that of its spec and seed")
-    return header, str(attributes["content_hash"])
+    stated, content = (header.map_size, header.movement, header.resolution), attributes["content_hash"]
+    if header.spec and stated != (header.spec.map_size, header.spec.movement, header.spec.resolution):
+        raise ShardError("its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'")
+    if not 0 < header.resolution < math.inf:
+        raise ShardError(f"its attribute 'resolution' is {header.resolution}")
+    if not (isinstance(content, str) and is_hash(content)):
+        raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
+    return header, content
+
+
+def is_hash(text: str) -> bool:
+    """Return whether ``text`` is what a SHA-256 looks like."""
+    return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
 def _guard(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> dict[str, Array]:
@@ -365,9 +397,11 @@ def _guard(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> 
 def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Array:
     """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no other file."""
     name = field.name.encode()
-    if name not in file:
-        raise ShardError(f"dataset {field.name!r} is missing")
-    if file.links.get_info(name).type != h5l.TYPE_HARD:
+    try:
+        link = file.links.get_info(name)
+    except (KeyError, RuntimeError):
+        raise ShardError(f"dataset {field.name!r} is missing") from None
+    if link.type != h5l.TYPE_HARD:
         raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
     dataset = h5o.open(file, name)
     if not isinstance(dataset, h5d.DatasetID):
@@ -375,24 +409,25 @@ def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Ar
     properties = dataset.get_create_plist()
     if properties.get_layout() != h5d.CONTIGUOUS or properties.get_nfilters() or properties.get_external_count():
         raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
-    if dataset.get_type().get_class() != h5py.h5t.INTEGER or dataset.dtype != np.dtype(field.dtype):
+    kind, shape = dataset.dtype, dataset.shape
+    if kind != np.dtype(field.dtype) or kind.metadata:  # bool and enum are integers with metadata
         raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
-    if len(dataset.shape) != field.rank:
-        raise ShardError(f"dataset {field.name!r} has {len(dataset.shape)} dimensions, expected {field.rank}")
-    size = int(np.prod([int(side) for side in dataset.shape], dtype=object)) * dataset.dtype.itemsize
+    if shape is None or len(shape) != field.rank:
+        raise ShardError(f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}")
+    size = math.prod(shape) * kind.itemsize
     if size == 0:
-        return np.empty(dataset.shape if len(mapping) else 0, field.dtype)
+        return np.empty(shape, field.dtype)
     offset = dataset.get_offset()
-    if offset is None or offset < 0 or offset + size > len(mapping) or offset % dataset.dtype.itemsize:
+    if offset is None or offset < 0 or offset + size > len(mapping) or offset % kind.itemsize:
         raise ShardError(f"dataset {field.name!r} reaches outside the file")
-    return mapping[offset : offset + size].view(field.dtype).reshape(dataset.shape)
+    return mapping[offset : offset + size].view(field.dtype).reshape(shape)
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
     """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the map."""
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
         offsets = arrays[name]
-        if len(offsets) == 0 or offsets[0] != 0 or (np.diff(offsets) < 0).any():
+        if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
             raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
     rooms = np.diff(arrays["room_offsets"])
     if (rooms < 1).any() or not np.array_equal(np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2):

@@ -153,8 +153,8 @@ class MapSpec:
         """
         try:
             values = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"spec: not JSON ({error})") from error
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise ValueError(f"spec: not JSON ({error})") from None
         return MapSpec.from_dict(values)
 
 
@@ -173,6 +173,18 @@ def check_seed(seed: int) -> int:
     if not 0 <= value < 2**64:
         raise ValueError(f"seed: got {value}, expected 0 to 2**64 - 1")
     return value
+
+
+def check_count(name: str, value: object, lowest: int = 1) -> int:
+    """Return ``value`` as an int.
+
+    Raises:
+        ValueError: not an integer, or below ``lowest``.
+    """
+    (count,) = _integers(name, (value,), 1)
+    if count < lowest:
+        raise ValueError(f"{name}: got {count}, expected an integer of at least {lowest}")
+    return count
 
 
 def identity(spec: MapSpec, seed: int) -> str:
@@ -207,7 +219,10 @@ def _integers(name: str, values: object, count: int = 2) -> tuple[int, ...]:
 def _number(name: str, value: object) -> float:
     if isinstance(value, bool) or not hasattr(value, "__float__") or isinstance(value, str):
         raise ValueError(f"{name}: got {value!r}, expected a number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError(f"{name}: got {value!r}, expected a number") from None
 
 
 def _fractions(values: object) -> tuple[float, ...]:

@@ -1,0 +1,184 @@
+"""The kernel cache: never stale, whichever source file was edited, and no need for a cache at all."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+import mapdata
+from mapdata import jit
+from mapdata.jit import kernel, source_hash
+
+PACKAGE = Path(mapdata.__file__).parent
+
+CALLER = """
+from mapdata.jit import kernel
+from mapdata.rng import block
+
+@kernel
+def draw(seed, index):
+    return block(seed, index, 0, 0, 0)
+"""
+"""A kernel that calls one of rng.py, as those of dungeon.py do, and compiles in a moment."""
+
+DRAW = "import numpy, mapdata.caller\nprint(mapdata.caller.draw(numpy.uint64(1), numpy.uint64(2)))"
+
+WORDS = """
+import numpy as np
+from mapdata.rng import philox4x32
+print(*(f"{word:08x}" for word in philox4x32(*[np.uint64(0)] * 6)))
+"""
+
+
+class Copy:
+    """A copy of the package's sources that can be edited, with a cache of its own."""
+
+    def __init__(self, home: Path) -> None:
+        """Copy the sources below ``home``."""
+        self.home, self.cache = home, home / "cache"
+        shutil.copytree(PACKAGE, home / "mapdata", ignore=shutil.ignore_patterns("__pycache__"))
+
+    def edit(self, file: str, old: str, new: str) -> None:
+        """Replace ``old`` in a source file."""
+        path = self.home / "mapdata" / file
+        source = path.read_text(encoding="utf-8")
+        assert old in source
+        path.write_text(source.replace(old, new), encoding="utf-8")
+
+    def run(self, code: str) -> subprocess.CompletedProcess[str]:
+        """Run ``code`` with the copy in place of the package."""
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+        environment |= {"PYTHONPATH": str(self.home), "XDG_CACHE_HOME": str(self.cache)}
+        environment |= {"HOME": str(self.home), "LOCALAPPDATA": str(self.cache)}
+        command = [sys.executable, "-B", "-c", f"import mapdata\nassert {str(self.home)!r} in mapdata.__file__\n{code}"]
+        return subprocess.run(command, env=environment, cwd=self.home, capture_output=True, text=True, check=True)
+
+    def cached(self) -> dict[str, int]:
+        """Return the files of the cache and when they were written."""
+        return {str(path): path.stat().st_mtime_ns for path in self.home.rglob("*.nb[ci]")}
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Copy:
+    """Give a copy of the package."""
+    return Copy(tmp_path)
+
+
+def test_a_stale_kernel_is_never_served(copy: Copy) -> None:
+    """An edit of rng.py changes what a cached kernel of another file gives; with numba's own cache it would not."""
+    (copy.home / "mapdata" / "caller.py").write_text(CALLER, encoding="utf-8")
+    true = "digest.hexdigest()[:16]"
+    copy.edit("jit.py", true, '"same"')  # numba alone: the folder does not know the sources
+    before = copy.run(DRAW).stdout
+    copy.edit("rng.py", "0x9E3779B9", "0x9E3779BB")
+    assert copy.run(DRAW).stdout == before, "numba sees such edits itself: mapdata.jit may become simpler"
+    copy.edit("jit.py", '"same"', true)
+    after = copy.run(DRAW).stdout
+    assert after != before
+    files = copy.cached()
+    assert copy.run(DRAW).stdout == after
+    assert copy.cached() == files, "the second run compiled again"
+
+
+def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
+    """A cache folder that cannot be made is a warning, not an error."""
+    copy.cache.write_text("not a folder", encoding="utf-8")
+    if sys.platform == "darwin":
+        (copy.home / "Library").write_text("not a folder", encoding="utf-8")
+    done = copy.run(WORDS)
+    assert done.stdout == "6627e8d5 e169c58d bc57ac4c 9b00dbd8\n"
+    assert "is not writable: kernels are compiled anew in every process" in done.stderr
+    assert copy.cached() == {}
+
+
+# --- which sources count ----------------------------------------------------------------------------------------------
+
+
+def package_of(folder: Path, **sources: str) -> Path:
+    """Write a package with these modules."""
+    folder.mkdir(exist_ok=True)
+    for name, source in sources.items():
+        (folder / f"{name}.py").write_text(source, encoding="utf-8")
+    return folder
+
+
+def test_the_hash_covers_all_kernels(tmp_path: Path) -> None:
+    """Any edit of a file with kernels, its name included, gives another folder; other files do not."""
+    sources = {"one": "@kernel\ndef f(): ...", "two": "K = 1\n@kernel\ndef g(): ...", "plain": "x = 1"}
+    known = source_hash(package_of(tmp_path / "a", **sources))
+    assert source_hash(package_of(tmp_path / "b", **sources)) == known
+    assert source_hash(package_of(tmp_path / "c", **(sources | {"plain": "x = 2"}))) == known
+    changes = [
+        {"one": "@kernel\ndef f(): return 1"},
+        {"two": "K = 2\n@kernel\ndef g(): ..."},
+        {"plain": "@kernel\ndef h(): ..."},
+        {"one": sources["two"], "two": sources["one"]},
+    ]
+    hashes = {source_hash(package_of(tmp_path / f"d{k}", **(sources | change))) for k, change in enumerate(changes)}
+    assert len(hashes | {known}) == 1 + len(changes)
+
+
+def kernels_of(tree: ast.Module) -> Iterator[ast.FunctionDef]:
+    """Yield the functions that are compiled."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            parts = [part for decorator in node.decorator_list for part in ast.walk(decorator)]
+            if {part.id for part in parts if isinstance(part, ast.Name)} & {
+                "kernel",
+                "inlined",
+                "intrinsic",
+                "njit",
+                "vectorize",
+            }:
+                yield node
+
+
+def test_kernels_use_nothing_that_the_hash_does_not_cover() -> None:
+    """Every file with compiled code is hashed, and so is every file that compiled code takes names from."""
+    covered = {path.stem for path in PACKAGE.glob("*.py") if b"@kernel" in path.read_bytes()}
+    assert {"rng", "dungeon", "labels", "content"} <= covered
+    for path in PACKAGE.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        compiled = list(kernels_of(tree))
+        if not compiled:
+            continue
+        assert path.parent == PACKAGE, f"{path} has kernels, and only the package's own folder is hashed"
+        assert path.stem in covered, f"{path} has compiled code and no kernel, so that it is not hashed"
+        taken = {
+            alias.asname or alias.name: node.module.removeprefix("mapdata.")
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("mapdata.")
+            for alias in node.names
+        }
+        for function in compiled:
+            body = (part for statement in function.body for part in ast.walk(statement))
+            used = {part.id for part in body if isinstance(part, ast.Name)}
+            sources = {taken[name] for name in used & set(taken)} - {"jit"}
+            assert sources <= covered, f"{path}: {function.name} uses names of {sources - covered}"
+
+
+def test_the_cache_folder_is_named_by_the_sources() -> None:
+    """What is running uses the folder of its own sources."""
+    assert jit.CACHE_FOLDER.name == f"kernels-{source_hash(PACKAGE)}"
+    assert jit.CACHE_FOLDER.parent.name == "mapdata"
+
+
+def test_a_kernel_keeps_numbas_setting() -> None:
+    """The process-wide cache folder of numba stays what it was, for other people's functions."""
+
+    def twice(value: np.int64) -> np.int64:
+        return value + value
+
+    before = vars(numba.config)["CACHE_DIR"]
+    kernel(twice)
+    after = vars(numba.config)["CACHE_DIR"]
+    assert after == before
