@@ -253,11 +253,13 @@ class ShardStore:
 
     def _count(self, entry: Entry) -> int:
         names = ["maps"] if self._problems == "random" else [self._problems]
-        if self._unsolvable:
+        if self._unsolvable and self._problems != "random":
             names.append(f"{self._problems}_unsolvable")
-        return sum(
-            int(entry.counts[split][name]) for split in ([self._split] if self._split else SPLITS) for name in names
-        )
+        splits = [self._split] if self._split else SPLITS
+        count = sum(int(entry.counts[split][name]) for split in splits for name in names)
+        if count > entry.bytes:  # room is made for all, and each takes more than a byte
+            raise ShardError(f"{entry.name}: the manifest says {count} problems in {entry.bytes} bytes")
+        return count
 
     def grids(self, shards: Ints, maps: Ints) -> Bytes:
         """Return the maps, (B, H, W)."""

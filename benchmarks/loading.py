@@ -1,0 +1,438 @@
+"""Loading batches beside what people do otherwise: python benchmarks/loading.py [--quick].
+
+Everything is measured in one run, on one thread. Readers that stand beside ours must first give equal batches; those
+whose package is not installed are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import csv
+import io
+import logging
+import pickle
+import statistics
+import tarfile
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import pytorch_lightning as pl
+import torch
+from measure import Row, interleaved, median_ratio, print_table
+from PIL import Image
+from torch.utils.data import DataLoader, Dataset, IterableDataset, TensorDataset
+
+from mapdata import MapDataModule, MapDataset, MapSpec, OnlineMapDataset, Sample, build
+
+PACKAGES = ("mapdata", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "datasets", "webdataset", "pillow")
+SPEC = MapSpec.preset("paper")
+BATCH = 256
+MASKED = ("map", "start", "goal", "path_mask")
+IN_RAM = 40_000
+"""Samples that readers in RAM hold at most (8 kB each): fewer than ours serve, which is to their advantage."""
+
+Tensors = Sequence[torch.Tensor]
+
+
+class Reader(NamedTuple):
+    """A contestant: gives ``samples`` samples a call, or equal ones to check, and what to say about it."""
+
+    name: str
+    run: Callable[[], object]
+    samples: int
+    note: str = ""
+    target: str = ""
+
+
+# --- data -------------------------------------------------------------------------------------------------------------
+
+
+def orders(length: int, batches: int) -> list[list[int]]:
+    """Return random batches of numbers below ``length``, as torch's samplers make them."""
+    drawn = np.random.default_rng(0).integers(length, size=(batches, BATCH))
+    lists: list[list[int]] = drawn.tolist()
+    return lists
+
+
+def drain(batches: Iterable[object]) -> None:
+    """Use each batch up."""
+    for _ in batches:
+        pass
+
+
+def loader_of(dataset: Dataset[Any], length: int, batches: int) -> DataLoader[Any]:
+    """Return a plain DataLoader in the process itself, in random order."""
+    return DataLoader(dataset, batch_sampler=orders(length, batches))
+
+
+def in_ram(root: Path, count: int) -> list[torch.Tensor]:
+    """Return the first samples of a dataset as four tensors, uint8 and int64."""
+    dataset = MapDataset(root, fields=MASKED)
+    parts = [dataset[k : min(k + 4096, count)] for k in range(0, count, 4096)]
+    return [torch.cat([getattr(part, name) for part in parts]) for name in MASKED]
+
+
+# --- what people do otherwise -----------------------------------------------------------------------------------------
+
+
+class NaiveH5(Dataset[Any]):
+    """One h5py read a field and sample."""
+
+    def __init__(self, path: Path, tensors: Tensors) -> None:
+        """Write the file with h5py's defaults, and open it."""
+        with h5py.File(path, "w") as file:
+            for name, tensor in zip(MASKED, tensors, strict=True):
+                file[name] = tensor.numpy()
+        self.file, self.length = h5py.File(path, "r"), len(tensors[0])
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return self.length
+
+    def __getitem__(self, i: int) -> tuple[torch.Tensor, ...]:
+        return tuple(torch.from_numpy(np.asarray(self.file[name][i])) for name in MASKED)
+
+
+class Npz(Dataset[Any]):
+    """An npz file read into RAM, one sample a call."""
+
+    def __init__(self, path: Path, tensors: Tensors) -> None:
+        """Write the file and read it."""
+        np.savez(path, **{name: tensor.numpy() for name, tensor in zip(MASKED, tensors, strict=True)})  # type: ignore[arg-type]
+        with np.load(path) as file:
+            self.arrays = [file[name] for name in MASKED]
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.arrays[0])
+
+    def __getitem__(self, i: int) -> tuple[torch.Tensor, ...]:
+        return tuple(torch.as_tensor(array[i]) for array in self.arrays)
+
+
+class Pictures(Dataset[Any]):
+    """The paper's release: a PNG a map and one CSV with paths as lists of rows and of columns."""
+
+    def __init__(self, folder: Path, tensors: Tensors) -> None:
+        """Write the files, and read the CSV."""
+        folder.mkdir()
+        self.folder = folder
+        with (folder / "maps.csv").open("w", newline="") as file:
+            writer = csv.writer(file)
+            for k, (grid, start, goal, mask) in enumerate(zip(*tensors, strict=True)):
+                Image.fromarray(255 - 255 * grid[0].numpy()).save(folder / f"map{k}.png")
+                rows, columns = torch.nonzero(mask[0], as_tuple=True)
+                writer.writerow([start.tolist(), goal.tolist(), rows.tolist(), columns.tolist()])
+        with (folder / "maps.csv").open(newline="") as file:
+            self.rows = list(csv.reader(file))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.rows)
+
+    def __getitem__(self, i: int) -> tuple[torch.Tensor, ...]:
+        with Image.open(self.folder / f"map{i}.png") as picture:
+            grid = torch.from_numpy((np.asarray(picture) == 0).astype(np.uint8))[None]
+        start, goal, rows, columns = (torch.tensor(ast.literal_eval(text)) for text in self.rows[i])
+        mask = torch.zeros_like(grid)
+        mask[0, rows, columns] = 1
+        return grid, start, goal, mask
+
+
+def hugging_face(folder: Path, tensors: Tensors) -> Dataset[Any]:
+    """Return the samples as an Arrow file of Hugging Face's `datasets`, in torch's format."""
+    datasets: Any = import_module("datasets")  # it ships no types
+    datasets.disable_progress_bars()
+    size = tuple(tensors[0].shape[1:])
+    picture, cell = datasets.Array3D(size, "uint8"), datasets.Sequence(datasets.Value("int64"), length=2)
+    features = datasets.Features(dict(zip(MASKED, (picture, cell, cell, picture), strict=True)))
+    columns = {name: list(tensor.numpy()) for name, tensor in zip(MASKED, tensors, strict=True)}
+    datasets.Dataset.from_dict(columns, features=features).save_to_disk(folder)
+    arrow: Dataset[Any] = datasets.load_from_disk(str(folder)).with_format("torch")
+    return arrow
+
+
+def web_dataset(path: Path, tensors: Tensors) -> Iterable[Any]:
+    """Return the samples as a tar file of `webdataset`, in its order."""
+    webdataset: Any = import_module("webdataset")
+    with tarfile.open(path, "w") as tar:
+        for k, values in enumerate(zip(*tensors, strict=True)):
+            for name, value in zip(MASKED, values, strict=True):
+                data = io.BytesIO()
+                np.save(data, value.numpy())
+                entry = tarfile.TarInfo(f"{k:08d}.{name}.npy")
+                entry.size = data.tell()
+                data.seek(0)
+                tar.addfile(entry, data)
+    names = [f"{name}.npy" for name in MASKED]
+    pipeline: Iterable[Any] = webdataset.WebDataset(str(path), shardshuffle=False).decode().to_tuple(*names)
+    return pipeline
+
+
+def peers(folder: Path, root: Path, few: int) -> list[Reader]:
+    """Return the other readers, each on ``few`` samples or on as many as fit into RAM."""
+    tensors = in_ram(root, min(IN_RAM, len(MapDataset(root))))
+    length = len(tensors[0])
+    small = [tensor[:few] for tensor in tensors]
+    order = [torch.tensor(batch) for batch in orders(length, 20)]
+    outputs = [np.empty((BATCH, *tensor.shape[1:]), tensor.numpy().dtype) for tensor in tensors]
+    ram, naive, npz = TensorDataset(*tensors), NaiveH5(folder / "naive.h5", small), Npz(folder / "maps.npz", small)
+    pictures = Pictures(folder / "pictures", [tensor[:BATCH] for tensor in tensors])
+    for dataset in (ram, naive, npz, pictures):
+        check(next(iter(DataLoader(dataset, 8))), tensors, type(dataset).__name__)
+
+    def index() -> None:
+        for batch in order:
+            [tensor[batch] for tensor in tensors]
+
+    def fill() -> None:
+        for _ in range(20):
+            for output in outputs:
+                output.fill(1)
+
+    found = [
+        Reader("in-RAM tensors, tensor[idx], no DataLoader", index, 20 * BATCH, f"uint8, {length:,} samples", "5x"),
+        Reader("TensorDataset, DataLoader", lambda: drain(loader_of(ram, length, 2)), 2 * BATCH, "default collate"),
+        Reader(
+            "naive h5py, DataLoader",
+            lambda: drain(loader_of(naive, few, 1)),
+            BATCH,
+            f"contiguous uint8, {few:,} samples",
+            "300x",
+        ),
+        Reader("npz in RAM, DataLoader", lambda: drain(loader_of(npz, few, 2)), 2 * BATCH, f"{few:,} samples"),
+        Reader("PNG + CSV, DataLoader", lambda: drain(loader_of(pictures, BATCH, 1)), BATCH, "the paper's release"),
+        Reader("memset of the same bytes", fill, 20 * BATCH, "writes only; the same memory again and again"),
+    ]
+    if find_spec("datasets") is not None:
+        arrow = hugging_face(folder / "arrow", small)
+        batch = next(iter(DataLoader(arrow, 8)))
+        check([batch[name] for name in MASKED], tensors, "datasets")
+        found.append(Reader("HF datasets, DataLoader", lambda: drain(loader_of(arrow, few, 1)), BATCH, "torch format"))
+    if find_spec("webdataset") is not None:
+        web = web_dataset(folder / "maps.tar", small[:512])
+        found.append(Reader("webdataset, in order", lambda: drain(web), len(small[0]), "tar of npy, no batches"))
+    return found
+
+
+def check(batch: Sequence[torch.Tensor], tensors: Tensors, name: str) -> None:
+    """Stop if another reader's first batch is not ours."""
+    for field, value, truth in zip(MASKED, batch, tensors, strict=True):
+        if not torch.equal(value, truth[: len(value)]):
+            raise SystemExit(f"mapdata and {name} differ in {field}: nothing was measured")
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------
+
+
+def rate(times: list[float], samples: int) -> str:
+    """Return samples a second, by the median."""
+    return f"{samples / statistics.median(times):,.0f} samples/s"
+
+
+def reader_rows(folder: Path, maps: int, rounds: int, *, ram_target: str, only_ram: bool) -> list[Row]:
+    """Return the rows of our readers and of the others, at one number of maps."""
+    one, hundred = folder / "one", folder / "hundred"
+    build(one, SPEC, maps=maps, shard_size=maps)
+    build(hundred, SPEC, maps=maps, shard_size=maps // 100)
+    batches = 40
+
+    def ours(root: Path, fields: tuple[str, ...]) -> Callable[[], None]:
+        dataset = MapDataset(root, fields=fields)
+        loader = loader_of(dataset, len(dataset), batches)
+        return lambda: drain(loader)
+
+    made = OnlineMapDataset(SPEC, 0, maps, fields=MASKED)
+    online = loader_of(made, maps, batches)
+    readers = {
+        "masked": Reader(", ".join(MASKED), ours(one, MASKED), batches * BATCH),
+        "default": Reader("the four default fields", ours(one, ("map", "start", "goal", "path")), batches * BATCH),
+        "moves": Reader("map, goal, optimal_moves", ours(one, ("map", "goal", "optimal_moves")), batches * BATCH),
+        "hundred": Reader("100 shards", ours(hundred, MASKED), batches * BATCH),
+        "online": Reader("online: made and solved", lambda: drain(online), batches * BATCH),
+    }
+    others = peers(folder, one, 2000)
+    others = others[:1] if only_ram else others
+    times = interleaved({key: reader.run for key, reader in readers.items()} | {o.name: o.run for o in others}, rounds)
+    base = times["masked"]
+    size = f"{maps:,} maps"
+
+    def beside(key: str, other: str, target: str) -> Row:
+        mine, theirs = readers[key], readers[other]
+        return Row(
+            f"{size}: {mine.name}",
+            rate(times[key], mine.samples),
+            rate(times[other], theirs.samples),
+            f"{median_ratio(times[other], times[key]):.2f}x",
+            target,
+            f"beside mapdata's {'default fields' if other == 'default' else 'masked fields of one shard'}",
+        )
+
+    rows = []
+    for other in others:
+        ratio = median_ratio(times[other.name], base) * batches * BATCH / other.samples
+        target = ram_target if other.name.startswith("in-RAM") else other.target
+        text = f"{ratio:,.0f}x" if ratio >= 100 else f"{ratio:.2f}x"
+        mine, theirs = rate(base, batches * BATCH), rate(times[other.name], other.samples)
+        rows.append(Row(f"{size}: {', '.join(MASKED)}", mine, theirs, text, target, f"{other.name}: {other.note}"))
+    rows += [
+        beside("default", "masked", "0.8x"),
+        beside("moves", "masked", ""),
+        beside("hundred", "masked", "0.85x"),
+        beside("online", "masked", "0.33x"),
+    ]
+    return rows
+
+
+def opening_rows(folder: Path, rounds: int) -> list[Row]:
+    """Return the rows of opening 100 shards, of pickling, and of what a worker holds."""
+    root = folder / "hundred"
+    opened = [MapDataset(root) for _ in range(1)]
+
+    def touch() -> None:
+        dataset = MapDataset(root)
+        dataset[[int(first) for first in dataset.store.offsets[:-1]]]
+        opened[0] = dataset
+
+    times = interleaved({"touch": touch}, rounds)["touch"]
+    size = len(pickle.dumps(opened[0]))
+    rows = [
+        Row("open 100 shards and read from each", f"{statistics.median(times) * 1e3:.0f} ms", target="200 ms"),
+        Row("pickle of a used dataset", f"{size:,} bytes", target="10,000 bytes"),
+    ]
+    if Path("/proc/self/status").exists():
+        held = worker_memory(root)
+        note = "private memory of a persistent worker, third epoch less first (fork)"
+        growth = f"{(held[2] - held[0]) / 1e3:+.1f} MB"
+        rows.append(Row("growth of a worker's memory", growth, target="0 MB", note=note))
+    return rows
+
+
+def worker_memory(root: Path) -> list[int]:
+    """Return the private memory of a loader's worker after each of three epochs, in kB."""
+    dataset = MapDataset(root, "val", MASKED)
+    loader = DataLoader(dataset, BATCH, num_workers=1, persistent_workers=True, multiprocessing_context="fork")
+    held = []
+    for _ in range(3):
+        drain(loader)
+        status = Path(f"/proc/{loader._iterator._workers[0].pid}/status").read_text()  # type: ignore[union-attr]
+        held.append(int(status.split("RssAnon:")[1].split()[0]))
+    return held
+
+
+class Nothing(pl.LightningModule):
+    """An empty model that times its epochs."""
+
+    def __init__(self) -> None:
+        """Keep no parameters."""
+        super().__init__()
+        self.automatic_optimization = False
+        self.seconds = 0.0
+        self._began = 0.0
+
+    def training_step(self, batch: Sample, _: int) -> None:
+        """Learn nothing."""
+
+    def configure_optimizers(self) -> None:
+        """Have no optimizer."""
+
+    def on_train_epoch_start(self) -> None:
+        """Start the clock."""
+        self._began = time.perf_counter()
+
+    def on_train_epoch_end(self) -> None:
+        """Stop it."""
+        self.seconds = time.perf_counter() - self._began
+
+
+class Ready(IterableDataset[Sample]):
+    """One batch, again and again."""
+
+    def __init__(self, batch: Sample, count: int) -> None:
+        """Keep the batch."""
+        self.batch, self.count = batch, count
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self.batch for _ in range(self.count))
+
+
+def trainer_rows(folder: Path, rounds: int, batches: int) -> list[Row]:
+    """Return the rows of a Lightning Trainer with an empty model."""
+    root = folder / "one"
+    dataset = MapDataset(root, "train", MASKED)
+    data = MapDataModule(str(root), fields=MASKED)
+    ready = Ready(dataset[:BATCH], batches)
+    ways: dict[str, dict[str, Any]] = {
+        "ready": {"train_dataloaders": DataLoader(ready, batch_size=None)},
+        "plain": {"train_dataloaders": DataLoader(dataset, BATCH, shuffle=True)},
+        "module": {"datamodule": data},
+    }
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    for name in [*ways] * (rounds + 1):
+        model = Nothing()
+        run = pl.Trainer(
+            max_epochs=1,
+            accelerator="cpu",
+            logger=False,
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            limit_train_batches=batches,
+            limit_val_batches=0,
+        )
+        run.fit(model, **ways[name])
+        times[name].append(model.seconds)
+    times = {name: values[1:] for name, values in times.items()}  # the first round warms up
+    notes = {"plain": "MapDataset in a DataLoader, uint8", "module": "MapDataModule, cast to float32 included"}
+    return [
+        Row(
+            "Lightning Trainer, empty model",
+            rate(times[name], batches * BATCH),
+            rate(times["ready"], batches * BATCH),
+            f"{median_ratio(times['ready'], times[name]):.2f}x",
+            "0.3x",
+            f"{note}; beside one ready batch in the same Trainer",
+        )
+        for name, note in notes.items()
+    ]
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--quick", action="store_true", help="a small run: no 100,000 maps, rough figures")
+    parser.add_argument("--folder", metavar="FOLDER", help="where to write (default: the temporary folder)")
+    arguments = parser.parse_args()
+    rounds = 3 if arguments.quick else 9
+    torch.set_num_threads(1)
+    logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", module="pytorch_lightning")
+    warnings.filterwarnings("ignore", message=".*does not have many workers|.*configure_optimizers.*returned `None`")
+    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+        folder = Path(name) / "10k"
+        folder.mkdir()
+        rows = reader_rows(folder, 10_000, rounds, ram_target="5x", only_ram=False)
+        rows += trainer_rows(folder, rounds, 60 if arguments.quick else 120)
+        rows += opening_rows(folder, rounds)
+        if not arguments.quick:
+            folder = Path(name) / "100k"
+            folder.mkdir()
+            rows += reader_rows(folder, 100_000, rounds, ram_target="3x", only_ram=True)
+    notes = (
+        f"medians of {rounds} repeats, the readers taking turns; one thread; a ratio is the median of the repeats'",
+        f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0; data fresh in the page cache",
+    )
+    print_table("Loading", rows, packages=PACKAGES, notes=notes)
+
+
+if __name__ == "__main__":
+    main()
