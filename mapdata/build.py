@@ -37,6 +37,9 @@ from mapdata.manifest import (
 from mapdata.shard import Header, Shard, ShardError, decode, open_shard, shard_image, write_file
 from mapdata.spec import FORMAT_VERSION, PRESETS, MapSpec, check_count, check_seed, identity
 
+MOST_SHARDS = 10**7
+"""Most files of a dataset."""
+
 _MERGE_EVERY = 2.0
 """Seconds between two writes of the manifest."""
 
@@ -139,9 +142,13 @@ def build(
         movement=spec.movement,
         resolution=spec.resolution,
     )
+    if maps > MOST_SHARDS * shard_size:
+        raise ValueError(f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger shards")
     have = _prepare(root, wanted)
-    sweep(root)
     todo = [header for header in headers(wanted) if (header.start, header.stop) not in have]
+    if not todo:  # nothing to write, so a root that may only be read will do
+        return replace(wanted, shards=tuple(have.values()))
+    sweep(root)
     manifest = replace(wanted, shards=tuple(have.values()))
     with _bar(progress, total=maps, initial=_count(manifest.shards), unit=" maps") as advance:
         pool = executor or ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="mapdata")
@@ -298,13 +305,21 @@ def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]
     planned = {(header.start, header.stop): header for header in headers(manifest)}
     with _bar(progress, total=len(manifest.shards), unit=" shards") as advance:
         for entry in manifest.shards:
-            header = planned.pop((entry.start, entry.stop), None)
+            header = planned.pop((entry.start, entry.stop), None) or _partial(entry, planned.values())
             problem = "not a shard of this dataset" if header is None else _problem(root / entry.name, entry, header)
             if problem:
                 problems.append(problem if str(root) in problem else f"{root / entry.name}: {problem}")
             advance(1)
     problems += [f"{root / shard_name(*missing)}: missing (the build did not finish)" for missing in planned]
     return problems
+
+
+def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
+    """Return the header of a partial last shard that an extension has not replaced yet."""
+    for header in planned:
+        if header.start == entry.start and entry.stop < header.stop:
+            return replace(header, stop=entry.stop)
+    return None
 
 
 def _problem(path: Path, entry: Entry, header: Header) -> str | None:

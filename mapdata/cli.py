@@ -111,7 +111,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         + ("" if manifest.complete else f" (of {manifest.maps:,}: not finished)"),
         "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
         "size": f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map",
-        "drawn tunnels": f"{manifest.total('drawn') / segments:.1%}",
+        "drawn tunnels": f"{manifest.total('drawn') / segments:.1%}" if manifest.spec else "",
         "reachable segments": f"{manifest.total('reachable') / segments:.1%}",
         "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
         "identity": manifest.identity or "none (imported)",

@@ -24,7 +24,7 @@ from mapdata.spec import FORMAT_VERSION, SPLITS, MapSpec, Movement, canonical_js
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
-_TEMPORARY = re.compile(r"\.(?:maps-\d+-\d+\.h5|manifest\.json)\.(?P<host>.+)\.(?P<pid>\d+)\.tmp")
+_TEMPORARY = re.compile(r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp")
 
 
 class DatasetNotFoundError(FileNotFoundError):

@@ -7,6 +7,7 @@ opening: the guard checks the file once, then each array is a view of one memory
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import mmap
@@ -21,7 +22,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 import numpy.typing as npt
-from h5py import h5d, h5f, h5l, h5o
+from h5py import h5a, h5d, h5f, h5l, h5o, h5t
 
 import mapdata
 from mapdata.content import content_hash
@@ -125,11 +126,11 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
     )
     with file:
         for name, value in _attributes(header, content).items():
-            file.attrs[name] = value
+            _write_attribute(file, name, value)
         for field in FIELDS:
             dataset = file.create_dataset(field.name, data=np.ascontiguousarray(arrays[field.name], field.dtype))
             for name in ("description", "units", "encoding"):
-                dataset.attrs[name] = getattr(field, name)
+                _write_attribute(dataset, name, getattr(field, name))
         file.flush()
         return file.id.get_file_image(), content
 
@@ -217,13 +218,17 @@ def unpack_moves(packed: npt.NDArray[np.uint8], count: int, bits: int) -> npt.ND
     return np.ascontiguousarray(((packed[:, None] >> shifts) & np.uint8(2**bits - 1)).reshape(-1)[:count])
 
 
+_written = itertools.count()
+"""Numbers the temporary names of this process, so that two writers of one name never share a file."""
+
+
 def write_file(path: Path, data: bytes) -> None:
     """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
 
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
-    temporary = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}-{next(_written)}.{socket.gethostname()}.{os.getpid()}.tmp")
     try:
         with open(temporary, "wb") as file:
             file.write(data)
@@ -269,6 +274,8 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
         ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it links to.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise ShardError(f"{path}: not a file")
     with open(path, "rb") as file:
         status = os.fstat(file.fileno())
         if size is not None and status.st_size != size:
@@ -280,7 +287,7 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
             with h5py.File(path, "r", locking=False) as h5:
                 if not os.path.samestat(os.stat(path), status):
                     raise ShardError(f"{path}: was replaced while it was opened; open it again")
-                header, content = _read_header(h5.attrs)
+                header, content = _read_header(_read_attributes(h5.id))
                 return Shard(path, header, content, _guard(h5.id, mapping, header))
         except ShardError as error:
             raise ShardError(f"{path}: {error}" if str(path) not in str(error) else str(error)) from None
@@ -289,6 +296,7 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
 
 
 ATTRIBUTES = (
+    "format",
     "format_version",
     "identity",
     "content_hash",
@@ -321,13 +329,47 @@ def _attributes(header: Header, content: str) -> dict[str, object]:
     }
 
 
+def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) -> None:
+    """Write an attribute; text as a string of fixed length, which lies in metadata that have checksums.
+
+    HDF5 keeps strings of variable length in a heap without any, where one flipped bit can make it loop for ever.
+    """
+    if isinstance(value, str):
+        data = value.encode()
+        owner.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
+    else:
+        owner.attrs[name] = value
+
+
+def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
+    """Return the root attributes by name; nothing but numbers and text of fixed length is read at all."""
+    values: dict[str, Any] = {}
+    for name in ATTRIBUTES:
+        if not h5a.exists(file, name.encode()):
+            raise ShardError(
+                "not a mapdata shard (it has no attribute 'format')"
+                if name == "format"
+                else f"attribute {name!r} is missing"
+            )
+        attribute = h5a.open(file, name.encode())
+        kind, shape = attribute.get_type(), attribute.shape
+        text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
+        number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
+        if shape not in ((), (2,)) or not (text or number) or kind.get_size() > _LONGEST_TEXT:
+            raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
+        array = np.empty(shape, f"S{kind.get_size()}" if text else attribute.dtype)
+        attribute.read(array, mtype=kind)
+        values[name] = bytes(array.item()).decode() if text else array[()]
+    return values
+
+
+_LONGEST_TEXT = 65536
+
+
 def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     """Return the header and the content hash that the root attributes state."""
-    if attributes.get("format") != "mapdata":
+    if attributes["format"] != "mapdata":
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
-    for name in ATTRIBUTES:
-        if name not in attributes:
-            raise ShardError(f"attribute {name!r} is missing")
     version = int(attributes["format_version"])
     if version != FORMAT_VERSION:
         raise ShardError(f"format version {version}, this mapdata {mapdata.__version__} reads {FORMAT_VERSION}")

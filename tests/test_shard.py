@@ -222,6 +222,21 @@ def test_a_failed_write_leaves_nothing(step: str, tmp_path: Path, monkeypatch: p
     assert (tmp_path / "name").read_bytes() == b"old"
 
 
+def test_two_writers_of_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that writes the same name meanwhile takes nothing away, and neither file is torn."""
+    true_fsync, waiting = os.fsync, [b"other"]
+
+    def fsync(descriptor: int) -> None:
+        true_fsync(descriptor)
+        if waiting:
+            write_file(tmp_path / "name", waiting.pop())
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_file(tmp_path / "name", b"one")
+    assert (tmp_path / "name").read_bytes() == b"one"
+    assert os.listdir(tmp_path) == ["name"]
+
+
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
@@ -371,6 +386,20 @@ def test_targets_that_do_not_exist_make_no_difference(name: str, sound: Sound, t
     assert sorted(os.listdir(tmp_path)) == ["shard.h5"]
 
 
+def test_no_text_lies_in_the_unchecked_heap(sound: Sound) -> None:
+    """All metadata have checksums. HDF5's global heap has none, and one flipped bit in it makes HDF5 loop for ever:
+    place 3113, bit 3 of this very shard.
+    """
+    assert b"GCOL" not in sound.contents.image
+
+
+def test_text_of_variable_length_is_refused_unread(sound: Sound, tmp_path: Path) -> None:
+    """Reading it would walk the heap of a file that nobody has checked yet."""
+    values = {"format": hostile.VariableText("mapdata")}
+    hostile.write(tmp_path / "shard.h5", sound.contents, sound.path, attributes=values)
+    refused(tmp_path / "shard.h5", "not a mapdata shard|attribute")
+
+
 # --- damage -----------------------------------------------------------------------------------------------------------
 
 
@@ -443,10 +472,11 @@ def test_a_flipped_bit_is_refused_or_harmless(sound: Sound, tmp_path: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
-def test_every_flipped_bit_is_refused_or_harmless(sound: Sound, tmp_path: Path) -> None:
-    """As above, for every bit of the file: some minutes."""
-    size = len(sound.contents.image)
-    flip_bits(sound, tmp_path / "shard.h5", [(place, bit) for place in range(size) for bit in range(8)])
+def test_a_flipped_bit_in_every_byte_is_refused_or_harmless(sound: Sound, tmp_path: Path) -> None:
+    """As above, one bit of every byte of the file."""
+    random = Random(6)
+    flips = [(place, random.randrange(8)) for place in range(len(sound.contents.image))]
+    flip_bits(sound, tmp_path / "shard.h5", flips)
 
 
 def test_a_missing_file_is_not_found(tmp_path: Path) -> None:

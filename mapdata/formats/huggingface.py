@@ -1,0 +1,166 @@
+"""Hugging Face ``datasets``: a folder of Parquet files and a card, out only.
+
+``datasets.load_dataset(folder)`` opens it, and ``huggingface-cli upload`` puts it on the Hub as it is. Needs pyarrow:
+``pip install mapdata[hub]``. Source: https://huggingface.co/docs/datasets/repository_structure.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from mapdata.formats.stored import Stored
+from mapdata.labels import Labels
+from mapdata.spec import SPLITS, canonical_json
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_NAMES = {"train": "train", "val": "validation", "test": "test"}
+"""The Hub's names of the splits."""
+
+
+def write(target: Path, source: Stored) -> list[str]:
+    """Write ``data/<split>-<shard>.parquet``, one file a shard and split, and ``README.md``.
+
+    A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, rooms, and all labels; a path is a list of
+    segments, each a list of [row, col].
+
+    Returns:
+        Notes for the user.
+
+    Raises:
+        ValueError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise ValueError("format huggingface needs pyarrow: pip install 'mapdata[hub]'") from None
+    (target / "data").mkdir(parents=True)
+    schema = _schema()
+    shards = len(source.manifest.shards)
+    counts = dict.fromkeys(SPLITS, 0)
+    for number, labels in enumerate(source.batches()):
+        for code, split in enumerate(SPLITS):
+            rows = [_row(labels, k) for k in np.flatnonzero(labels.maps.split == code).tolist()]
+            if rows:
+                name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
+                parquet.write_table(pa.Table.from_pylist(rows, schema), target / "data" / name, compression="zstd")
+                counts[split] += len(rows)
+    (target / "README.md").write_text(_card(source, counts), encoding="utf-8", newline="\n")
+    return []
+
+
+def _schema() -> pa.Schema:
+    """Return the Arrow schema, with the features that ``datasets`` reads from its metadata."""
+    import pyarrow as pa
+
+    def lists(kind: pa.DataType, depth: int) -> pa.DataType:
+        return lists(pa.list_(kind), depth - 1) if depth else kind
+
+    planner = {
+        "path": lists(pa.int16(), 3),
+        "iterations": lists(pa.int32(), 1),
+        "connection_matrix": lists(pa.float32(), 2),
+    }
+    types = {
+        "image": pa.struct([("bytes", pa.binary()), ("path", pa.string())]),
+        "map": lists(pa.uint8(), 2),
+        "item": pa.int64(),
+        "label": pa.string(),
+        "passage_width": pa.int16(),
+        "seeds": lists(pa.int16(), 2),
+        "sizes": lists(pa.int16(), 2),
+        "directions": lists(pa.int8(), 2),
+        "connected": lists(pa.bool_(), 1),
+        "reachable": lists(pa.bool_(), 1),
+        "all_connected": pa.bool_(),
+        **{f"{name}_{key}": kind for name in ("bfs", "astar") for key, kind in planner.items()},
+    }
+    features = {name: _feature(kind) for name, kind in types.items()}
+    features["image"] = {"_type": "Image"}
+    metadata = {"huggingface": json.dumps({"info": {"features": features}})}
+    return pa.schema(list(types.items()), metadata=metadata)
+
+
+def _feature(kind: pa.DataType) -> dict[str, object]:
+    """Return what ``datasets`` writes for an Arrow type."""
+    if hasattr(kind, "value_type"):
+        return {"feature": _feature(kind.value_type), "_type": "List"}
+    return {"dtype": str(kind), "_type": "Value"}
+
+
+def _row(labels: Labels, k: int) -> dict[str, object]:
+    maps, n = labels.maps, int(labels.maps.rooms[k])
+    first = int(maps.segment_offsets[k])
+    grid, picture = maps.occupancy[k], BytesIO()
+    Image.fromarray(np.where(grid, np.uint8(0), np.uint8(255))).convert("1").save(picture, "PNG")
+    row: dict[str, object] = {
+        "image": {"bytes": picture.getvalue(), "path": f"map{maps.index[k]}.png"},
+        "map": grid.tolist(),
+        "item": int(maps.index[k]),
+        "label": f"map{maps.index[k]}",
+        "passage_width": int(maps.passage_width[k]),
+        "seeds": maps.seeds[k, :n].tolist(),
+        "sizes": maps.sizes[k, :n].tolist(),
+        "directions": maps.directions[k, : n - 1].tolist(),
+        "connected": maps.connected[k, : n - 1].tolist(),
+        "reachable": labels.reachable[first : first + n - 1].tolist(),
+        "all_connected": bool(labels.all_connected[k]),
+    }
+    for planner in ("bfs", "astar"):
+        row[f"{planner}_path"] = [segment.tolist() for segment in labels.route(planner, k)]
+        row[f"{planner}_iterations"] = labels.iterations(planner, k).tolist()
+        row[f"{planner}_connection_matrix"] = labels.matrix(planner, k).tolist()
+    return row
+
+
+def _card(source: Stored, counts: dict[str, int]) -> str:
+    """Return the card: front matter that says where each split lies, and what a cell of the table means."""
+    manifest, (rows, columns) = source.manifest, source.manifest.map_size
+    total = sum(counts.values())
+    category = next((name for bound, name in _SIZES if total < bound), "1M<n<10M")
+    files = "".join(
+        f"  - split: {_NAMES[split]}\n    path: data/{_NAMES[split]}-*.parquet\n" for split in SPLITS if counts[split]
+    )
+    origin = f"identity `{manifest.identity}`, seed {manifest.seed}" if manifest.identity else "imported maps"
+    return f"""---
+pretty_name: mapdata {rows} x {columns}
+task_categories:
+- robotics
+size_categories:
+- {category}
+tags:
+- path planning
+- occupancy grid
+configs:
+- config_name: default
+  data_files:
+{files}---
+
+# {total:,} grid maps of {rows} x {columns} cells with shortest paths
+
+Written by mapdata: {origin}, content hash `{manifest.content_hash}`.
+Splits: {", ".join(f"{_NAMES[split]} {count:,}" for split, count in counts.items())}.
+
+- `map`: 1 occupied, 0 free; `image` shows free white. Cells are (row, col), origin upper left;
+  {manifest.resolution} metres a cell.
+- `seeds`, `sizes`: seed point, and rows and columns, of each room (-1 unknown). `directions`: the two legs of each
+  tunnel, 1 horizontal, 0 vertical, -1 none; `connected`: it was drawn; `reachable`: a path to the next room exists.
+- `bfs_path`, `astar_path`: a list of cells for each pair of consecutive rooms, empty without a path; `iterations`:
+  cells taken from the frontier; `connection_matrix`: cost between rooms, -1 no path.
+- Movement: `{canonical_json(asdict(manifest.movement))}`.
+
+Source of the distribution: Flores-Aquino et al., "2D Grid Map Generation for Deep-Learning-based Navigation
+Approaches", arXiv 2110.13242.
+"""
+
+
+_SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))

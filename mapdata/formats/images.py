@@ -1,0 +1,210 @@
+"""Pictures read without trust, and a folder of them (or a stack of arrays) as maps.
+
+Pixels are counted before anything is decoded. PGM is read here: Pillow has no say in P2, comments and 16 bits.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from mapdata.formats.files import (
+    LIMITS,
+    Array,
+    FormatError,
+    Limits,
+    Npz,
+    files_of,
+    occupancy,
+    read_bytes,
+    read_npy,
+    split_of,
+)
+from mapdata.imported import Collection, ForeignMap
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+ARRAYS = (".npy", ".npz")
+
+_HEADER = re.compile(rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})")
+
+
+class Pixels(NamedTuple):
+    """A decoded picture.
+
+    Attributes:
+        values: (H, W, C) uint8 or uint16; C is 1 grey, 3 RGB, 4 RGB and alpha.
+        maximum: the value of white.
+    """
+
+    values: Array
+    maximum: int
+
+
+def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
+    """Return the pixels of a PNG, JPEG, BMP or PGM file.
+
+    Raises:
+        FormatError: missing, no such picture, damaged, or more than ``limits.pixels`` pixels.
+    """
+    data = read_bytes(path, limits)
+    return _pgm(path, data, limits) if data[:2] in (b"P2", b"P5") else _picture(path, limits)
+
+
+def _picture(path: Path, limits: Limits) -> Pixels:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of decompression bombs: our own limit follows, before decoding
+            image = Image.open(path, formats=("PNG", "JPEG", "BMP"))
+        with image:
+            columns, rows = image.size
+            _check_size(path, rows, columns, limits)
+            image.load()
+            if image.mode in ("I;16", "I;16B", "I;16L", "I"):
+                return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
+            if image.mode not in ("1", "L", "RGB", "RGBA"):
+                clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info
+                return Pixels(np.asarray(image.convert("RGBA" if clear else "RGB")), 255)
+            values = np.asarray(image.convert("L") if image.mode == "1" else image)
+            return Pixels(values.reshape(rows, columns, -1), 255)
+    except UnidentifiedImageError:
+        raise FormatError(f"{path}: not a PNG, JPEG, BMP or PGM picture") from None
+    except Image.DecompressionBombError as error:
+        raise FormatError(f"{path}: {error}") from None
+    except FormatError:
+        raise
+    except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
+        raise FormatError(f"{path}: damaged picture ({type(error).__name__}: {error})") from None
+
+
+def _check_size(path: Path, rows: int, columns: int, limits: Limits) -> None:
+    if not 1 <= rows * columns <= limits.pixels:
+        raise FormatError(f"{path}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all")
+
+
+def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
+    """Return the pixels of a PGM: P2 (text) or P5 (bytes), comments in the header, 8 or 16 bits.
+
+    Source: https://netpbm.sourceforge.net/doc/pgm.html.
+    """
+    match = _HEADER.match(data)
+    if match is None:
+        raise FormatError(f"{path}: its PGM header is damaged")
+    columns, rows, maximum = (int(match[k]) for k in (2, 3, 4))
+    _check_size(path, rows, columns, limits)
+    if not 1 <= maximum <= 65535:
+        raise FormatError(f"{path}: says a maximum of {maximum}, expected 1 to 65535")
+    count, at = rows * columns, match.end()
+    if match[1] == b"2":
+        body = re.sub(rb"#[^\n]*", b"", data[at:]).split(None, count)
+        digits = [word for word in body[:count] if word.isdigit() and len(word) <= 5]
+        if len(digits) != count:
+            raise FormatError(f"{path}: has {len(digits)} values, its header says {count}")
+        values = np.array(digits, np.bytes_).astype(np.int64)
+    else:
+        if not data[at : at + 1].isspace():
+            raise FormatError(f"{path}: its PGM header is damaged")
+        kind = np.dtype("u1" if maximum < 256 else ">u2")
+        if len(data) - at - 1 < count * kind.itemsize:
+            raise FormatError(f"{path}: has {len(data) - at - 1} bytes of pixels, its header says {rows} x {columns}")
+        values = np.frombuffer(data, kind, count, at + 1)
+    if count and values.max() > maximum:
+        raise FormatError(f"{path}: holds the value {values.max()}, its header says at most {maximum}")
+    kept = values.astype(np.uint8 if maximum < 256 else np.uint16)
+    return Pixels(kept.reshape(rows, columns, 1), maximum)
+
+
+def brightness(pixels: Pixels) -> npt.NDArray[np.uint8]:
+    """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels count as white."""
+    values = pixels.values
+    if values.shape[2] == 4:
+        colour = values[:, :, :3].astype(np.uint16)
+        values = 255 - (255 - colour) * values[:, :, 3:].astype(np.uint16) // 255
+    if values.shape[2] == 1 and pixels.maximum == 255:
+        return np.asarray(values[:, :, 0], np.uint8)
+    mean = values.sum(axis=2, dtype=np.uint32) * np.uint32(255) // np.uint32(values.shape[2] * pixels.maximum)
+    return np.asarray(mean, np.uint8)
+
+
+def read(
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    threshold: float = 0.5,
+    invert: bool = False,
+    size: tuple[int, int] | None = None,
+    fit: str = "resize",
+) -> Collection:
+    """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
+
+    Pictures: dark is occupied, as in ROS and most sets of floor plans; a pixel is occupied when its brightness is not
+    above ``threshold``. Arrays: (H, W) or (N, H, W); 1 is occupied, probabilities are occupied above ``threshold``.
+
+    Args:
+        source: folder or file.
+        limits: of what is read.
+        threshold: in [0, 1], black to white, or of the probability.
+        invert: the other way round.
+        size: (rows, columns) that every map is brought to.
+        fit: "resize" scales (the mean brightness of the pixels in a cell decides), "crop" takes the middle.
+
+    Raises:
+        FormatError: nothing there. A bad file among others is left out, with the reason.
+        ValueError: arguments.
+    """
+    if not 0 <= threshold <= 1:
+        raise ValueError(f"threshold: got {threshold}, expected 0 to 1")
+    if fit not in ("resize", "crop"):
+        raise ValueError(f"fit: got {fit!r}, expected 'resize' or 'crop'")
+    found = Collection()
+    folder = source if source.is_dir() else source.parent
+    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
+        try:
+            split = split_of(path, folder)
+            if path.suffix.lower() in ARRAYS:
+                grids = _stack(path, limits, threshold)
+                names = [f"{path}[{k}]" for k in range(len(grids))] if len(grids) > 1 else [str(path)]
+            else:
+                grey = brightness(read_pixels(path, limits))
+                if size is not None:
+                    grey = _fit(grey, size, fit)
+                grids, names = np.asarray(grey <= threshold * 255, np.uint8)[None], [str(path)]
+            if size is not None and grids.shape[1:] != size:
+                grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+            for name, grid in zip(names, grids, strict=True):
+                found.maps.append(ForeignMap(name, grid ^ np.uint8(invert), split))
+        except FormatError as error:
+            found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
+    return found
+
+
+def _stack(path: Path, limits: Limits, threshold: float) -> npt.NDArray[np.uint8]:
+    """Return the grids of an array file, (N, H, W)."""
+    if path.suffix.lower() == ".npy":
+        values = read_npy(path, limits)
+    else:
+        archive = Npz(path, limits)
+        names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3)]
+        if len(names) != 1:
+            raise FormatError(f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)")
+        values = archive[names[0]]
+    if values.ndim not in (2, 3) or 0 in values.shape:
+        raise FormatError(f"{path}: has shape {values.shape}, expected (H, W) or (N, H, W)")
+    grids = occupancy(values, str(path), threshold)
+    return grids if grids.ndim == 3 else grids[None]
+
+
+def _fit(grey: npt.NDArray[np.uint8], size: tuple[int, int], fit: str) -> npt.NDArray[np.uint8]:
+    """Return ``grey``, (H, W), with ``size``."""
+    rows, columns = size
+    if fit == "resize":
+        return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
+    if grey.shape[0] < rows or grey.shape[1] < columns:
+        raise FormatError(f"has {grey.shape[0]} x {grey.shape[1]} cells, too small to crop {rows} x {columns}")
+    top, left = (grey.shape[0] - rows) // 2, (grey.shape[1] - columns) // 2
+    return grey[top : top + rows, left : left + columns]

@@ -1,0 +1,240 @@
+"""Maps of ROS map_server and Nav2: a .yaml beside a .pgm, .png or .bmp, in and out.
+
+Source: http://wiki.ros.org/map_server and nav2_map_server/src/map_io.cpp of https://github.com/ros-navigation/navigation2.
+
+The probability of a pixel p is (255 - p) / 255, or p / 255 with ``negate``; above ``occupied_thresh`` it is occupied,
+below ``free_thresh`` free, else unknown. p is the mean of the channels: under ``mode: trinary`` alpha is one of them,
+as in both servers. ``scale``: what is not opaque is unknown, and between the thresholds stands a value of 0 to 100;
+``raw``: p itself is the value up to 100, above it is unknown. Values between the thresholds are neither free nor
+occupied, so they go where unknown cells go.
+
+Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose (x, y, yaw) of the
+lower left corner of the picture, in metres and radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from PIL import Image
+
+from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
+from mapdata.formats.images import Pixels, read_pixels
+from mapdata.formats.stored import Stored
+from mapdata.imported import Collection, ForeignMap
+from mapdata.spec import SPLITS
+
+MODES = ("trinary", "scale", "raw")
+IMAGES = ("pgm", "png", "bmp")
+UNKNOWN = ("occupied", "free")
+
+_FREE, _OCCUPIED = 254, 0
+"""Pixels as map_saver writes them."""
+
+
+@dataclass(frozen=True, eq=False)
+class RosMap:
+    """A map as map_server would publish it, with row 0 on top.
+
+    Attributes:
+        cells: (H, W) int8, 0 free, 100 occupied, 1 to 99 between, -1 unknown.
+        resolution: metres per cell.
+        origin: (x, y, yaw) of the lower left corner, in metres and radians.
+    """
+
+    cells: npt.NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float]
+
+    def to_metres(self, row: float, column: float) -> tuple[float, float]:
+        """Return (x, y), in metres, of the middle of a cell (row, col)."""
+        x0, y0, yaw = self.origin
+        across, up = (column + 0.5) * self.resolution, (len(self.cells) - row - 0.5) * self.resolution
+        return x0 + across * math.cos(yaw) - up * math.sin(yaw), y0 + across * math.sin(yaw) + up * math.cos(yaw)
+
+
+def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
+    """Return the map of a .yaml file.
+
+    Raises:
+        FormatError: fields missing or out of range, a picture that is missing, damaged or outside the yaml's folder.
+    """
+    path = Path(path)
+    fields = _fields(path)
+    resolution = _number(path, fields, "resolution")
+    if resolution <= 0:
+        raise FormatError(f"{path}: resolution is {resolution}, expected metres per cell above 0")
+    low, high = _number(path, fields, "free_thresh"), _number(path, fields, "occupied_thresh")
+    if not 0 <= low <= high <= 1:
+        raise FormatError(f"{path}: free_thresh {low} and occupied_thresh {high}, expected 0 <= free <= occupied <= 1")
+    negate = fields.get("negate", 0)
+    if negate not in (0, 1) or isinstance(negate, float):
+        raise FormatError(f"{path}: negate is {negate!r}, expected 0 or 1")
+    mode = fields.get("mode", "trinary")
+    if mode not in MODES:
+        raise FormatError(f"{path}: mode is {str(mode)[:40]!r}, expected {', '.join(MODES)}")
+    if mode == "raw" and negate:
+        raise FormatError(f"{path}: mode raw with negate: ROS 1 turns values round, Nav2 does not; say negate: 0")
+    origin = fields.get("origin", [0.0, 0.0, 0.0])
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
+    x, y, yaw = (_number(path, {"origin": value}, "origin") for value in origin)
+    cells = _classify(read_pixels(_image(path, fields), limits), mode, bool(negate), low, high)
+    return RosMap(cells, resolution, (x, y, yaw))
+
+
+def _fields(path: Path) -> dict[str, Any]:
+    text = read_text(path, Limits(unpacked=2**20))
+    try:
+        fields = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
+        raise FormatError(f"{path}: not plain YAML ({str(error).splitlines()[0] if str(error) else error!r})") from None
+    if not isinstance(fields, dict) or "image" not in fields:
+        raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
+    return {str(name): value for name, value in fields.items() if isinstance(name, str)}
+
+
+def _number(path: Path, fields: dict[str, Any], name: str) -> float:
+    """Return a finite number; YAML 1.1 takes 5e-2 for text, so text of a number is one."""
+    if name not in fields:
+        raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
+    value = fields[name]
+    try:
+        number = math.nan if isinstance(value, bool) or not isinstance(value, (int, float, str)) else float(value)
+    except (ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise FormatError(f"{path}: {name} is {str(value)[:40]!r}, expected a finite number")
+    return number
+
+
+def _image(path: Path, fields: dict[str, Any]) -> Path:
+    """Return the picture's path, which must lie in the folder of the yaml, links followed."""
+    name = fields["image"]
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise FormatError(f"{path}: image is {str(name)[:40]!r}, expected the name of a picture")
+    folder = path.parent.resolve()
+    try:
+        image = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise FormatError(f"{path}: image is {name[:80]!r} ({error})") from None
+    if not image.is_relative_to(folder):
+        raise FormatError(f"{path}: image {name[:80]!r} lies outside the folder of the yaml")
+    return image
+
+
+def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) -> npt.NDArray[np.int8]:
+    """Return map_server's value of each pixel: a look-up in a table over the sum of the channels."""
+    values, white = pixels
+    alpha = values[:, :, 3] if values.shape[2] == 4 else None
+    colours = values if mode == "trinary" else values[:, :, :3]
+    channels = colours.shape[2]
+    total = colours.sum(axis=2, dtype=np.uint32)
+    shade = np.arange(channels * white + 1) / (channels * white)
+    if mode == "raw":
+        table = np.rint(shade * 255)
+        table[table > 100] = -1
+    else:
+        occupied = shade if negate else 1 - shade
+        table = np.full(len(shade), -1.0)
+        if mode == "scale" and high > low:
+            table = np.clip(np.rint((occupied - low) / (high - low) * 100), 0, 100)
+        table[occupied < low] = 0
+        table[occupied > high] = 100
+    cells = table.astype(np.int8)[total]
+    if mode == "scale" and alpha is not None:
+        cells[alpha < white] = -1
+    return cells if mode != "raw" else _threshold(cells, low, high)
+
+
+def _threshold(cells: npt.NDArray[np.int8], low: float, high: float) -> npt.NDArray[np.int8]:
+    """Say which raw values are free and occupied: the thresholds in percent. The others stay."""
+    known = cells >= 0
+    out = cells.copy()
+    out[known & (cells < 100 * low)] = 0
+    out[known & (cells > 100 * high)] = 100
+    return out
+
+
+def to_grid(cells: npt.NDArray[np.int8], unknown: str | None, what: str) -> npt.NDArray[np.uint8]:
+    """Return cells as a grid, 0 free and 1 occupied.
+
+    Args:
+        cells: as in `RosMap`.
+        unknown: "occupied" or "free": what cells are that are neither. None allows no such cells.
+        what: named in errors.
+
+    Raises:
+        FormatError: such cells, and ``unknown`` does not say.
+    """
+    between = (cells != 0) & (cells != 100)
+    if unknown is None and between.any():
+        raise FormatError(
+            f"{what}: {between.mean():.1%} of its cells are unknown: say --unknown occupied or --unknown free"
+        )
+    return np.asarray((cells == 100) | (between & (unknown == "occupied")), np.uint8)
+
+
+def read(source: Path, limits: Limits = LIMITS, *, unknown: str | None = None) -> Collection:
+    """Read the map of a .yaml file, or all below a folder.
+
+    Args:
+        source: file or folder.
+        limits: of what is read.
+        unknown: "occupied" or "free": what unknown cells become; None leaves maps with such cells out.
+    """
+    if unknown is not None and unknown not in UNKNOWN:
+        raise ValueError(f"unknown: got {unknown!r}, expected {' or '.join(UNKNOWN)}")
+    found = Collection()
+    folder = source if source.is_dir() else source.parent
+    share = []
+    for path in files_of(source, (".yaml", ".yml"), limits, found.left_out):
+        try:
+            one = read_map(path, limits)
+            grid = to_grid(one.cells, unknown, str(path))
+        except FormatError as error:
+            found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
+            continue
+        share.append(float(((one.cells != 0) & (one.cells != 100)).mean()))
+        found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
+    if any(share):
+        found.notes.append(f"{sum(share) / len(share):.1%} of the cells were unknown and are now {unknown}")
+    return found
+
+
+def write(target: Path, source: Stored, *, image: str = "pgm") -> list[str]:
+    """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, pixels as map_saver writes them.
+
+    Args:
+        target: folder.
+        source: dataset.
+        image: "pgm", "png" or "bmp".
+
+    Returns:
+        Notes for the user.
+    """
+    if image not in IMAGES:
+        raise ValueError(f"image: got {image!r}, expected {', '.join(IMAGES)}")
+    for labels in source.batches():
+        maps = labels.maps
+        for k, grid in enumerate(maps.occupancy):
+            folder, name = target / SPLITS[maps.split[k]], f"map{maps.index[k]}"
+            folder.mkdir(parents=True, exist_ok=True)
+            pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
+            if image == "pgm":
+                header = f"P5\n{grid.shape[1]} {grid.shape[0]}\n255\n".encode()
+                (folder / f"{name}.pgm").write_bytes(header + pixels.tobytes())
+            else:
+                Image.fromarray(pixels).save(folder / f"{name}.{image}")
+            (folder / f"{name}.yaml").write_text(
+                f"image: {name}.{image}\nmode: trinary\nresolution: {source.manifest.resolution!r}\n"
+                "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+                newline="\n",
+            )
+    return ["rooms and labels are not in this format: pictures, resolution and splits are"]

@@ -1,0 +1,110 @@
+"""The registry: recognising, refusing, and an export that appears whole or not at all; docs/formats.md runs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from wild import cli
+
+from mapdata import cli_formats
+from mapdata.build import build
+from mapdata.formats import READERS, WRITERS, export, paper, read_any, recognise
+from mapdata.formats.files import FormatError
+from mapdata.formats.stored import Stored
+from mapdata.manifest import DatasetNotFoundError
+from mapdata.shard import ShardError
+from mapdata.spec import MapSpec
+
+PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+
+
+def test_the_page_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its table has every format, the command line offers them all, and its Python runs."""
+    rows = re.findall(r"^\| `([a-z-]+)` \| (yes|) ?\| (yes|) ?\|", PAGE, re.MULTILINE)
+    assert {name for name, reads, _ in rows if reads} == set(READERS) == set(cli_formats._READERS)
+    assert {name for name, _, writes in rows if writes} == set(WRITERS) == set(cli_formats._WRITERS)
+    monkeypatch.chdir(tmp_path)
+    Path("floorplans").mkdir()
+    Image.fromarray(np.full((128, 128), 255, np.uint8)).save("floorplans/a.png")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+    exec(compile(block, "docs/formats.md", "exec"), {})
+    assert list(Path("floorplans.movingai").rglob("*.scen"))
+
+
+def test_the_page_names_the_papers_columns(root: Path) -> None:
+    """The docstring of paper.py lists what is written, and nothing else."""
+    labels = next(Stored.open(root).batches())
+    table = re.findall(r"^\| ([a-z_, ]+) \|", paper.__doc__ or "", re.MULTILINE)[1:]
+    assert {name for line in table for name in line.split(", ")} == set(paper._row(labels, 0, 0.1))
+
+
+@pytest.mark.parametrize("kind", sorted(WRITERS))
+def test_an_export_is_whole_or_nothing(kind: str, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """When a shard cannot be read half-way, no target and nothing else is left."""
+    if kind == "huggingface":
+        pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")
+    calls = 0
+    batches = Stored.batches
+
+    def broken(self: Stored) -> object:
+        nonlocal calls
+        for labels in batches(self):
+            calls += 1
+            if calls > 1:
+                raise OSError(28, "No space left on device")
+            yield labels
+
+    monkeypatch.setattr(Stored, "batches", broken)
+    with pytest.raises(OSError, match="No space left"):
+        export(root, tmp_path / "out.npz", kind)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_exported(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No dataset, an unfinished or damaged one, a target in use, an unknown format."""
+    with pytest.raises(DatasetNotFoundError):
+        export(tmp_path / "none", tmp_path / "out", "ros")
+    with pytest.raises(ValueError, match="format: got 'zarr', expected one of paper"):
+        export(root, tmp_path / "out", "zarr")
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "x").write_text("mine")
+    with pytest.raises(FormatError, match="exists already"):
+        export(root, tmp_path / "used", "ros")
+    damaged = tmp_path / "damaged"
+    build(damaged, MapSpec(), maps=2)
+    shard = next(damaged.glob("*.h5"))
+    shard.write_bytes(shard.read_bytes()[:-1])
+    with pytest.raises(ShardError):
+        export(damaged, tmp_path / "out", "ros")
+    assert cli(capsys, "export", damaged, tmp_path / "out", "--format", "ros")[0] == 1
+    shard.unlink()
+    assert cli(capsys, "export", damaged, tmp_path / "out", "--format", "ros")[0] == 1
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "empty").mkdir()
+    export(root, tmp_path / "empty", "ros")
+    assert len(list((tmp_path / "empty").rglob("*.yaml"))) == 24
+
+
+def test_recognising(root: Path, tmp_path: Path) -> None:
+    """Each format that can be both written and read is recognised again; nothing and nonsense are refused."""
+    for kind in sorted(set(WRITERS) & set(READERS)):
+        target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
+        export(root, target, kind)
+        assert recognise(target) == kind
+    np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
+    assert recognise(tmp_path / "stack.npy") == "images"
+    (tmp_path / "text").mkdir()
+    (tmp_path / "text" / "a.txt").write_text("x")
+    for source, says in ((tmp_path / "none", "no such file"), (tmp_path / "text", "no file of a known format")):
+        with pytest.raises(FormatError, match=says):
+            recognise(source)
+    with pytest.raises(FormatError, match="text: holds no map of format ros"):
+        read_any(tmp_path / "text", "ros")
+    with pytest.raises(ValueError, match="format: got 'zarr'"):
+        read_any(tmp_path / "text", "zarr")
+    with pytest.raises(ValueError, match="--unknown: does nothing for format images"):
+        read_any(tmp_path / "stack.npy", unknown="free")

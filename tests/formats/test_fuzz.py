@@ -1,0 +1,132 @@
+"""Bytes at random: every importer answers with maps or with one FormatError, whatever the file."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from wild import SETTINGS
+
+from mapdata.formats import read_any
+from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.movingai import check_scen
+
+GRID = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
+LIMITS = Limits(pixels=2**12, unpacked=2**16)
+
+
+def saved(kind: str) -> bytes:
+    """Return a picture or an array file of the grid."""
+    out = io.BytesIO()
+    if kind == "npy":
+        np.save(out, GRID)
+    elif kind == "npz":
+        np.savez_compressed(out, maps=GRID)
+    else:
+        Image.fromarray(255 * (1 - GRID)).save(out, kind)
+    return out.getvalue()
+
+
+@cache
+def seeds() -> dict[str, dict[str, bytes]]:
+    """Return the files of a small good source of each kind; the first one is changed."""
+    pgm = b"P5\n# c\n4 3\n255\n" + (255 * (1 - GRID)).tobytes()
+    yaml = (
+        b"image: a.pgm\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+    )
+    text = b"type octile\nheight 3\nwidth 4\nmap\n..@@\n.S@W\n...G\n"
+    scen = b"version 1\n0\ta.map\t4\t3\t0\t0\t3\t2\t4.41421356\n"
+    table = (
+        b"item,label,passage_size,seed_rows,seed_columns,size_rows,size_columns,direction_for_passages,bfs_iterations\n"
+        b'0,a,2,"[0, 2]","[0, 3]","[1, 1]","[2, 2]","[1, 0]","[5]"\n'
+    )
+    planning = io.BytesIO()
+    goal, actions = np.zeros((1, 1, 3, 4)), np.zeros((1, 8, 1, 3, 4))
+    goal[0, 0, 0, 0] = 1
+    np.savez_compressed(planning, 1.0 - GRID[None], goal, actions, goal)
+    return {
+        "png": {"a.png": saved("png")},
+        "bmp": {"a.bmp": saved("bmp")},
+        "jpeg": {"a.jpg": saved("jpeg")},
+        "pgm": {"a.pgm": pgm},
+        "P2": {"a.pgm": b"P2\n4 3\n255\n" + b" ".join(b"%d" % v for v in (255 * GRID).ravel())},
+        "npy": {"a.npy": saved("npy")},
+        "npz": {"a.npz": saved("npz")},
+        "planning": {"p.npz": planning.getvalue()},
+        "yaml": {"a.yaml": yaml, "a.pgm": pgm},
+        "map": {"a.map": text},
+        "scen": {"a.scen": scen, "a.map": text},
+        "csv": {"maps.csv": table, "a.png": saved("png")},
+    }
+
+
+FORMATS = {"yaml": "ros", "map": "movingai", "scen": "movingai", "csv": "paper", "planning": "planning-datasets"}
+CHANGES = st.lists(
+    st.tuples(
+        st.integers(0, 2**16), st.sampled_from(["flip", "set", "cut", "insert", "delete"]), st.binary(max_size=6)
+    ),
+    max_size=4,
+)
+
+
+def changed(data: bytes, changes: list[tuple[int, str, bytes]]) -> bytes:
+    """Return ``data`` after these changes."""
+    out = bytearray(data)
+    for place, what, more in changes:
+        at = place % max(len(out), 1)
+        if what == "flip" and out:
+            out[at] ^= 1 << (place % 8)
+        elif what == "set":
+            out[at : at + len(more)] = more
+        elif what == "insert":
+            out[at:at] = more
+        elif what == "cut":
+            del out[at:]
+        else:
+            del out[at : at + len(more)]
+    return bytes(out)
+
+
+def attempt(read: Callable[[], object]) -> None:
+    """Call an importer: a FormatError must be one line, and nothing else may come."""
+    problem = ""
+    try:
+        read()
+    except FormatError as error:
+        problem = str(error)
+    assert "\n" not in problem
+
+
+@pytest.mark.parametrize("kind", sorted(seeds()))
+@settings(SETTINGS, max_examples=120)
+@given(CHANGES)
+def test_changed_files(kind: str, changes: list[tuple[int, str, bytes]]) -> None:
+    """A few bytes of a good file are changed."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for k, (file, data) in enumerate(seeds()[kind].items()):
+            (folder / file).write_bytes(data if k else changed(data, changes))
+        first = folder / next(iter(seeds()[kind]))
+        source = first if kind in ("planning", "scen") else folder
+        attempt(lambda: read_any(source, FORMATS.get(kind, "images"), LIMITS))
+        if kind == "scen":
+            attempt(lambda: check_scen(first, limits=LIMITS))
+
+
+@SETTINGS
+@given(st.binary(max_size=60))
+def test_any_bytes(data: bytes) -> None:
+    """A file of any bytes under every ending, its format recognised or not."""
+    with tempfile.TemporaryDirectory() as name:
+        for ending in ("png", "jpg", "bmp", "pgm", "npy", "npz", "yaml", "map", "scen", "csv"):
+            path = Path(name) / f"a.{ending}"
+            path.write_bytes(data)
+            attempt(lambda path=path: read_any(path, limits=LIMITS))  # type: ignore[misc]

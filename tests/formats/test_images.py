@@ -1,0 +1,237 @@
+"""A folder of pictures and stacks of arrays: what becomes a map, what is left out and why."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from wild import Bytes, cli, npy, npz, png
+
+from mapdata.formats import recognise
+from mapdata.formats.files import FormatError, Limits, natural, read_npy, walk
+from mapdata.formats.images import brightness, read, read_pixels
+from mapdata.manifest import read_manifest
+from mapdata.shard import read_shard
+
+GRID: Bytes = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
+DARK: Bytes = np.where(GRID, np.uint8(10), np.uint8(240)).astype(np.uint8)
+
+
+def grids(folder: Path, **options: object) -> list[list[list[int]]]:
+    """Read a folder and return its grids; nothing may be left out."""
+    found = read(folder, **options)  # type: ignore[arg-type]
+    assert found.left_out == []
+    return [one.grid.tolist() for one in found.maps]
+
+
+def test_pictures_of_all_kinds(tmp_path: Path) -> None:
+    """PNG of 1, 8, 16 bits, palette, alpha, BMP, JPEG, PGM: dark is occupied, transparent is not."""
+    grey = Image.fromarray(DARK)
+    for k, mode in enumerate(("1", "L", "RGB", "RGBA", "P", "LA")):
+        grey.convert(mode, dither=Image.Dither.NONE).save(tmp_path / f"{k}.png")
+    Image.fromarray(DARK.astype(np.uint16) * 257).save(tmp_path / "6.png")
+    grey.save(tmp_path / "7.bmp")
+    grey.convert("RGB").resize((32, 24), Image.Resampling.NEAREST).save(tmp_path / "8.jpg", quality=95)
+    (tmp_path / "9.pgm").write_bytes(b"P5 4 3 255\n" + DARK.tobytes())
+    hole = Image.fromarray(np.dstack([np.zeros((3, 4, 3), np.uint8), GRID * 255]))
+    hole.save(tmp_path / "10.png")
+    assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()] * 11
+
+
+def test_threshold_and_inversion(tmp_path: Path) -> None:
+    """A pixel is free above the threshold; inverted, the other way round."""
+    Image.fromarray(np.array([[0, 100, 200, 255]], np.uint8)).save(tmp_path / "a.png")
+    assert grids(tmp_path) == [[[1, 1, 0, 0]]]
+    assert grids(tmp_path, threshold=0.2) == [[[1, 0, 0, 0]]]
+    assert grids(tmp_path, threshold=0.9, invert=True) == [[[0, 0, 0, 1]]]
+    for options in ({"threshold": 1.5}, {"threshold": float("nan")}, {"fit": "stretch"}):
+        with pytest.raises(ValueError, match=r"threshold|fit"):
+            read(tmp_path, **options)
+
+
+def test_resize_and_crop(tmp_path: Path) -> None:
+    """Resizing averages the brightness of the cells; cropping takes the middle; what is too small is left out."""
+    Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "a.png")
+    assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()]
+    assert grids(tmp_path, size=(2, 4), fit="crop") == [np.kron(GRID, np.ones((2, 2), int))[2:4, 2:6].tolist()]
+    found = read(tmp_path, size=(7, 4), fit="crop")
+    assert found.maps == []
+    assert found.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
+
+
+def test_arrays(tmp_path: Path) -> None:
+    """.npy and .npz, one grid or a stack; bool, whole numbers, probabilities, Fortran order: 1 is occupied."""
+    stack = np.stack([GRID, 1 - GRID])
+    np.save(tmp_path / "a.npy", stack)
+    np.save(tmp_path / "b.npy", np.asfortranarray(GRID.astype(bool)))
+    np.savez_compressed(tmp_path / "c.npz", maps=GRID * 0.75, names=np.arange(2))
+    assert grids(tmp_path) == [GRID.tolist(), (1 - GRID).tolist(), GRID.tolist(), GRID.tolist()]
+    assert grids(tmp_path / "b.npy", invert=True) == [(1 - GRID).tolist()]
+    np.savez(tmp_path / "c.npz", a=GRID, b=GRID)
+    (left,) = read(tmp_path).left_out
+    assert left[1] == "holds arrays a, b, expected one of (N, H, W)"
+
+
+def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
+    """train, validation and test folders are kept; map2 comes before map10; hidden and linked folders are not read."""
+    for k, folder in enumerate(("Train", "validation", "test/deep", ".hidden")):
+        (tmp_path / folder).mkdir(parents=True)
+        for name in ("map10.png", "map2.PNG"):
+            Image.fromarray(DARK).save(tmp_path / folder / name)
+        assert k < 4
+    (tmp_path / "link").symlink_to(tmp_path / "test", target_is_directory=True)
+    found = read(tmp_path)
+    assert sorted(one.split or 0 for one in found.maps) == [0, 0, 1, 1, 2, 2]
+    assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
+    assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural)[:2] == ["a9", "a9b"]
+    with pytest.raises(FormatError, match="more than 3 files"):
+        walk(tmp_path, (".png",), Limits(files=3))
+
+
+def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
+    """A link inside is read, one that leads out is named and not opened."""
+    (tmp_path / "in").mkdir()
+    for path in (tmp_path / "secret.png", tmp_path / "in" / "a.png"):
+        Image.fromarray(DARK).save(path)
+    (tmp_path / "in" / "b.png").symlink_to(tmp_path / "in" / "a.png")
+    (tmp_path / "in" / "c.png").symlink_to(tmp_path / "secret.png")
+    (tmp_path / "in" / "d.png").symlink_to("d.png")
+    found = read(tmp_path / "in")
+    assert [Path(one.name).name for one in found.maps] == ["a.png", "b.png"]
+    reasons = {Path(name).name: why for name, why in found.left_out}
+    assert reasons["c.png"] == "a link to outside the folder"
+    assert set(reasons) == {"c.png", "d.png"}
+
+
+def hostile(folder: Path) -> dict[str, str]:
+    """Write files that must be left out; return what is said of each."""
+    good = png(3, 4, depth=8)
+    Image.fromarray(DARK).save(folder / "good.bmp")
+    bmp = (folder / "good.bmp").read_bytes()
+    Image.fromarray(DARK).resize((64, 64)).save(folder / "good.jpg")
+    jpeg = (folder / "good.jpg").read_bytes()
+    (folder / "good.bmp").unlink()
+    (folder / "good.jpg").unlink()
+    cases: dict[str, tuple[bytes, str]] = {
+        "bomb.png": (png(9400, 9400), "has 9400 x 9400 pixels, expected at most 16777216 in all"),
+        "warning.png": (png(13000, 13000), "has 13000 x 13000 pixels"),
+        "error.png": (png(20000, 20000), "exceeds limit"),
+        "nothing.png": (b"", "not a PNG"),
+        "text.png": (b"<html>not found</html>", "not a PNG"),
+        "cut.png": (good[:43], "damaged picture"),
+        "pixels.png": (png(3, 4, b"x" * 9, depth=8), "damaged picture"),
+        "crc.png": (good.replace(b"IDAT", b"IDAT\xff", 1), "damaged picture"),
+        "zero.png": (png(0, 4), "damaged|not a PNG|has 0 x 4"),
+        "gif.png": (b"GIF89a\x01\0\x01\0\0\0\0;", "not a PNG"),
+        "cut.jpg": (jpeg[: len(jpeg) // 2], "damaged picture"),
+        "cut.bmp": (bmp[:60], "damaged picture"),
+        "lie.bmp": (bmp[:18] + struct.pack("<ii", 60000, 60000) + bmp[26:], "expected at most|exceeds limit"),
+        "lie.pgm": (b"P5 1000 1000 255\nx", "has 1 bytes of pixels"),
+        "pickle.npy": (npy((1,), b"\x80\x04N.", "|O"), "pickled objects are never opened"),
+        "lie.npy": (npy((2**20, 2**20), b""), "but has"),
+        "nan.npy": (npy((1, 2), np.array([0, np.nan]).tobytes(), "<f8"), "expected 0 to 1"),
+        "grey.npy": (npy((1, 2), b"\0\xff"), "holds values from 0 to 255, expected 0 to 1"),
+        "flat.npy": (npy((4,), bytes(4)), "expected (H, W) or (N, H, W)"),
+        "empty.npy": (npy((0, 4, 4), b""), "expected (H, W) or (N, H, W)"),
+        "header.npy": (b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16, "not an array"),
+        "version.npy": (b"\x93NUMPY\x09\x00\x10\x00" + b" " * 16, "not an array"),
+        "long.npy": (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f{", "not an array"),
+    }
+    for name, (data, _) in cases.items():
+        (folder / name).write_bytes(data)
+    npz(folder / "bomb.npz", a=npy((2**26,), bytes(2**26)))
+    (folder / "folder.png").mkdir()
+    return {**{name: says for name, (_, says) in cases.items()}, "bomb.npz": "unpacks to"}
+
+
+def test_hostile_files_are_left_out(tmp_path: Path) -> None:
+    """Bombs, lies, stubs and pickles among good ones: each is named with its reason, the good ones are read."""
+    cases = hostile(tmp_path)
+    Image.fromarray(DARK).save(tmp_path / "good.png")
+    found = read(tmp_path, Limits(unpacked=2**25))
+    assert [Path(one.name).name for one in found.maps] == ["good.png"]
+    reasons = {Path(name).name: why for name, why in found.left_out}
+    assert set(reasons) == set(cases)
+    for name, says in cases.items():
+        assert any(part in reasons[name] for part in says.split("|")), (name, reasons[name])
+        assert "\n" not in reasons[name]
+
+
+MEMORY = """
+import resource, sys
+from pathlib import Path
+import numpy, PIL.Image
+from mapdata.formats.images import read_pixels
+from mapdata.formats.files import FormatError, Limits, Npz
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for path in sys.argv[1:]:
+    try:
+        (Npz if path.endswith("npz") else read_pixels)(Path(path), Limits(unpacked=2**26))
+    except FormatError as error:
+        print(error)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
+def test_bombs_take_no_memory(tmp_path: Path) -> None:
+    """Pictures of 88 and 400 megapixels and an archive of 128 MiB: refused in less than 50 MB more."""
+    import subprocess
+    import zipfile
+
+    (tmp_path / "a.png").write_bytes(png(9400, 9400))
+    (tmp_path / "b.png").write_bytes(png(20000, 20000))
+    with (
+        zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("a.npy", "w", force_zip64=True) as member,
+    ):
+        member.write(npy((2**27,), b""))
+        for _ in range(2):
+            member.write(bytes(2**26))
+    files = [str(tmp_path / name) for name in ("a.png", "b.png", "c.npz")]
+    done = subprocess.run([sys.executable, "-c", MEMORY, *files], capture_output=True, text=True, check=True)
+    *errors, grown = done.stdout.splitlines()
+    assert len(errors) == 3
+    assert int(grown) < 50
+
+
+def test_brightness_is_exact(tmp_path: Path) -> None:
+    """Mean of the colours, white behind what is transparent."""
+    Image.fromarray(np.array([[[255, 0, 0], [10, 20, 30]]], np.uint8)).save(tmp_path / "a.png")
+    assert brightness(read_pixels(tmp_path / "a.png")).tolist() == [[85, 20]]
+    with pytest.raises(FormatError, match="no such file"):
+        read_npy(tmp_path / "none.npy")
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two sizes become two datasets; what was left out is told a line each; flags of other formats are refused."""
+    (tmp_path / "in").mkdir()
+    Image.fromarray(DARK).save(tmp_path / "in" / "a.png")
+    Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "in" / "b.png")
+    (tmp_path / "in" / "c.png").write_bytes(png(9400, 9400))
+    Image.fromarray(np.zeros((3, 4), np.uint8)).save(tmp_path / "in" / "d.png")
+    assert recognise(tmp_path / "in") == "images"
+    code, _, err = cli(capsys, "import", tmp_path / "in", tmp_path / "out", "--seeds", 3, "--resolution", 0.02)
+    assert code == 0
+    assert err.count("left out: ") == 2
+    assert "d.png: has no two connected free cells (0 free in all)" in err
+    for size, grid in (("3x4", GRID), ("6x8", np.kron(GRID, np.ones((2, 2), np.uint8)))):
+        manifest = read_manifest(tmp_path / "out" / size)
+        assert manifest.resolution == 0.02
+        labels = read_shard(tmp_path / "out" / size / manifest.shards[0].name)
+        assert np.array_equal(labels.maps.occupancy[0], grid)
+        assert cli(capsys, "verify", tmp_path / "out" / size)[0] == 0
+        assert cli(capsys, "info", tmp_path / "out" / size)[0] == 0
+        assert cli(capsys, "show", tmp_path / "out" / size, "-o", tmp_path / "map.png")[0] == 0
+    for flags in (("--unknown", "free"), ("--scen",), ("--fit", "crop"), ("--tile", "3"), ("--corner-cutting",)):
+        assert cli(capsys, "import", tmp_path / "in", tmp_path / "no", *flags)[0] == 2
+    assert not (tmp_path / "no").exists()
+    code, _, err = cli(capsys, "import", tmp_path / "nothing", tmp_path / "no")
+    assert (code, "no such file or folder" in err) == (2, True)
+    (tmp_path / "in" / "e.map").write_text("x")
+    code, _, err = cli(capsys, "import", tmp_path / "in", tmp_path / "no")
+    assert (code, "files of images and movingai; --format says which" in err) == (2, True)

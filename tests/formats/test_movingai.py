@@ -1,0 +1,239 @@
+"""MovingAI: files as they stand on the web, lengths against scipy, and everything that is wrong with a file."""
+
+from __future__ import annotations
+
+import math
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from wild import GRIDS, SETTINGS, Bytes, cli, lengths
+
+from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.movingai import Problem, agrees, check_scen, read_scen, read_terrain, world
+from mapdata.manifest import read_manifest
+from mapdata.shard import read_shard
+
+MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
+LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]
+WATER = [[1, 1, 1, 1, 0, 0], [1, 1, 1, 1, 0, 0], [1, 1, 1, 1, 0, 0], [1, 1, 1, 1, 1, 1]]
+# By hand; x before y. Around the tree (x 1, y 2) no corner is cut; nothing leads from land to water.
+SCEN = (
+    "version 1\n"
+    "0\tcave.map\t6\t4\t0\t0\t0\t3\t3\n"
+    "0\tcave.map\t6\t4\t1\t1\t3\t3\t3.41421\n"
+    "0\tcave.map\t6\t4\t0\t1\t1\t3\t3\n"
+    "1\tcave.map\t6\t4\t0\t0\t5\t3\t6.82842712\n"
+    "0\tcave.map\t6\t4\t0\t0\t4\t0\t0\n"
+    "0\tcave.map\t6\t4\t4\t0\t5\t2\t2.4142135623730950\n"
+    "0\tcave.map\t6\t4\t1\t1\t1\t1\t0.0\n"
+)
+
+
+def files(folder: Path, scen: str = SCEN, text: str = MAP) -> Path:
+    """Write a map and its problems; return the .scen."""
+    (folder / "cave.map").write_text(text)
+    (folder / "cave.map.scen").write_text(scen)
+    return folder / "cave.map.scen"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        MAP,
+        MAP.replace("\n", "\r\n"),
+        MAP + "\nDrawn in 2011.\n@@@@@@@@@@@@\n",
+        MAP.rstrip("\n"),
+        MAP.replace("height 4\nwidth 6", "width 6\nheight 4"),
+        MAP.replace("type octile\n", ""),
+        MAP.replace("..G@WW\n", "..G@WW  \t\n"),
+        "\ufeff" + MAP,
+    ],
+)
+def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
+    """CRLF, text after the rows, no last line feed, another order of the header."""
+    (tmp_path / "a.map").write_bytes(text.encode("utf-8"))
+    terrain = read_terrain(tmp_path / "a.map")
+    assert world(terrain).tolist() == LAND
+    assert world(terrain, "W").tolist() == WATER
+
+
+def test_scen_forms(tmp_path: Path) -> None:
+    """Tabs, spaces, CRLF, the old form without header and sizes, names with spaces; x is the column."""
+    new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2)
+    path = tmp_path / "a.scen"
+    path.write_bytes(b"version 1.0\r\n3\tdao/big cave.map\t6\t4\t1\t3\t5\t0\t12.0711\r\n\r\n")
+    assert read_scen(path) == [new]
+    path.write_text("3 dao/cave.map 6 4 1 3 5 0 12.0711\n")
+    assert read_scen(path) == [new._replace(map="dao/cave.map", line=1)]
+    path.write_text("3 dao/cave.map 1 3 5 0 12.0711\n")
+    assert read_scen(path) == [new._replace(map="dao/cave.map", line=1, size=None)]
+
+
+def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Land and water, no corner cut, no path: all agree, and the exit code is 0."""
+    path = files(tmp_path)
+    code, out, err = cli(capsys, "check-scen", path)
+    assert (code, err) == (0, "")
+    assert "7 of 7 optimal lengths agree" in out
+    elsewhere = tmp_path / "scens"
+    elsewhere.mkdir()
+    (elsewhere / "x.scen").write_text(SCEN.replace("cave.map", "maps/dao/cave.map"))
+    assert cli(capsys, "check-scen", elsewhere / "x.scen", "--maps", tmp_path)[0] == 0
+    assert cli(capsys, "check-scen", elsewhere / "x.scen", path)[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("3.41421\n", "3.41422\n", r"line 3: \(1, 1\) to \(3, 3\): says 3.41422, found 3.41421356"),
+        ("6.82842712", "6.82842714", "says 6.82842714"),
+        ("4\t0\t0\n0", "4\t0\t4\n0", "says 4, found no path"),
+        ("0\t0\t0\t3\t3\n", "0\t0\t0\t3\t0\n", "says 0, found 3.0"),
+    ],
+)
+def test_wrong_lengths(old: str, new: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One wrong length of seven: named with its line, exit code 1."""
+    assert SCEN.count(old) == 1
+    code, out, err = cli(capsys, "check-scen", files(tmp_path, SCEN.replace(old, new)))
+    assert code == 1
+    assert err == "mapdata: 1 of 7 optimal lengths disagree\n"
+    assert "6 of 7 optimal lengths agree" in out
+    assert re.search(says, out)
+
+
+@SETTINGS
+@given(GRIDS, st.data())
+def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
+    """Every pair of a random map, printed in the three precisions of the web, agrees; a bit more does not."""
+    free = np.argwhere(grid == 0).tolist()
+    if not free:
+        return
+    start = data.draw(st.sampled_from(free))
+    distances = lengths(grid, (start[0], start[1]), cut=False, diagonal=math.sqrt(2))
+    folder = Path(tempfile.mkdtemp())
+    rows = "\n".join("".join(".@"[cell] for cell in row) for row in grid.tolist())
+    (folder / "a.map").write_text(f"type octile\nheight {grid.shape[0]}\nwidth {grid.shape[1]}\nmap\n{rows}\n")
+    lines = []
+    for row, column in free:
+        length = distances[row, column] if np.isfinite(distances[row, column]) else 0.0
+        for text in (f"{length:.6g}", f"{length:.8f}", f"{length:.16f}"):
+            lines.append(f"0\ta.map\t{grid.shape[1]}\t{grid.shape[0]}\t{start[1]}\t{start[0]}\t{column}\t{row}\t{text}")
+    (folder / "a.scen").write_text("version 1\n" + "\n".join(lines))
+    report = check_scen(folder / "a.scen")
+    assert report.agreed == report.total == 3 * len(free)
+    row, column = data.draw(st.sampled_from(free))
+    if 0 < distances[row, column] < math.inf:
+        problem = Problem(0, "", None, (0, 0), (1, 1), f"{distances[row, column] + 2e-8:.8f}", 1)
+        assert not agrees(problem, float(distances[row, column]))
+
+
+HOSTILE_MAPS = {
+    "empty": ("", "no line 'map'"),
+    "nul": ("type octile\0", "not a text file"),
+    "no map": (MAP.replace("map\n", ""), "line 4 is '..G@WW', expected type"),
+    "no size": (MAP.replace("width 6\n", ""), "height 4 and width 0"),
+    "huge": (MAP.replace("width 6", "width 999999999"), "expected 1 to 16777216 cells"),
+    "negative": (MAP.replace("width 6", "width -6"), "line 3 is 'width -6'"),
+    "short row": (MAP.replace(".S.OWW", ".S.OW"), "row 1 is 5 letters, expected 6"),
+    "long row": (MAP.replace(".S.OWW", ".S.OWWW"), "row 1 is 7 letters"),
+    "truncated": (MAP[:-8], "row 3 is missing"),
+    "letter": (MAP.replace(".S.", ".x."), "unknown terrain 'x'"),
+    "not ascii": (MAP.replace(".S.", ".\u00e9."), "unknown terrain"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE_MAPS)
+def test_hostile_maps(name: str, tmp_path: Path) -> None:
+    """Each costs one line that names the file."""
+    text, says = HOSTILE_MAPS[name]
+    path = tmp_path / "a.map"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FormatError, match=says) as caught:
+        read_terrain(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+HOSTILE_SCENS = {
+    "words": ("0\tcave.map\t6\t4\n", "line 1 has 4 fields"),
+    "eight": ("0 cave.map 6 4 0 0 1 1\n", "line 1 has 8 fields"),
+    "text": ("0\tcave.map\t6\t4\ta\t0\t0\t0\t0\n", "expected numbers"),
+    "nan": ("0\tcave.map\t6\t4\t0\t0\t0\t0\tnan\n", "at least 0"),
+    "infinite": ("0\tcave.map\t6\t4\t0\t0\t0\t0\tInfinity\n", "at least 0"),
+    "negative": ("0\tcave.map\t6\t4\t-1\t0\t0\t0\t0\n", "at least 0"),
+    "outside": ("0\tcave.map\t6\t4\t0\t0\t6\t0\t0\n", r"\(0, 6\) is outside the map"),
+    "other size": ("0\tcave.map\t4\t6\t0\t0\t0\t0\t0\n", r"says \(6, 4\)"),
+    "no map": ("0\tother.map\t6\t4\t0\t0\t0\t0\t0\n", "its map 'other.map' is missing"),
+    "leaves the folder": ("0\t../../cave.map.scen/..\t6\t4\t0\t0\t0\t0\t0\n", "a name inside"),
+    "absolute": ("0\t/etc/passwd\t6\t4\t0\t0\t0\t0\t0\n", "'/etc/passwd' is missing"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE_SCENS)
+def test_hostile_scens(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each costs one line, and exit code 2."""
+    text, says = HOSTILE_SCENS[name]
+    path = files(tmp_path, text)
+    with pytest.raises(FormatError, match=says):
+        check_scen(path)
+    code, _, err = cli(capsys, "check-scen", path)
+    assert code == 2
+    assert err.count("\n") == 1
+
+
+def test_limits_come_before_reading(tmp_path: Path) -> None:
+    """A file larger than the limit is not read."""
+    with pytest.raises(FormatError, match="expected at most 10"):
+        read_scen(files(tmp_path), Limits(unpacked=10))
+
+
+def test_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Land is the grid, the benchmark's rule the movement; the bad file is left out and named."""
+    files(tmp_path)
+    (tmp_path / "bad.map").write_text("nonsense")
+    code, out, err = cli(capsys, "import", tmp_path, tmp_path / "out", "--seeds", 4)
+    assert code == 0
+    assert "left out" in err
+    assert "bad.map: line 1 is 'nonsense'" in err
+    assert "note: 6 cells of water (W) are occupied" in out
+    manifest = read_manifest(tmp_path / "out")
+    assert (manifest.maps, manifest.map_size, manifest.movement.connectivity) == (1, (4, 6), 8)
+    labels = read_shard(tmp_path / "out" / manifest.shards[0].name)
+    assert labels.maps.occupancy[0].tolist() == LAND
+    assert labels.maps.rooms.tolist() == [4]
+    assert labels.all_connected.all()
+
+
+def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Maps, seeds and splits come back, and all lengths agree with ours."""
+    assert cli(capsys, "export", root, tmp_path / "out", "--format", "movingai")[0] == 0
+    scens = sorted((tmp_path / "out").rglob("*.scen"))
+    assert len(scens) == 24
+    assert cli(capsys, "check-scen", *scens)[0] == 0
+    assert cli(capsys, "import", tmp_path / "out", tmp_path / "back", "--scen", "--seeds", 99)[0] == 0
+    assert cli(capsys, "verify", tmp_path / "back")[0] == 0
+    before = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
+    after = read_shard(tmp_path / "back" / read_manifest(tmp_path / "back").shards[0].name).maps
+    known = {grid.tobytes(): k for k, grid in enumerate(after.occupancy)}
+    for maps in before:
+        for k, grid in enumerate(maps.occupancy):
+            at = known[grid.tobytes()]
+            assert maps.split[k] == after.split[at]
+            seeds = list(dict.fromkeys(map(tuple, maps.seeds[k, : maps.rooms[k]].tolist())))
+            assert list(map(tuple, after.seeds[at, : after.rooms[at]].tolist())) == seeds
+
+
+def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A map beyond the largest side is left out with advice; tiles of it are maps."""
+    text = "type octile\nheight 6\nwidth 1030\nmap\n" + ("." * 1030 + "\n") * 6
+    (tmp_path / "wide.map").write_text(text)
+    code, _, err = cli(capsys, "import", tmp_path, tmp_path / "no")
+    assert code == 2
+    assert "cut it into tiles" in err
+    assert cli(capsys, "import", tmp_path, tmp_path / "out", "--tile", "3x500")[0] == 0
+    assert read_manifest(tmp_path / "out").maps == 4

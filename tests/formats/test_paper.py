@@ -1,0 +1,264 @@
+"""The paper's release: out and in again is the same content; other people's headers; what is wrong with it."""
+
+from __future__ import annotations
+
+import csv
+import re
+import tempfile
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from test_spec import specs
+from wild import SETTINGS, cli, png
+
+from mapdata.build import build, verify
+from mapdata.formats import export, read_any, recognise
+from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.paper import floats, joined, numbers, read
+from mapdata.imported import import_maps
+from mapdata.manifest import read_manifest
+from mapdata.shard import read_shard
+from mapdata.spec import MapSpec
+
+csv.field_size_limit(2**27)
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    """Return the lines of the release's CSV by the csv module."""
+    with open(folder / "maps.csv", encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write_rows(folder: Path, rows: list[dict[str, str]], name: str = "maps.csv") -> None:
+    """Write lines as a CSV."""
+    with open(folder / name, "w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@pytest.fixture
+def release(root: Path, tmp_path: Path) -> Path:
+    """The small dataset as a release."""
+    export(root, tmp_path / "release", "paper")
+    return tmp_path / "release"
+
+
+@settings(SETTINGS, max_examples=12)
+@given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
+def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
+    """Any spec, movement and size: the content hash comes back, so every label does, and nothing disagrees."""
+    with tempfile.TemporaryDirectory() as folder:
+        before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
+        export(Path(folder, "a"), Path(folder, "b"), "paper")
+        (made,) = import_maps(Path(folder, "c"), read_any(Path(folder, "b")))
+        assert made.manifest.content_hash == before.content_hash
+        assert made.manifest.resolution == spec.resolution
+        assert made.manifest.movement == spec.movement
+        assert (made.checked, made.disagreements) == (count, {})
+        assert verify(Path(folder, "c")) == []
+
+
+def test_what_is_written(root: Path, release: Path) -> None:
+    """1-bit pictures, black where free; a line holds what the shard holds; the route's joints stand once."""
+    rows = rows_of(release)
+    labels = read_shard(root / read_manifest(root).shards[0].name)
+    picture = Image.open(release / "images" / "map7.png")
+    assert picture.mode == "1"
+    assert np.array_equal(np.asarray(picture).astype(np.uint8), labels.maps.occupancy[7])
+    row = rows[7]
+    n = int(labels.maps.rooms[7])
+    assert (row["item"], row["label"], row["resolution"]) == ("7", "map7", "0.1")
+    assert row["seed_rows"] == str(labels.maps.seeds[7, :n, 0].tolist())
+    route = labels.route("astar", 7)
+    cells = list(zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True))
+    assert len(cells) == sum(map(len, route)) - sum(1 for one, other in pairwise(route) if len(one) and len(other))
+    assert all(abs(r - s) + abs(c - d) == 1 for (r, c), (s, d) in pairwise(cells)) or not all(map(len, route))
+
+
+def test_joined() -> None:
+    """A joint stands once; after a segment without a path the next one begins anew."""
+    one, other, none = np.array([[0, 0], [0, 1]]), np.array([[0, 1], [1, 1]]), np.empty((0, 2), np.int64)
+    assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert joined([one, none, other]).tolist() == [[0, 0], [0, 1], [0, 1], [1, 1]]
+    assert joined([none]).tolist() == []
+
+
+WILD = {
+    "item": "Item",
+    "label": "Label",
+    "resolution": "Resolution",
+    "passage_size": "Passage size",
+    "seed_rows": "Seeds rows",
+    "seed_columns": "Seed Column",
+    "size_rows": "Size rows",
+    "size_columns": "size-columns",
+    "direction_for_passages": "Direction for passages",
+    "connected": "Connected",
+    "path_exists": "Paths exist",
+    "bfs_row_path": "BFS row path",
+    "bfs_column_path": "Column path BFS",
+    "bfs_iterations": "BFS Iterations",
+    "bfs_connection_matrix": "BFS connection matrix",
+    "astar_row_path": "A* row path",
+    "astar_column_path": "A* column path",
+    "astar_iterations": "Iterations A*",
+    "astar_connection_matrix": "Connection matrix A*",
+    "split": "Split",
+    "movement": "Movement",
+}
+
+
+def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
+    """The paper's own words as headers, lists as numpy prints them, booleans as words, pictures as RGB beside it."""
+    rows = rows_of(release)
+    for row in rows:
+        for name in ("seed_rows", "bfs_iterations"):
+            row[name] = row[name].replace(",", "")
+        row["connected"] = row["connected"].replace("1", "True").replace("0", "False")
+        row["size_rows"] = row["size_rows"].replace("[", "(").replace("]", ".0)")
+        row["astar_connection_matrix"] = row["astar_connection_matrix"].replace("],", "]\n")
+        row["label"] += ".PNG"
+    write_rows(release, [{WILD[name]: text for name, text in row.items()} for row in rows])
+    for picture in (release / "images").iterdir():
+        Image.open(picture).convert("RGB").save(release / picture.name)
+        picture.unlink()
+    assert recognise(release) == "paper"
+    (made,) = import_maps(tmp_path / "back", read_any(release))
+    assert made.manifest.content_hash == read_manifest(root).content_hash
+    assert (made.checked, made.disagreements) == (24, {})
+
+
+def test_disagreements_are_counted(release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wrong iterations on two maps and a wrong matrix on one: told, and our labels stand."""
+    rows = rows_of(release)
+    for k in (3, 4):
+        rows[k]["bfs_iterations"] = rows[k]["bfs_iterations"].replace("[", "[1", 1)
+    rows[9]["astar_connection_matrix"] = rows[9]["astar_connection_matrix"].replace("0", "7", 1)
+    rows[5]["bfs_row_path"] = ""
+    write_rows(release, rows)
+    code, out, _ = cli(capsys, "import", release, tmp_path / "back")
+    assert code == 0
+    assert "labels compared with the source: 24 maps" in out
+    assert "  bfs_iterations: 2 disagree" in out
+    assert "  astar_connection_matrix: 1 disagree" in out
+    assert "row_path" not in out
+
+
+def test_splits_and_rooms_are_optional(release: Path, tmp_path: Path) -> None:
+    """Without sizes, directions, splits and labels the maps still become a dataset; splits are drawn."""
+    needed = ("item", "seed_rows", "seed_columns")
+    write_rows(release, [{name: row[name] for name in needed} for row in rows_of(release)])
+    (made,) = import_maps(tmp_path / "back", read_any(release))
+    labels = read_shard(made.root / made.manifest.shards[0].name)
+    assert (labels.maps.sizes == -1).all()
+    assert (labels.maps.passage_width == -1).all()
+    assert made.manifest.total("drawn") == 0
+    assert made.checked == 24
+    assert set(labels.maps.split.tolist()) <= {0, 1, 2}
+
+
+BAD_CELLS = {
+    "no picture": ("label", "nothing", "its picture nothing.png is missing"),
+    "traversal": ("label", "../../../etc/passwd", "its picture passwd.png is missing"),
+    "words": ("seed_rows", "[one, two]", "is not a list of numbers"),
+    "code": ("seed_rows", "__import__('os').system('x')", "is not a list of numbers"),
+    "fractions": ("seed_rows", "[1.5, 2]", "other than whole numbers"),
+    "infinite": ("seed_rows", "[1e999, 2]", ""),
+    "outside": ("seed_rows", "[99, 2]", ""),
+    "too few": ("seed_rows", "[1]", ""),
+    "none": ("seed_rows", "[]", ""),
+    "directions": ("direction_for_passages", "[5, 5]", "do not fit|out of range"),
+    "large size": ("size_rows", "[1, 99999]", "do not fit|out of range"),
+    "resolution": ("resolution", "nan", "above 0"),
+    "negative resolution": ("resolution", "-1", "above 0"),
+    "no number": ("resolution", "ten", "could not convert"),
+    "passage": ("passage_size", "1e300", "out of range|whole|large"),
+    "twice": ("item", "3", "stands there twice"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_CELLS)
+def test_a_bad_line_is_left_out(name: str, release: Path, tmp_path: Path) -> None:
+    """One map less, with the reason; the others are imported."""
+    column, text, says = BAD_CELLS[name]
+    rows = rows_of(release)
+    rows[8][column] = text
+    write_rows(release, rows)
+    found = read(release)
+    (made,) = import_maps(tmp_path / "back", found)
+    assert made.manifest.maps == 23
+    ((_, why),) = found.left_out
+    assert re.search(says, why)
+    assert "\n" not in why
+    assert any("numbered anew" in note for note in found.notes)
+
+
+def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
+    """A bomb, a lie and a stub among the pictures."""
+    (release / "images" / "map0.png").write_bytes(png(20000, 20000))
+    (release / "images" / "map1.png").write_bytes(png(20, 70, b"x"))
+    (release / "images" / "map2.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    found = read(release)
+    assert [name for name, _ in found.left_out] == ["map0", "map1", "map2"]
+    assert "expected at most 16777216" in found.left_out[0][1] or "exceeds limit" in found.left_out[0][1]
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "no column|not a sound CSV"),
+        (b"a,b\n1,2\n", "no column 'seed_rows'"),
+        (b'seed_rows,seed_columns\n"1,2\n', "not a sound CSV|left out|missing"),
+        (b"seed_rows,seed_columns\n\xff\xfe,1\n", "not a sound CSV"),
+        (b"seed_rows,seed_columns\n1,2,3,4\n1,2\n1,2,3,4,5,6,7\n", ""),
+    ],
+)
+def test_hostile_csv(data: bytes, says: str, tmp_path: Path) -> None:
+    """No CSV, no columns, an open quote, no UTF-8, ragged lines: one line, or no map."""
+    (tmp_path / "maps.csv").write_bytes(data)
+    problem = None
+    try:
+        found = read(tmp_path)
+    except FormatError as error:
+        problem = str(error)
+    if problem is None:
+        assert found.maps == []
+        assert found.left_out
+    else:
+        assert re.search(says, problem)
+        assert "\n" not in problem
+
+
+def test_limits(release: Path) -> None:
+    """A CSV larger than the limit is not read; two CSVs are one too many; two movements too."""
+    with pytest.raises(FormatError, match="expected at most 100"):
+        read(release, Limits(unpacked=100))
+    rows = rows_of(release)
+    write_rows(release, rows, "other.csv")
+    with pytest.raises(FormatError, match="holds 2"):
+        read(release)
+    (release / "other.csv").unlink()
+    rows[3]["movement"] = '{"connectivity":8}'
+    write_rows(release, rows)
+    with pytest.raises(FormatError, match="2 movements"):
+        read(release)
+    write_rows(release, [{**row, "movement": '{"x":1}'} for row in rows])
+    with pytest.raises(FormatError, match="its movement is"):
+        read(release)
+
+
+@SETTINGS
+@given(st.text(max_size=30))
+def test_cells_never_crash(text: str) -> None:
+    """Any text is numbers or a FormatError."""
+    try:
+        found = floats(text)
+    except FormatError:
+        return
+    assert all(isinstance(value, float) for value in found)

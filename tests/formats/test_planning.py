@@ -1,0 +1,233 @@
+"""planning-datasets: neural-astar's loader (its rule written down once more) reads what we write, and the other way."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
+
+from mapdata.formats import export, recognise
+from mapdata.formats.files import FormatError, Limits, Npz
+from mapdata.formats.planning import has_starts, hops, policy, read
+from mapdata.imported import import_maps
+from mapdata.manifest import read_manifest
+from mapdata.shard import read_shard
+
+Floats = npt.NDArray[np.float32]
+MOVES = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
+
+
+class Loader:
+    """What the data set class of neural-astar (src/neural_astar/utils/data.py, 2023) does with a file."""
+
+    def __init__(self, path: Path, split: str) -> None:
+        """Open one split; every array becomes float32."""
+        first = {"train": 0, "valid": 4, "test": 8}[split]
+        with np.load(path) as file:
+            self.maps, self.goals, self.policies, self.distances = (
+                file[f"arr_{first + k}"].astype(np.float32) for k in range(4)
+            )
+
+    def item(self, k: int, interval: int, random: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return map, start, goal and path of map k, with a start from one of the three percentile intervals."""
+        values = self.distances[k].ravel()
+        inside = values[values > values.min()]
+        bounds = np.percentile(inside, 100.0 * (1 - np.array([0.55, 0.70, 0.85, 1.0])))
+        candidates = np.flatnonzero((values >= bounds[interval + 1]) & (values <= bounds[interval]))
+        start = np.zeros_like(self.distances[k])
+        start.ravel()[random.choice(candidates)] = 1
+        return self.maps[k][None], start, self.goals[k], self.follow(k, start)
+
+    def follow(self, k: int, start: Floats) -> Floats:
+        """Follow the policy from the start to the goal, which is not marked; no cell twice."""
+        path = np.zeros_like(start)
+        at, goal = (tuple(np.argwhere(one)[0].tolist()) for one in (start, self.goals[k]))
+        while at != goal:
+            path[at] = 1
+            action = int(np.argmax(self.policies[k][:, at[0], at[1], at[2]]))
+            at = (at[0], at[1] + MOVES[action][0], at[2] + MOVES[action][1])
+            assert path[at] == 0
+            assert self.maps[k][at[1:]] == 1
+        return path
+
+
+def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
+    """Every map of every split, with starts from every interval: the path has as many cells as its distance says."""
+    export(root, tmp_path / "maps.npz", "planning-datasets")
+    assert recognise(tmp_path / "maps.npz") == "planning-datasets"
+    random, total = np.random.default_rng(0), 0
+    for split in ("train", "valid", "test"):
+        loader = Loader(tmp_path / "maps.npz", split)
+        assert loader.maps.shape[1:] == (20, 70)
+        assert loader.policies.shape == (len(loader.maps), 8, 1, 20, 70)
+        assert (loader.policies.sum(axis=1) == 1).all()
+        total += len(loader.maps)
+        for k in range(len(loader.maps)):
+            for interval in range(3):
+                free, start, goal, path = loader.item(k, interval, random)
+                assert free.shape == start.shape == goal.shape == path.shape == (1, 20, 70)
+                assert path.sum() == -loader.distances[k][start == 1][0]
+    assert total == 24
+
+
+def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Grids, splits and goals come back; distances are ours; equal content, equal bytes."""
+    for name in ("a.npz", "b.npz"):
+        assert cli(capsys, "export", root, tmp_path / name, "--format", "planning-datasets")[0] == 0
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    code, out, _ = cli(capsys, "import", tmp_path / "a.npz", tmp_path / "back", "--seeds", 3)
+    assert code == 0
+    assert "distances of 24 of 24 maps are what our search finds" in out
+    manifest = read_manifest(tmp_path / "back")
+    assert (manifest.movement.corner_cutting, manifest.movement.diagonal_cost) == (True, 1.0)
+    after = read_shard(tmp_path / "back" / manifest.shards[0].name).maps
+    truth = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
+
+    def key(split: int, seed: npt.NDArray[np.int64], grid: Bytes) -> tuple[int, list[int], bytes]:
+        return int(split), seed.tolist(), grid.tobytes()
+
+    before = [key(*one) for m in truth for one in zip(m.split, m.seeds[:, 0], m.occupancy, strict=True)]
+    assert sorted(map(key, after.split, after.seeds[:, 0], after.occupancy)) == sorted(before)
+
+
+@SETTINGS
+@given(GRIDS, st.data())
+def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) -> None:
+    """Hops with corners cut, negative; the policy goes one hop nearer."""
+    free = np.argwhere(grid == 0).tolist()
+    if not free:
+        return
+    goal = data.draw(st.sampled_from(free))
+    values = hops(grid, goal)
+    truth = lengths(grid, (goal[0], goal[1]), cut=True, diagonal=1.0)
+    assert np.array_equal(values, np.where(np.isfinite(truth), -truth, -grid.size))
+    actions = policy(values)
+    assert (actions.sum(axis=0) == 1).all()
+    for row, column in free:
+        if 0 < truth[row, column] < math.inf:
+            down, right = MOVES[int(np.argmax(actions[:, row, column]))]
+            assert truth[row + down, column + right] == truth[row, column] - 1
+
+
+def test_maps_without_starts_are_left_out() -> None:
+    """Two cells: the loader would fail; one: its start would be the goal."""
+    assert not has_starts(hops(np.array([[0, 1, 1]], np.uint8), (0, 0)))
+    assert not has_starts(hops(np.array([[0, 0, 1]], np.uint8), (0, 0)))
+    assert has_starts(hops(np.zeros((8, 8), np.uint8), (0, 0)))
+
+
+def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDArray[np.generic]]:
+    """Return the arrays of a file as planning-datasets writes them: float64, all free, goal upper left."""
+    arrays: dict[str, npt.NDArray[np.generic]] = {}
+    for code in range(3):
+        goals = np.zeros((count, 1, rows, columns))
+        goals[:, 0, 0, 0] = 1
+        distances = -np.maximum(*np.mgrid[:rows, :columns]).astype(float)
+        arrays[f"arr_{4 * code}"] = np.ones((count, rows, columns))
+        arrays[f"arr_{4 * code + 1}"] = goals
+        arrays[f"arr_{4 * code + 2}"] = np.zeros((count, 8, 1, rows, columns))
+        arrays[f"arr_{4 * code + 3}"] = np.tile(distances, (count, 1, 1, 1))
+    return arrays
+
+
+def test_files_in_the_wild(tmp_path: Path) -> None:
+    """float64 as published, 1 is free; a wrong distance is counted, a bad goal left out; one split alone will do."""
+    arrays = sound()
+    arrays["arr_0"][0, 3, 3] = 0
+    arrays["arr_3"][0, 0, 3, 3] = -16
+    arrays["arr_7"][1, 0, 2, 2] = -9
+    arrays["arr_9"][1] = 0
+    np.savez_compressed(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
+    found = read(tmp_path / "a.npz")
+    assert len(found.maps) == 5
+    assert found.maps[0].grid.tolist() == [[0] * 4] * 3 + [[0, 0, 0, 1]]
+    assert [one.split for one in found.maps] == [0, 0, 1, 1, 2]
+    assert found.notes == ["distances of 4 of 5 maps are what our search finds"]
+    assert [why for _, why in found.left_out] == ["its goal is not one free cell"]
+    np.savez(tmp_path / "b.npz", **{name: arrays[name] for name in ("arr_0", "arr_1", "arr_2", "arr_3")})  # type: ignore[arg-type]
+    (made,) = import_maps(tmp_path / "back", read(tmp_path / "b.npz"))
+    assert made.manifest.maps == 2
+
+
+def test_export_refuses(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Another ending, an existing target, an unknown format's option: nothing is written."""
+    for arguments in (
+        (tmp_path / "x", "--format", "planning-datasets"),
+        (tmp_path / "x.npz", "--format", "planning-datasets", "--image", "png"),
+    ):
+        assert cli(capsys, "export", root, *arguments)[0] == 2
+    (tmp_path / "x.npz").write_text("mine")
+    code, _, err = cli(capsys, "export", root, tmp_path / "x.npz", "--format", "planning-datasets")
+    assert code == 2
+    assert "exists already" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
+
+
+def archives(folder: Path) -> dict[str, tuple[Path, str]]:
+    """Write archives that lie, each with what is said of it."""
+    good = {name: npy(array.shape, array.tobytes(), "<f8") for name, array in sound().items()}
+
+    def other(name: str, **members: bytes) -> Path:
+        return npz(folder / f"{name}.npz", **{**good, **members})
+
+    pickled = folder / "pickle.npz"
+    np.savez(pickled, arr_0=np.array([{"a": 1}], object))
+    cut = folder / "cut.npz"
+    cut.write_bytes(other("whole").read_bytes()[:-30])
+    flipped = folder / "flipped.npz"
+    data = bytearray(other("whole").read_bytes())
+    data[60] ^= 255
+    flipped.write_bytes(data)
+    text = folder / "text.npz"
+    text.write_text("hello")
+    outside = folder / "outside.npz"
+    with zipfile.ZipFile(outside, "w") as archive:
+        archive.writestr("../arr_0.npy", npy((1,), b"x"))
+    return {
+        "bomb": (other("bomb", arr_0=npy((2**26,), bytes(2**26))), "unpacks to 67108992 bytes"),
+        "header lies": (other("lies", arr_0=npy((2**40, 2**10), b"")), "but has"),
+        "negative": (other("negative", arr_0=npy((-1, 4), b"")), "not an array|but has"),
+        "pickled": (pickled, "pickled objects are never opened"),
+        "not npy": (other("nonsense", arr_0=b"nonsense"), "not an array"),
+        "text dtype": (other("str", arr_0=npy((1,), b"abcd", "<U1")), "expected numbers"),
+        "cut": (cut, "not a sound .npz"),
+        "flipped": (flipped, "not a sound .npz|not an array|but has"),
+        "text": (text, "not a sound .npz"),
+        "outside": (outside, "holds no array|holds no maps"),
+        "nan": (other("nan", arr_0=npy((2, 4, 4), np.full(32, np.nan).tobytes(), "<f8")), "expected 0 to 1"),
+        "grey": (other("grey", arr_0=npy((2, 4, 4), np.full(32, 0.5).tobytes(), "<f8")), "expected only 0 and 1"),
+        "flat": (other("flat", arr_0=npy((32,), np.ones(32).tobytes(), "<f8")), "expected \\(N, H, W\\)"),
+        "goals": (other("goals", arr_1=npy((1, 1, 4, 4), bytes(128), "<f8")), "arr_1 has shape"),
+        "missing": (npz(folder / "one.npz", arr_0=good["arr_0"]), "holds no array 'arr_1'"),
+    }
+
+
+def test_hostile_archives(tmp_path: Path) -> None:
+    """Each is one line and little memory: sizes are read before anything is unpacked."""
+    cases = archives(tmp_path)
+    tracemalloc.start()
+    for name, (path, says) in cases.items():
+        with pytest.raises(FormatError, match=says) as caught:
+            read(path, Limits(unpacked=2**25))
+        assert "\n" not in str(caught.value), name
+        assert str(path) in str(caught.value), name
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
+
+
+def test_a_lying_directory(tmp_path: Path) -> None:
+    """The directory of the archive says fewer bytes than there are: no more than it says is unpacked."""
+    path = npz(tmp_path / "a.npz", arr_0=npy((2**24,), bytes(2**24)))
+    data = path.read_bytes()
+    size = (2**24 + 128).to_bytes(4, "little")
+    path.write_bytes(data.replace(size, (1000).to_bytes(4, "little")))
+    with pytest.raises(FormatError):
+        Npz(path, Limits(unpacked=2**20))["arr_0"]

@@ -1,0 +1,281 @@
+"""ROS maps: the servers' own rule pixel by pixel, pictures as they exist, and what is wrong with a yaml."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from PIL import Image
+from wild import SETTINGS, Bytes, cli, png
+
+from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.images import Pixels, read_pixels
+from mapdata.formats.ros import _classify, read, read_map, to_grid
+from mapdata.manifest import read_manifest
+from mapdata.shard import read_shard
+
+YAML = """image: {image}
+resolution: 0.050000
+origin: [-12.200000, -12.200000, 0.000000]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+# Free 254, occupied 0, unknown 205, as map_saver writes them.
+ROWS = [[254, 254, 0], [205, 254, 254]]
+CELLS = [[0, 0, 100], [-1, 0, 0]]
+P5 = b"P5\n# CREATOR: Map_generator.cpp 0.050 m/pix\n3 2\n255\n" + bytes(ROWS[0] + ROWS[1])
+P2 = b"P2 # text\n3 2\n# maximum follows\n255\n254 254 0\n205 # unknown\n254 254\n"
+P5_16 = b"P5 3 2 65535\n" + (np.array(ROWS) * 257).astype(">u2").tobytes()
+P2_MAX = b"P2\n3 2\n127\n127 127 0 102 127 127"
+
+
+def write(folder: Path, picture: bytes = P5, name: str = "map.pgm", **fields: str) -> Path:
+    """Write a map; fields replace or add lines of its yaml."""
+    (folder / name).write_bytes(picture)
+    lines = dict(line.split(": ", 1) for line in YAML.format(image=name).splitlines())
+    (folder / "map.yaml").write_text("".join(f"{key}: {text}\n" for key, text in {**lines, **fields}.items()))
+    return folder / "map.yaml"
+
+
+@pytest.mark.parametrize("image", [P5, P2, P5_16, P2_MAX], ids=["P5", "P2", "16 bit", "maximum 127"])
+def test_pgm(image: bytes, tmp_path: Path) -> None:
+    """Bytes and text, comments anywhere in the header, two bytes a pixel, another maximum."""
+    found = read_map(write(tmp_path, image))
+    assert found.cells.tolist() == CELLS
+    assert (found.resolution, found.origin) == (0.05, (-12.2, -12.2, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [
+        *(("png", mode) for mode in ("L", "RGB", "RGBA", "P", "I;16", "LA")),
+        *(("bmp", m) for m in ("L", "RGB", "RGBA", "P")),
+    ],
+)
+def test_pictures(mode: str, kind: str, tmp_path: Path) -> None:
+    """Grey, colour, palette, 16 bits, and alpha, which the servers count as a white channel."""
+    grey = Image.fromarray(np.array(ROWS, np.uint8))
+    picture = (
+        Image.fromarray((np.array(ROWS, np.uint16) * 257).astype(np.uint16)) if mode == "I;16" else grey.convert(mode)
+    )
+    picture.save(tmp_path / f"map.{kind}")
+    found = read_map(write(tmp_path, (tmp_path / f"map.{kind}").read_bytes(), f"map.{kind}"))
+    expected = np.array(CELLS)
+    if mode in ("RGBA", "LA") and kind == "png":
+        # (3 * 205 + 255) / 4 = 217.5 is below the free threshold, which is what both servers make of it
+        expected[1, 0] = 0
+    assert found.cells.tolist() == expected.tolist()
+
+
+def slow(pixel: tuple[int, ...], white: int, mode: str, negate: bool, low: float, high: float) -> int:
+    """Return map_server's value of one pixel, written after its C++."""
+    colours = pixel[:3]
+    channels = pixel if mode == "trinary" else colours
+    shade = sum(channels) / len(channels) / white
+    occupied = shade if negate else 1.0 - shade
+    if mode == "raw":
+        value = round(shade * 255)
+        value = value if 0 <= value <= 100 else -1
+        if value >= 0:
+            value = 0 if value < 100 * low else 100 if value > 100 * high else value
+        return value
+    if mode == "scale" and len(pixel) == 4 and pixel[3] < white:
+        return -1
+    if occupied > high:
+        return 100
+    if occupied < low:
+        return 0
+    return -1 if mode == "trinary" else round((occupied - low) / (high - low) * 100)
+
+
+@settings(SETTINGS, max_examples=150)
+@given(
+    arrays.arrays(np.uint8, st.tuples(st.just(2), st.integers(1, 5), st.sampled_from([1, 3, 4]))),
+    st.sampled_from(["trinary", "scale", "raw"]),
+    st.booleans(),
+    st.floats(0, 0.99),
+    st.floats(0, 0.99),
+)
+def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: float) -> None:
+    """The table agrees with the servers' rule on any pixels and thresholds."""
+    low, high = min(one, other), max(one, other) + 0.01
+    cells = _classify(Pixels(values, 255), mode, negate and mode != "raw", low, high)
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            pixel = tuple(values[row, column].tolist())
+            assert cells[row, column] == slow(pixel, 255, mode, negate and mode != "raw", low, high)
+
+
+def test_negate_and_thresholds(tmp_path: Path) -> None:
+    """Negate turns black and white round; thresholds are strict; YAML 1.1 reads 5e-2 as text, we as a number."""
+    assert read_map(write(tmp_path, negate="1")).cells.tolist() == [[100, 100, 0], [100, 100, 100]]
+    assert read_map(write(tmp_path, negate="true")).cells.tolist() == [[100, 100, 0], [100, 100, 100]]
+    assert read_map(write(tmp_path, occupied_thresh="1.0")).cells.tolist() == [[0, 0, -1], [-1, 0, 0]]
+    assert read_map(write(tmp_path, resolution="5e-2")).resolution == 0.05
+    assert read_map(write(tmp_path, mode="scale")).cells[1, 0] == 0  # (50 / 255 - 0.196) / 0.454 is 0.02 %
+    assert read_map(write(tmp_path, mode="scale", free_thresh="0.1")).cells[1, 0] == 17
+
+
+def test_metres(tmp_path: Path) -> None:
+    """The origin is the lower left corner; row 0 is on top; yaw turns about the origin."""
+    one = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
+    assert one.to_metres(1, 0) == pytest.approx((1.025, 2.025))
+    assert one.to_metres(0, 2) == pytest.approx((1.125, 2.075))
+    turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
+    assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
+
+
+def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a word the map is refused with its share; with one it is what was said, and told."""
+    path = write(tmp_path)
+    code, _, err = cli(capsys, "import", path, tmp_path / "no")
+    assert code == 2
+    assert "16.7% of its cells are unknown: say --unknown occupied or --unknown free" in err
+    for word, value in (("occupied", 1), ("free", 0)):
+        code, out, _ = cli(capsys, "import", path, tmp_path / word, "--unknown", word, "--seeds", 2)
+        assert code == 0
+        assert f"16.7% of the cells were unknown and are now {word}" in out
+        manifest = read_manifest(tmp_path / word)
+        assert manifest.resolution == 0.05
+        grid = read_shard(tmp_path / word / manifest.shards[0].name).maps.occupancy[0]
+        assert grid.tolist() == [[0, 0, 1], [value, 0, 0]]
+
+
+def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each kind of picture gives the grids, the splits and the resolution back."""
+    truth = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
+    grids = sorted((int(s), g.tobytes()) for maps in truth for s, g in zip(maps.split, maps.occupancy, strict=True))
+    for kind in ("pgm", "png", "bmp"):
+        assert cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--image", kind)[0] == 0
+        found = read(tmp_path / kind)
+        assert not found.left_out
+        assert sorted((one.split or 0, one.grid.tobytes()) for one in found.maps) == grids
+        assert {one.resolution for one in found.maps} == {0.1}
+
+
+FIELDS = {
+    "tag": ({"image": "!!python/object/apply:os.system ['echo hacked']"}, "not plain YAML"),
+    "no picture": ({"image": "other.pgm"}, "other.pgm: no such file"),
+    "absolute": ({"image": "/etc/passwd"}, "lies outside"),
+    "outside": ({"image": "../../map.pgm"}, "lies outside"),
+    "sneaky": ({"image": "x/../../map.pgm"}, "lies outside"),
+    "folder": ({"image": "."}, "not a plain file|not a"),
+    "number": ({"image": "7"}, "expected the name of a picture"),
+    "list": ({"image": "[a, b]"}, "expected the name of a picture"),
+    "nul": ({"image": '"a\\0b"'}, "expected the name of a picture"),
+    "nan": ({"resolution": ".nan"}, "resolution is 'nan', expected a finite number"),
+    "infinite": ({"resolution": ".inf"}, "expected a finite number"),
+    "zero": ({"resolution": "0.0"}, "above 0"),
+    "negative": ({"resolution": "-0.05"}, "above 0"),
+    "bool": ({"resolution": "true"}, "expected a finite number"),
+    "huge": ({"resolution": "1" + "0" * 400}, "expected a finite number"),
+    "text": ({"free_thresh": "low"}, "free_thresh is 'low'"),
+    "order": ({"free_thresh": "0.7"}, "expected 0 <= free <= occupied <= 1"),
+    "percent": ({"occupied_thresh": "65"}, "expected 0 <= free <= occupied <= 1"),
+    "origin": ({"origin": "[0, 0]"}, "expected \\[x, y, yaw\\]"),
+    "origin nan": ({"origin": "[0, .nan, 0]"}, "origin is 'nan'"),
+    "mode": ({"mode": "quaternary"}, "mode is 'quaternary'"),
+    "mode list": ({"mode": "[1]"}, "mode is"),
+    "negate": ({"negate": "2"}, "negate is 2"),
+    "negate list": ({"negate": "[0]"}, "negate is"),
+    "raw negate": ({"mode": "raw", "negate": "1"}, "mode raw with negate"),
+    "not yaml": ({"image": "{unclosed"}, "not plain YAML"),
+    "alias": ({"image": "*nothing"}, "not plain YAML"),
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_hostile_yaml(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each costs one line, and nothing outside the folder is opened."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "map.pgm").write_bytes(P5)
+    fields, says = FIELDS[name]
+    path = write(tmp_path / "in", P5, "map.pgm", **fields)
+    with pytest.raises(FormatError, match=says) as caught:
+        read_map(path)
+    assert "\n" not in str(caught.value)
+    code, _, err = cli(capsys, "import", path, tmp_path / "out")
+    assert (code, err.count("mapdata: ")) == (2, 1)
+    assert "hacked" not in err
+
+
+@pytest.mark.parametrize("missing", ["image", "resolution", "occupied_thresh", "free_thresh"])
+def test_missing_fields(missing: str, tmp_path: Path) -> None:
+    """The field is named."""
+    path = write(tmp_path)
+    path.write_text("".join(line for line in path.read_text().splitlines(True) if not line.startswith(missing)))
+    with pytest.raises(FormatError, match=f"has no field '{missing}'"):
+        read_map(path)
+
+
+def test_yaml_that_is_none(tmp_path: Path) -> None:
+    """A list, nothing, deep nesting, a thousand million laughs: one line, at once."""
+    laughs = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+        f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    for text in ("", "- 1\n", "[" * 2000, laughs, laughs + "image: *i\n", "\0", "a: b\n---\nc: d\n", "? [1]\n: 2\n"):
+        (tmp_path / "map.yaml").write_text(text)
+        with pytest.raises(FormatError):
+            read_map(tmp_path / "map.yaml")
+
+
+def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
+    """A symbolic link that leads out is refused as the path would be."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "secret.pgm").write_bytes(P5)
+    (tmp_path / "in" / "map.yaml").write_text(YAML.format(image="link.pgm"))
+    (tmp_path / "in" / "link.pgm").symlink_to(tmp_path / "secret.pgm")
+    with pytest.raises(FormatError, match="lies outside"):
+        read_map(tmp_path / "in" / "map.yaml")
+
+
+PGMS = {
+    "empty": (b"", "not a PNG, JPEG"),
+    "magic only": (b"P5", "header is damaged"),
+    "letters": (b"P5 a b c\n", "header is damaged"),
+    "colour": (b"P6 1 1 255\n\0\0\0", "not a PNG, JPEG"),
+    "short": (P5[:-1], "has 5 bytes of pixels, its header says 2 x 3"),
+    "lie": (P5.replace(b"3 2", b"4000 4000"), "its header says 4000 x 4000"),
+    "bomb": (b"P5 99999 99999 255\n", "has 99999 x 99999 pixels, expected at most"),
+    "no pixels": (b"P5 0 5 255\n", "has 5 x 0 pixels"),
+    "maximum": (b"P5 1 1 70000\n\0", "maximum of 70000"),
+    "no maximum": (b"P5 1 1 0\n\0", "maximum of 0"),
+    "above": (b"P5 1 1 100\n\xff", "holds the value 255, its header says at most 100"),
+    "few words": (P2[:-10], "has [0-9] values, its header says 6"),
+    "words": (P2.replace(b"205", b"xyz"), "has 5 values"),
+    "short 16": (P5_16[:-1], "bytes of pixels"),
+}
+
+
+@pytest.mark.parametrize("name", PGMS)
+def test_hostile_pgm(name: str, tmp_path: Path) -> None:
+    """Lies about size, depth and length."""
+    image, says = PGMS[name]
+    with pytest.raises(FormatError, match=says):
+        read_map(write(tmp_path, image))
+
+
+def test_limits(tmp_path: Path) -> None:
+    """Pixels are counted before decoding, for PNG too."""
+    with pytest.raises(FormatError, match="expected at most 5 in all"):
+        read_map(write(tmp_path), Limits(pixels=5))
+    (tmp_path / "big.png").write_bytes(png(9400, 9400))
+    with pytest.raises(FormatError, match=re.escape("has 9400 x 9400 pixels")):
+        read_pixels(tmp_path / "big.png")
+
+
+@SETTINGS
+@given(
+    arrays.arrays(np.int8, (2, 3), elements=st.sampled_from([-1, 0, 40, 100])), st.sampled_from(["occupied", "free"])
+)
+def test_to_grid(cells: npt.NDArray[np.int8], unknown: str) -> None:
+    """0 is free, 100 occupied, all else what was said."""
+    grid = to_grid(cells, unknown, "x")
+    assert grid.tolist() == [[{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()]
