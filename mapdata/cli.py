@@ -5,6 +5,7 @@ data are damaged or disagree, 2 usage or environment.
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -116,7 +117,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
         "identity": manifest.identity or "none (imported)",
         "content hash": manifest.content_hash,
-        "look": f"mapdata show {root} --index {min(7, max(done - 1, 0))} -o map.png",
+        "look": f"mapdata show {shlex.quote(str(root))} --index {min(7, max(done - 1, 0))} -o map.png",
     }
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 

@@ -1,13 +1,21 @@
-"""Figures: axes in, axes out. matplotlib is imported when one is drawn."""
+"""Figures of one map: axes in, axes out. matplotlib is imported when one is drawn. What models do on a map is in
+`mapdata.plot_models`, figures of a dataset are in `mapdata.figures`.
+
+Axes that are made here sit in a figure with ``layout="constrained"``, which makes room for titles and legends; for your
+own axes beside others, make the figure that way, too.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from mapdata.labels import Labels
@@ -17,6 +25,9 @@ COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}
 NAMES = {"bfs": "BFS", "astar": "A*"}
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "osD^v<>PXph"
+
+_LISTED = 16
+_NUMBERED = 16
 
 
 def plot_grid(occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
@@ -28,7 +39,8 @@ def plot_grid(occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colou
         paper_colours: free black, occupied white.
     """
     axes = axes or _new_axes()
-    axes.imshow(occupancy, cmap="gray" if paper_colours else "gray_r", vmin=0, vmax=1.25, interpolation="nearest")
+    cmap, top = ("gray", 1.0) if paper_colours else ("gray_r", 1.25)  # a grey black, on which dark lines are seen
+    axes.imshow(occupancy, cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     return axes
 
@@ -46,17 +58,85 @@ def plot_map(labels: Labels, i: int, axes: Axes | None = None, *, paper_colours:
     axes = plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours)
     for planner, width in (("bfs", 3.5), ("astar", 1.5)):
         steps = int(labels.iterations(planner, i).sum())
-        label = f"{NAMES[planner]}, {steps} iterations"
+        label = f"{NAMES[planner]}, {steps:,} iterations"
         for path in labels.route(planner, i):
             axes.plot(path[:, 1], path[:, 0], color=COLOURS[planner], label=label, linewidth=width)
             label = "_"
-    seeds = maps.seeds[i, : maps.rooms[i]]
-    axes.scatter(seeds[:, 1], seeds[:, 0], s=90, clip_on=False, color=COLOURS["seed"], edgecolor="white", zorder=3)
-    for number, (row, column) in enumerate(seeds.tolist(), 1):
-        axes.annotate(str(number), (column, row), color="white", ha="center", va="center", fontsize=7, zorder=4)
+    _plot_seeds(axes, labels, i)
     state = "all connected" if labels.all_connected[i] else "not all connected"
-    axes.set_title(f"map{maps.index[i]}: {len(seeds)} rooms, {state}")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
+    head(axes, f"map{maps.index[i]}: {maps.rooms[i]} {_points(labels, i)}, {state}")
+    return axes
+
+
+def plot_path(
+    labels: Labels, i: int, planner: str = "astar", axes: Axes | None = None, *, paper_colours: bool = False
+) -> Axes:
+    """Draw the route of one planner on map ``i`` of a batch, each segment with its moves and iterations: the paper's
+    Figure 3.
+
+    Args:
+        labels: labelled maps.
+        i: which map of the batch.
+        planner: "astar" or "bfs".
+        axes: where to draw; a new figure without.
+        paper_colours: free black, occupied white.
+    """
+    axes = plot_grid(labels.maps.occupancy[i], axes, paper_colours=paper_colours)
+    iterations, route = labels.iterations(planner, i), labels.route(planner, i)
+    styles = ("-", (0, (4, 1.5)), (0, (1, 1)))
+    for q, (path, count) in enumerate(zip(route, iterations.tolist(), strict=True)):
+        moves = f"{len(path) - 1} moves" if len(path) else "no path"
+        label = f"{q + 1} to {q + 2}: {moves}, {count:,} iterations"
+        if q == _LISTED - 1 and len(route) > _LISTED:
+            label = f"... and {len(route) - q} more"
+        axes.plot(
+            path[:, 1],
+            path[:, 0],
+            color=PALETTE[q % 6],
+            linestyle=styles[q // 6 % len(styles)],
+            linewidth=4.5 - 2.5 * q / max(len(route) - 1, 1),  # what lies below is wider, so that it is seen
+            label=label if q < _LISTED else "_",
+        )
+    _plot_seeds(axes, labels, i)
+    axes.set_title(f"map{labels.maps.index[i]}, {NAMES[planner]}: {iterations.sum():,} iterations in all")
+    if route:
+        _legend_below(axes, ncols=1 + (len(route) > 5))
+    return axes
+
+
+def plot_matrix(labels: Labels, i: int, planner: str = "astar", axes: Axes | None = None) -> Axes:
+    """Draw the connection matrix of map ``i`` of a batch, pairs without a path hatched: the paper's Figure 4.
+
+    Args:
+        labels: labelled maps.
+        i: which map of the batch.
+        planner: "astar" or "bfs".
+        axes: where to draw; a new figure without.
+    """
+    from matplotlib.patches import Patch, Rectangle
+
+    axes = axes or _new_axes()
+    matrix = labels.matrix(planner, i)
+    n, top = len(matrix), max(float(matrix.max()), 1.0)
+    image = axes.imshow(np.ma.masked_less(matrix, 0), cmap="cividis", vmin=0, vmax=top)
+    axes.figure.colorbar(image, ax=axes, label="moves" if planner == "bfs" else "cost, cells", shrink=0.8)
+    for row, column in np.argwhere(matrix < 0).tolist():
+        corner = (column - 0.5, row - 0.5)
+        axes.add_patch(Rectangle(corner, 1, 1, facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0))
+    if n <= _NUMBERED:
+        for row, column in np.argwhere(matrix >= 0).tolist():
+            value = matrix[row, column]
+            ink = "black" if value > 0.55 * top else "white"
+            axes.text(column, row, f"{value:.4g}", ha="center", va="center", color=ink, fontsize=9 if n <= 10 else 6)
+    step = 1 if n <= 20 else -(-n // 12)
+    places = np.arange(0, n, step)
+    word = _points(labels, i).removesuffix("s")
+    axes.set(xticks=places, yticks=places, xlabel=word, ylabel=word)
+    axes.set_xticklabels([str(k + 1) for k in places])
+    axes.set_yticklabels([str(k + 1) for k in places])
+    axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {NAMES[planner]}")
+    if (matrix < 0).any():
+        _legend_below(axes, handles=[Patch(facecolor="white", edgecolor="0.6", hatch="////", label="no connection")])
     return axes
 
 
@@ -86,6 +166,59 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     axes.grid(alpha=0.3)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
     return axes
+
+
+def _plot_seeds(axes: Axes, labels: Labels, i: int) -> None:
+    """Mark the seeds of map ``i`` with their numbers."""
+    seeds = labels.maps.seeds[i, : labels.maps.rooms[i]]
+    for number, (row, column) in enumerate(seeds.tolist(), 1):
+        mark(axes, str(number), row, column)
+
+
+def mark(axes: Axes, text: str, row: float, column: float) -> None:
+    """Put a disc with ``text`` on a cell of ``axes``."""
+    axes.scatter(column, row, s=110, clip_on=False, color=COLOURS["seed"], edgecolor="white", zorder=4)
+    axes.text(column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5)
+
+
+def head(axes: Axes, title: str) -> None:
+    """Put the legend over the axes and the title over it: both stay inside a figure of any layout."""
+    if not axes.get_legend_handles_labels()[0]:  # a map with one seed point has no path
+        axes.set_title(title)
+        return
+    axes.legend(
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=3,
+        frameon=False,
+        fontsize="small",
+        borderaxespad=0.1,
+        columnspacing=1.2,
+    )
+    axes.set_title(title, pad=22)
+
+
+def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
+    """Put the legend under the axis label, whatever the size of the axes."""
+    from matplotlib.transforms import offset_copy
+
+    axes.legend(
+        handles=axes.get_legend_handles_labels()[0] if handles is None else handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0),
+        bbox_transform=offset_copy(axes.transAxes, fig=axes.get_figure(root=True), y=-34, units="points"),
+        borderaxespad=0.0,
+        ncols=ncols,
+        frameon=False,
+        fontsize="small",
+    )
+
+
+def _points(labels: Labels, i: int) -> str:
+    """Return what the seeds of map ``i`` stand for: imported maps have seed points without rooms."""
+    maps = labels.maps
+    known = bool(maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any())
+    return "rooms" if known else "seed points"
 
 
 def _new_axes() -> Axes:

@@ -1,14 +1,21 @@
-"""Compare planners in one table: python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77, or ROOT."""
+"""Compare planners in one table: python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77, or ROOT.
+
+The trained path predictor comes along where it moves as asked: 8-connected without corner cutting, unless --weights
+names others.
+"""
 
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from mapdata.cli import Parser, run
-from mapdata.evaluate import Planner, Problems, evaluate, to_text
+from mapdata.evaluate import BatchPlanner, Planner, Problems, evaluate, to_text
 from mapdata.planners import classical
 from mapdata.plot import plot_planners
 from mapdata.spec import PRESETS, MapSpec, Movement
+
+MODELS = Path(__file__).parent.parent / "models"
+WEIGHTS = MODELS / "weights" / "path_predictor.pt"
 
 
 def evaluate_command(
@@ -22,12 +29,14 @@ def evaluate_command(
     csv: str | None,
     json: str | None,
     figure: str | None,
+    weights: str | None,
 ) -> None:
     """Compare planners on one problem a map: maps made on the spot, or the test split of a dataset."""
     for output in (csv, json, figure):
         if output is not None and not Path(output).parent.is_dir():
             raise ValueError(f"{output}: there is no folder {Path(output).parent}")
     movement = Movement(connectivity, corner_cutting)
+    learned = learned_planners(weights, movement)
     if root is None:
         maps = 600 if maps is None and until_hard is None else maps
         seed = 77 if seed is None else seed
@@ -38,7 +47,7 @@ def evaluate_command(
         problems = Problems.read(root, maps, until_hard=until_hard, movement=movement)
     else:
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
-    planners: list[Planner] = [*classical(movement)]
+    planners: list[Planner] = [*classical(movement), *learned]
     table = evaluate(planners, problems)
     print(f"{problems.description}; {movement}\n\n{to_text(table)}")
     if csv is not None:
@@ -49,6 +58,22 @@ def evaluate_command(
         canvas = Figure(figsize=(7, 6), layout="constrained")
         plot_planners(table, canvas.add_subplot(), subset="hard" if problems.hard.any() else "all")
         canvas.savefig(figure, dpi=150)
+
+
+def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlanner]:
+    """Return the rows of the path predictor; none of the weights that ship if they are not there or move otherwise."""
+    if weights is None and not (WEIGHTS.exists() and (MODELS / "path_predictor.py").exists()):
+        return []
+    if weights is not None and not Path(weights).is_file():
+        raise ValueError(f"weights: there is no file {weights}")
+    from models.path_predictor import PathPredictor, planners
+
+    model = PathPredictor.load(weights or WEIGHTS)
+    if model.movement == movement:
+        return planners(model)
+    if weights is not None:
+        raise ValueError(f"weights: {weights} are for {model.movement}, the problems for {movement}")
+    return []
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -64,6 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--csv", metavar="FILE", help="write the table")
     parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
     parser.add_argument("--figure", metavar="FILE", help="draw cost ratio against expansions on the hard problems")
+    parser.add_argument("--weights", metavar="FILE", help="of the path predictor (default: those that ship)")
     run(evaluate_command, **vars(parser.parse_args(arguments)))
 
 

@@ -1,0 +1,76 @@
+"""Train the path predictor; python scripts/train_path_predictor.py fit --weights FILE writes its weights at the end.
+
+All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help). Checkpoints, metrics.csv
+and figures of predictions each epoch lie under runs/path_predictor. More flags after fit:
+
+    --ckpt_path FILE             go on from a checkpoint
+    --trainer.accelerator gpu    the same on a GPU
+    --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from pytorch_lightning import Callback, LightningDataModule, LightningModule, Trainer
+from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
+
+from mapdata.sample import row
+from models.path_predictor import PathPredictor, plot_prediction
+
+CONFIG = Path(__file__).with_suffix(".yaml")
+
+
+class Figures(Callback):
+    """Draws the model's answers to the first validation problems, each epoch."""
+
+    def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write ``predictions-<step>.png`` into the folder of the logs."""
+        if not isinstance(pl_module, PathPredictor) or trainer.log_dir is None or not trainer.is_global_zero:
+            return
+        loaders: Any = trainer.val_dataloaders
+        batches = [next(iter(loader)) for loader in (loaders if isinstance(loaders, list) else [loaders])]
+        canvas = Figure(figsize=(16, 5 * len(batches)), layout="constrained")
+        axes = canvas.subplots(len(batches), 4, squeeze=False)
+        for batch, line in zip(batches, axes, strict=True):
+            for k, each in enumerate(line):
+                if k < len(batch[0]):
+                    plot_prediction(pl_module, row(batch, k), each)
+                else:
+                    each.axis("off")
+        folder = Path(trainer.log_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        canvas.savefig(folder / f"predictions-{trainer.global_step:06d}.png", dpi=80)
+
+
+class Cli(LightningCLI):
+    """LightningCLI with the flag --weights."""
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """Add the flag."""
+        parser.add_argument("--weights", type=str | None, default=None, help="file for the weights after the last step")
+
+    def after_fit(self) -> None:
+        """Write the weights."""
+        file = self.config["fit"]["weights"]
+        if file is not None and self.trainer.is_global_zero:
+            self.model.save(file)
+
+
+def main(arguments: ArgsType = None) -> None:
+    """Run the command line."""
+    Cli(
+        PathPredictor,
+        LightningDataModule,
+        subclass_mode_data=True,
+        parser_kwargs={"fit": {"default_config_files": [str(CONFIG)]}},
+        trainer_defaults={"callbacks": [Figures()]},
+        save_config_kwargs={"overwrite": True},
+        args=arguments,
+    )
+
+
+if __name__ == "__main__":
+    main()
