@@ -122,9 +122,10 @@ def _trace(
         back, ahead = (length - step - 1) * _LEVEL, (step + 1) * _LEVEL
         now, then = before[step & 1], before[1 - (step & 1)]
         first, last = min(low, row) - 1, max(high, row) + 1
+        level = around_start[ahead : ahead + _LEVEL]
         for r in range(first, last + 1):
-            f = now[r]
-            then[r] = ((f << _ONE) | (f >> _ONE) | now[r - 1] | now[r + 1]) & around_start[ahead + r]
+            k = np.uint64(r)
+            then[k] = ((now[k] << _ONE) | (now[k] >> _ONE) | now[k - _ONE] | now[k + _ONE]) & level[k]
         then[first - 2] = then[first - 1] = then[last + 1] = then[last + 2] = 0
         # Neighbours by an earlier move than the path's come before it, too.
         if around_goal[back + row - 1] & bit:
