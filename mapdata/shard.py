@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 import numpy.typing as npt
-from h5py import h5a, h5d, h5f, h5l, h5o, h5t
+from h5py import h5a, h5d, h5f, h5l, h5o, h5s, h5t
 
 import mapdata
 from mapdata.content import content_hash
@@ -336,7 +336,9 @@ def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) 
     """
     if isinstance(value, str):
         data = value.encode()
-        owner.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
+        kind = h5t.py_create(h5py.string_dtype("utf-8", max(len(data), 1)), logical=True)
+        attribute = h5a.create(owner.id, name.encode(), kind, h5s.create(h5s.SCALAR))
+        attribute.write(np.array(data, f"S{max(len(data), 1)}"), mtype=kind)
     else:
         owner.attrs[name] = value
 
