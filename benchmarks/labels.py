@@ -114,49 +114,58 @@ def label_rows(count: int, rounds: int) -> list[Row]:
 
 
 def path_rows(count: int, rounds: int) -> list[Row]:
-    """Return the rows of A* a path, called from Python, beside pyastar2d."""
+    """Return the rows of A* a path, called from Python, beside pyastar2d: on maps of Table 1, and of 4 times the
+    side, where its O(cells) of setting up weigh more.
+    """
     try:
         import pyastar2d
     except ImportError:
         pyastar2d = None
-    maps = generate(MapSpec.preset("paper"), 1, range(count))
-    own = problems_of(maps, every_pair=False)
-    # A batch on one grid: the same number of problems, between free cells of the first map.
-    free = np.argwhere(maps.occupancy[0] == 0)
-    drawn = np.random.default_rng(0).integers(len(free), size=(2, len(own)))
-    one = Problems(np.broadcast_to(maps.occupancy[0], own.grids.shape), free[drawn[0]], free[drawn[1]])
-    contestants: dict[str, Callable[[], object]] = {
-        "single": lambda: own.one_by_one(lambda k, start, goal: mapdata.astar(own.grids[k], start, goal).path),
-        "batch": lambda: mapdata.search_batch("astar", own.grids, own.starts, own.goals),
-        "one grid": lambda: mapdata.search_batch("astar", one.grids[0], one.starts, one.goals),
-    }
-    if pyastar2d is not None:
-        weights = np.where(own.grids == 1, np.inf, 1).astype(np.float32)
-        weights_of_one = weights[0]
-
-        def theirs() -> list[Path]:
-            return own.one_by_one(lambda k, start, goal: pyastar2d.astar_path(weights[k], start, goal))
-
-        def theirs_on_one() -> list[Path]:
-            return one.one_by_one(lambda _, start, goal: pyastar2d.astar_path(weights_of_one, start, goal))
-
-        for problems, solved in ((own, theirs()), (one, theirs_on_one())):
-            _check_lengths(problems, solved)
-        contestants |= {"theirs": theirs, "theirs on one": theirs_on_one}
+    contestants: dict[str, Callable[[], object]] = {}
+    works = []
+    for size in (64, 256):
+        maps = generate(_table_1(size), 1, range(count * 64 // size))
+        own = problems_of(maps, every_pair=False)
+        # A batch on one grid: the same number of problems, between free cells of the first map.
+        free = np.argwhere(maps.occupancy[0] == 0)
+        drawn = np.random.default_rng(0).integers(len(free), size=(2, len(own)))
+        one = Problems(np.broadcast_to(maps.occupancy[0], own.grids.shape), free[drawn[0]], free[drawn[1]])
+        contestants |= {
+            f"single {size}": partial(_one_by_one, own),
+            f"batch {size}": partial(mapdata.search_batch, "astar", own.grids, own.starts, own.goals),
+            f"one grid {size}": partial(mapdata.search_batch, "astar", one.grids[0], one.starts, one.goals),
+        }
+        if pyastar2d is not None:
+            for name, problems in (("theirs", own), ("theirs on one", one)):
+                theirs = _theirs(pyastar2d.astar_path, problems)
+                _check_lengths(problems, theirs())
+                contestants[f"{name} {size}"] = theirs
+        works += [
+            (f"A* a path, {size} x {size}, single calls", "single", "theirs", "15x", size, len(own)),
+            (f"A* a path, {size} x {size}, one call, a grid each", "batch", "theirs", "80x", size, len(own)),
+            (f"A* a path, {size} x {size}, one call, one grid", "one grid", "theirs on one", "80x", size, len(own)),
+        ]
     times = interleaved(contestants, rounds)
     rows = []
-    for work, name, other, target in (
-        ("A* a path, single calls", "single", "theirs", "15x"),
-        ("A* a path, one call for all, a grid each", "batch", "theirs", "80x"),
-        ("A* a path, one call for all on one grid", "one grid", "theirs on one", ""),
-    ):
-        value = each(times[name], len(own))
-        if other in times:
-            ratio, note = median_ratio(times[other], times[name]), f"pyastar2d: equal lengths, {len(own)} of {len(own)}"
-            rows.append(Row(work, value, each(times[other], len(own)), f"{ratio:.1f}x", target, note))
+    for work, name, other, target, size, problems_count in works:
+        ours, value = times[f"{name} {size}"], each(times[f"{name} {size}"], problems_count)
+        if f"{other} {size}" in times:
+            theirs_times = times[f"{other} {size}"]
+            ratio, note = median_ratio(theirs_times, ours), f"pyastar2d: equal lengths, {problems_count} paths"
+            rows.append(Row(work, value, each(theirs_times, problems_count), f"{ratio:.1f}x", target, note))
         else:
             rows.append(Row(work, value, target=target, note="pyastar2d: not installed, skipped"))
     return rows
+
+
+def _one_by_one(problems: Problems) -> list[Path]:
+    return problems.one_by_one(lambda k, start, goal: mapdata.astar(problems.grids[k], start, goal).path)
+
+
+def _theirs(astar_path: Callable[..., Path], problems: Problems) -> Callable[[], list[Path]]:
+    """Return what solves ``problems`` one by one with pyastar2d, its weights made beforehand."""
+    weights = np.where(problems.grids == 1, np.inf, 1).astype(np.float32)
+    return lambda: problems.one_by_one(lambda k, start, goal: astar_path(weights[k], start, goal))
 
 
 def _check_lengths(problems: Problems, theirs: list[Path]) -> None:
@@ -177,14 +186,17 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
     """
     batches = [(size, rooms, max(4, round(work / (size * size * rooms)))) for size in SIZES for rooms in ROOMS]
     times = interleaved(
-        {f"{size} {rooms}": partial(_draw_and_label, _scaled(size, rooms), count) for size, rooms, count in batches},
+        {
+            f"{size} {rooms}": partial(_draw_and_label, _table_1(size, (rooms, rooms)), count)
+            for size, rooms, count in batches
+        },
         rounds,
     )
     rows, cost = [], {}
     for size, rooms, count in batches:
         seconds = times[f"{size} {rooms}"]
         cost[size, rooms] = statistics.median(seconds) / count
-        free = 1 - generate(_scaled(size, rooms), 0, range(count)).occupancy.mean()
+        free = 1 - generate(_table_1(size, (rooms, rooms)), 0, range(count)).occupancy.mean()
         note = (
             f"{cost[size, rooms] * 1e9 / (size * size * rooms):.2f} ns a cell and source; {free:.0%} free; {count} maps"
         )
@@ -199,12 +211,12 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
     return [*rows, Row(f"growth, {few} to {many} rooms", ratio=growth, target=f"{many / few:.1f}x", note=note)]
 
 
-def _scaled(size: int, rooms: int) -> MapSpec:
-    """Return Table 1 for maps of ``size`` x ``size``, with this many rooms."""
+def _table_1(size: int, rooms: tuple[int, int] = (2, 9)) -> MapSpec:
+    """Return Table 1 for maps of ``size`` x ``size``: rooms and tunnels as large a share of the side."""
     scale = size // 64
     sides = 14 * scale, 33 * scale
     width = 7 * scale, 15 * scale
-    return MapSpec((size, size), (rooms, rooms), room_rows=sides, room_columns=sides, passage_width=width)
+    return MapSpec((size, size), rooms, room_rows=sides, room_columns=sides, passage_width=width)
 
 
 def _draw_and_label(spec: MapSpec, count: int) -> object:
