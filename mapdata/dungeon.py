@@ -22,6 +22,7 @@ WORD = 64
 """Columns of a map in one packed word."""
 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
+_EIGHT = np.uint64(8)
 
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
@@ -90,19 +91,16 @@ def unpack(words: npt.NDArray[np.uint64], first: Int, grid: Bytes) -> None:
     """Write the packed map at ``words[first:]`` into ``grid``, (H, W)."""
     rows, columns = grid.shape
     count = (columns + WORD - 1) // WORD
-    ones, low, high = np.uint64(0x0101010101010101), np.uint64(0x8040201008040201), np.uint64(0x7F7F7F7F7F7F7F7F)
-    if columns % WORD == 0:
-        out = grid.reshape(-1).view(np.uint64)
-        for k in range(rows * count):
-            word = words[np.uint64(first + k)]
-            for j in range(8):  # a byte, 8 cells, becomes 8 bytes of 0 and 1
-                byte = (word >> np.uint64(8 * j)) & np.uint64(255)
-                out[np.uint64(8 * k + j)] = ((((byte * ones) & low) + high) >> np.uint64(7)) & ones
-    else:
-        for row in range(rows):
-            for column in range(columns):
-                word = words[np.uint64(first + row * count + column // WORD)]
-                grid[row, column] = (word >> np.uint64(column % WORD)) & np.uint64(1)
+    packed, out = words.view(np.uint8), grid.reshape(-1)  # bit k of a little-endian word is bit k % 8 of byte k // 8
+    for row in range(rows if columns % WORD else 1):
+        cells = np.uint64(columns if columns % WORD else rows * columns)
+        byte, cell = np.uint64(8 * (first + row * count)), np.uint64(row * columns)
+        for k in range(cells >> np.uint64(3)):
+            value = packed[byte + np.uint64(k)]
+            for bit in range(8):  # becomes vector instructions
+                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = (value >> np.uint8(bit)) & np.uint8(1)
+        for k in range(cells & ~np.uint64(7), cells):
+            out[cell + np.uint64(k)] = (packed[byte + (np.uint64(k) >> np.uint64(3))] >> np.uint8(k & 7)) & np.uint8(1)
 
 
 @kernel

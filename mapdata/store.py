@@ -96,7 +96,8 @@ def read_paths(
         cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the first damaged path
         or -1. A path that does not arrive has no cells; one that leaves the map is damaged.
     """
-    count, each = len(shards), 8 // bits
+    count, two_bits = len(shards), bits == 2
+    places, within = np.uint64(2 if two_bits else 1), np.uint64(3 if two_bits else 1)  # moves of a byte: 4 or 2
     offsets, iterations, first = np.zeros(count + 1, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     for b in range(count):
         room_offsets = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)
@@ -106,27 +107,29 @@ def read_paths(
         iterations[b], first[b] = taken[segment], moves[segment]
         offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
     cells = np.empty((offsets[count], 2), np.int64)
-    at = 0
+    height, width, mask, at = np.uint64(size[0]), np.uint64(size[1]), np.uint64(2**bits - 1), 0
     for b in range(count):
         length = offsets[b + 1] - offsets[b] - 1
         room = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)[maps[b]] + rooms[b]
         seeds = _array(table[shards[b], _SEEDS], (2 * room + 4,), np.int16)
         row, column = np.int64(seeds[2 * room]), np.int64(seeds[2 * room + 1])
         goal_row, goal_column = np.int64(seeds[2 * room + 2]), np.int64(seeds[2 * room + 3])
-        packed = _array(table[shards[b], planner + 1], ((first[b] + length) // each + 1,), np.uint8)
+        packed = _array(table[shards[b], planner + 1], ((first[b] + length) * bits // 8 + 1,), np.uint8)
         offsets[b] = at
         if length == 0 and (row != goal_row or column != goal_column):
             continue
         cells[at, 0], cells[at, 1] = row, column
         for k in range(first[b], first[b] + length):
-            move = (packed[np.uint64(k // each)] >> np.uint8(bits * (k % each))) & np.uint8(2**bits - 1)
+            place = np.uint64(k)
+            move = np.uint64(packed[place >> places] >> np.uint8((place & within) * np.uint64(bits))) & mask
             if move > 7:
                 return cells, offsets, iterations, b
             row, column = row + STEPS[move, 0], column + STEPS[move, 1]
-            if not (0 <= row < size[0] and 0 <= column < size[1]):
+            # As unsigned numbers, those below 0 are large.
+            if np.uint64(row) >= height or np.uint64(column) >= width:
                 return cells, offsets, iterations, b
             at += 1
-            cells[at, 0], cells[at, 1] = row, column
+            cells[np.uint64(at), 0], cells[np.uint64(at), 1] = row, column
         at += 1
         if row != goal_row or column != goal_column:
             return cells, offsets, iterations, b
