@@ -19,9 +19,9 @@ from numba.extending import intrinsic
 from mapdata.dungeon import WORD, unpack
 from mapdata.jit import Int, inlined, kernel
 from mapdata.kernels import STEPS
-from mapdata.manifest import Entry, read_manifest
+from mapdata.manifest import Entry, Manifest, read_manifest
 from mapdata.remote import local_file, local_root
-from mapdata.shard import Shard, ShardError, bits_of, open_shard
+from mapdata.shard import Shard, ShardError, bits_of, head, open_shard
 from mapdata.spec import SPLITS
 
 Ints = npt.NDArray[np.int64]
@@ -186,6 +186,7 @@ class ShardStore:
             ShardError: a damaged manifest.
             ValueError: roots that do not fit together.
         """
+        self.roots = list(roots)
         self.manifests = [read_manifest(local_root(root)) for root in roots]
         first = self.manifests[0]
         for root, manifest in zip(roots, self.manifests, strict=True):
@@ -230,19 +231,20 @@ class ShardStore:
         """Return shard ``k``, opened and guarded at its first touch.
 
         Raises:
+            FileNotFoundError: the file is gone.
             ShardError: the file is not what the manifest says.
         """
         if (shard := self._open[k]) is not None:
             return shard
         root, entry = self.shards[k]
-        shard = open_shard(local_file(root, entry), entry.bytes)
-        if (shard.header.start, shard.header.stop, shard.header.map_size, shard.header.movement) != (
-            entry.start,
-            entry.stop,
-            self.map_size,
-            self.movement,
-        ):
-            raise ShardError(f"{shard.path}: holds other maps than the manifest says")
+        try:
+            shard = self._checked(root, entry)
+        except (FileNotFoundError, ShardError):
+            # It may have been replaced since the manifest was read, as by a larger one when the dataset grew.
+            now = _successor(self.manifests[self.roots.index(root)], read_manifest(local_root(root)), entry)
+            if now is None:
+                raise
+            shard = head(self._checked(root, now), entry.stop - entry.start)
         if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_rooms:  # kernels rely on it
             raise ShardError(f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_rooms})")
         rows = problem_rows(shard, self._split, self._problems, self._unsolvable)
@@ -252,6 +254,15 @@ class ShardStore:
         self._rows[first:last] = rows
         self._open[k] = shard
         self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
+        return shard
+
+    def _checked(self, root: str, entry: Entry) -> Shard:
+        """Return the shard of an entry of the manifest."""
+        shard = open_shard(local_file(root, entry), entry.bytes)
+        header = shard.header
+        found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
+        if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
+            raise ShardError(f"{shard.path}: holds other maps than the manifest says")
         return shard
 
     def _count(self, entry: Entry) -> int:
@@ -304,6 +315,15 @@ class ShardStore:
             centres,
         )
         return matrices, centres
+
+
+def _successor(before: Manifest, now: Manifest, entry: Entry) -> Entry | None:
+    """Return what holds the maps of ``entry`` now, if the dataset is the same and the entry another."""
+    for other in now.shards:
+        same = other.content_hash == entry.content_hash if other.stop == entry.stop else before.identity == now.identity
+        if other != entry and other.start == entry.start and other.stop >= entry.stop and same:
+            return other if now.identity == before.identity else None
+    return None
 
 
 def problem_rows(shard: Shard, split: str | None, problems: str, unsolvable: bool) -> npt.NDArray[np.int32]:

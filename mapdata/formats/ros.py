@@ -124,8 +124,12 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
         image = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise FormatError(f"{path}: image is {name[:80]!r} ({error})") from None
-    if not image.is_relative_to(folder):
-        raise FormatError(f"{path}: image {name[:80]!r} lies outside the folder of the yaml")
+    inside = image.is_relative_to(folder)
+    if not (inside and image.is_file()):
+        what = "is missing" if inside else "lies outside the folder of the yaml"
+        beside = name.replace("\\", "/").rsplit("/", 1)[-1]
+        advice = f"; say image: {beside}, which lies beside it" if beside != name and (folder / beside).is_file() else ""
+        raise FormatError(f"{path}: image {name[:80]!r} {what}{advice}")
     return image
 
 

@@ -51,6 +51,7 @@ def files(folder: Path, scen: str = SCEN, text: str = MAP) -> Path:
         MAP.replace("height 4\nwidth 6", "width 6\nheight 4"),
         MAP.replace("type octile\n", ""),
         MAP.replace("..G@WW\n", "..G@WW  \t\n"),
+        MAP.replace("type octile", "Type\tOctile").replace("height 4", "Height\t4"),
         "\ufeff" + MAP,
     ],
 )
@@ -64,7 +65,7 @@ def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
 
 def test_scen_forms(tmp_path: Path) -> None:
     """Tabs, spaces, CRLF, the old form without header and sizes, names with spaces; x is the column."""
-    new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2)
+    new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2, 1e-4)
     path = tmp_path / "a.scen"
     path.write_bytes(b"version 1.0\r\n3\tdao/big cave.map\t6\t4\t1\t3\t5\t0\t12.0711\r\n\r\n")
     assert read_scen(path) == [new]
@@ -72,6 +73,43 @@ def test_scen_forms(tmp_path: Path) -> None:
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=1)]
     path.write_text("3 dao/cave.map 1 3 5 0 12.0711\n")
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=1, size=None)]
+    path.write_text("\nversion 1\n3 dao/cave.map 1 3 5 0 12.0711\n\n////\n  article{sturtevant2012,\n  volume={4},\n}\n")
+    assert read_scen(path) == [new._replace(map="dao/cave.map", line=3, size=None)]
+
+
+@pytest.mark.parametrize(
+    ("printed", "says"),
+    [
+        # as the benchmark's own files print seven and twelve diagonals, and with the exact root
+        (["9.89949493", "16.97056274", "2.00000000"], 3),
+        (["9.89949494", "16.97056275", "2.00000000"], 3),
+        (["9.89949492", "16.97056273", "2.00000001"], 0),
+        (["9.89949493661", "16.9705627485", "2"], 3),
+        (["9.89949", "16.9706", "2"], 3),
+        (["9.89948", "16.9705", "2.00001"], 0),
+        # two decimals: the last zero says so
+        (["9.90", "16.97", "2.00"], 3),
+        (["9.9", "16.97", "2"], 1),
+        (["9.89", "16.98", "2.01"], 0),
+    ],
+)
+def test_printed_lengths(printed: list[str], says: int, tmp_path: Path) -> None:
+    """Lengths agree as exactly as a file prints them, whatever root of two it counts with."""
+    side = 13
+    (tmp_path / "a.map").write_text(f"type octile\nheight {side}\nwidth {side}\nmap\n" + ("." * side + "\n") * side)
+    ends = ("7\t7", "12\t12", "0\t2")
+    lines = (f"0\ta.map\t{side}\t{side}\t0\t0\t{end}\t{text}\n" for end, text in zip(ends, printed, strict=True))
+    (tmp_path / "a.scen").write_text("version 1\n" + "".join(lines))
+    assert check_scen(tmp_path / "a.scen").agreed == says
+
+
+def test_long_published_lengths() -> None:
+    """Lengths of 1,500 cells and 600 diagonals, counted with nine decimals of the root as the benchmark does."""
+    for straight, diagonal in ((687, 600), (1, 1023), (1500, 1)):
+        exact, theirs = straight + diagonal * math.sqrt(2), straight + diagonal * 1.414213562
+        assert agrees(Problem(0, "", None, (0, 0), (1, 1), f"{theirs:.8f}", 1, 1e-8), exact)
+        for wrong in (-2e-6, 2e-8):
+            assert not agrees(Problem(0, "", None, (0, 0), (1, 1), f"{exact + wrong:.8f}", 1, 1e-8), exact)
 
 
 def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,7 +166,7 @@ def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
     assert report.agreed == report.total == 3 * len(free)
     row, column = data.draw(st.sampled_from(free))
     if 0 < distances[row, column] < math.inf:
-        problem = Problem(0, "", None, (0, 0), (1, 1), f"{distances[row, column] + 2e-8:.8f}", 1)
+        problem = Problem(0, "", None, (0, 0), (1, 1), f"{distances[row, column] + 2e-8:.8f}", 1, 1e-8)
         assert not agrees(problem, float(distances[row, column]))
 
 

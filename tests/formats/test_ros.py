@@ -162,11 +162,13 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 FIELDS = {
     "tag": ({"image": "!!python/object/apply:os.system ['echo hacked']"}, "not plain YAML"),
-    "no picture": ({"image": "other.pgm"}, "other.pgm: no such file"),
-    "absolute": ({"image": "/etc/passwd"}, "lies outside"),
+    "no picture": ({"image": "other.pgm"}, "image 'other.pgm' is missing$"),
+    "absolute": ({"image": "/etc/passwd"}, "lies outside the folder of the yaml$"),
+    "moved": ({"image": "/home/robot/maps/map.pgm"}, "; say image: map.pgm, which lies beside it$"),
+    "moved up": ({"image": '"test/map.pgm"'}, "'test/map.pgm' is missing; say image: map.pgm"),
     "outside": ({"image": "../../map.pgm"}, "lies outside"),
     "sneaky": ({"image": "x/../../map.pgm"}, "lies outside"),
-    "folder": ({"image": "."}, "not a plain file|not a"),
+    "folder": ({"image": "."}, "image '.' is missing"),
     "number": ({"image": "7"}, "expected the name of a picture"),
     "list": ({"image": "[a, b]"}, "expected the name of a picture"),
     "nul": ({"image": '"a\\0b"'}, "expected the name of a picture"),
