@@ -61,7 +61,12 @@ def _fetch(url: str, root: str) -> bytes:
     try:
         with fsspec.open(url, "rb") as file:
             return bytes(file.read())
-    except FileNotFoundError:
-        raise DatasetNotFoundError(root, f"{url} was not found") from None
     except ImportError as error:
         raise ValueError(f"root: {root} needs another package: {error}") from None
+    except ValueError as error:  # a protocol that fsspec does not know
+        raise ValueError(f"root: {root}: {error}") from None
+    except Exception as error:  # each file system has its own errors, and what went wrong may lie behind one of them
+        cause = error.__cause__ or error
+        missing = isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) == 404
+        why = "was not found" if missing else f"could not be read: {cause}"
+        raise DatasetNotFoundError(root, f"{url} {why}") from error

@@ -313,8 +313,8 @@ class PathPredictor(pl.LightningModule):
         legal = legal_moves(batch["map"], self.movement).permute(0, 2, 3, 1)[cells]
         bits = 2 ** torch.arange(scores.shape[1], device=scores.device)
         good = (optimal[:, None] & bits) != 0
-        scores = scores.masked_fill(~legal, -30)
-        loss = scores.logsumexp(1) - scores.masked_fill(~good, -30).logsumexp(1)  # -log P(any optimal move)
+        scores = scores.masked_fill(~legal, -math.inf)
+        loss = scores.logsumexp(1) - scores.masked_fill(~good, -math.inf).logsumexp(1)  # -log P(any optimal move)
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)
         error = (ratios[cells] - ratio) ** 2
         right = good.gather(1, scores.argmax(1, keepdim=True))
@@ -367,9 +367,10 @@ class PathPredictor(pl.LightningModule):
             if views > 2:
                 scores, ratios = self(occupied.transpose(2, 3).contiguous(), cells.flip(1))
                 seen.append((scores.transpose(2, 3)[:, _TRANSPOSED[: scores.shape[1]]], ratios.transpose(1, 2)))
-            scores = torch.stack([each.float().log_softmax(1) for each, _ in seen]).mean(0)
-            ratios = torch.stack([each for _, each in seen]).mean(0)
-        return scores.cpu().contiguous().numpy(), ratios.cpu().contiguous().numpy()
+        scores, ratios = seen[0]
+        for more in seen[1:]:
+            scores, ratios = scores + more[0], ratios + more[1]
+        return [(each.float() / len(seen)).cpu().contiguous().numpy() for each in (scores, ratios)]
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:  # noqa: A002
         """Return the predicted path, (k, 2) cells from start to goal; (0, 2) where the moves do not lead there.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import socket
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -152,8 +153,17 @@ def test_urls_that_need_another_package_name_it(server: Server) -> None:
 
 def test_unknown_protocols_are_refused() -> None:
     """A slip in the URL is an error that names the root."""
-    with pytest.raises(ValueError, match="htp"):
+    with pytest.raises(ValueError, match="root: htp://host/maps: .*htp"):
         MapDataset("htp://host/maps")
+
+
+def test_a_server_that_does_not_answer_is_not_a_missing_dataset(server: Server) -> None:
+    """The message says what went wrong, and does not say that nothing is there."""
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{unused.getsockname()[1]}/maps"
+        with pytest.raises(DatasetNotFoundError, match=f"{url}/manifest.json could not be read: .*connect"):
+            MapDataset(url)
 
 
 def test_local_and_remote_roots_mix(server: Server) -> None:
