@@ -5,7 +5,8 @@ moves of each cell is unique, and gives some 2,000 labelled cells a map. Followi
 
     from mapdata import MapSpec, Movement
     from mapdata.evaluate import Problems, evaluate
-    from models.path_predictor import PathPredictor, planners
+    from models.learned_planners import planners
+    from models.path_predictor import PathPredictor
 
     model = PathPredictor.load("models/weights/path_predictor.pt")
     problems = Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=600)
@@ -19,14 +20,11 @@ using too (0.21 s a step where they were idle). A later version replaces them by
 
 from __future__ import annotations
 
-import contextlib
-import heapq
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,15 +36,13 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from mapdata.datamodule import MapDataModule
-from mapdata.evaluate import BatchPlanner, Bytes, Cell, Ints, Plan
-from mapdata.jit import Int, kernel
+from mapdata.evaluate import Bytes, Ints
 from mapdata.kernels import STEPS
 from mapdata.sample import Sample
-from mapdata.search import search_batch
 from mapdata.spec import Movement
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from models.layers import Muon, Pass, Residual, bfloat16
+from models.learned_planners import LearnedPlanner
+from models.saved import load_model
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """What a data module must serve."""
@@ -127,42 +123,6 @@ def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
 # --- the network ----------------------------------------------------------------------------------------------------
 
 
-class Residual(nn.Module):
-    """x + two 3 x 3 convolutions, the second of which begins at zero; no norm, so that all map sizes are alike."""
-
-    def __init__(self, width: int, dilation: int = 1) -> None:
-        """Make both convolutions; the second sees ``dilation`` times as far."""
-        super().__init__()
-        self.first = nn.Conv2d(width, width, 3, padding=1)
-        self.second = nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation)
-        nn.init.kaiming_normal_(self.first.weight, nonlinearity="relu")
-        nn.init.zeros_(self.second.weight)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return (B, width, H, W) for the same."""
-        out: Tensor = x + self.second(F.relu(self.first(F.relu(x))))
-        return out
-
-
-class Pass(nn.Module):
-    """One exchange between two resolutions: near at stride 4, and far at stride 8."""
-
-    def __init__(self, width: int, deep: int) -> None:
-        """Take ``width`` channels at stride 4 and ``deep`` ones at stride 8."""
-        super().__init__()
-        self.local = Residual(width)
-        self.down = nn.Conv2d(width, deep, 2, stride=2)
-        self.far = Residual(deep, dilation=2)
-        self.up = nn.Conv2d(deep, 4 * width, 1)
-
-    def forward(self, fine: Tensor, coarse: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return both states: (B, width, H/4, W/4) and (B, deep, H/8, W/8)."""
-        fine = self.local(fine)
-        below = self.down(F.relu(fine))
-        coarse = self.far(below if coarse is None else below + coarse)
-        return fine + F.pixel_shuffle(self.up(F.relu(coarse)), 2), coarse
-
-
 class Network(nn.Module):
     """Scores of moves and the heuristic ratio of every cell; it knows no map size."""
 
@@ -188,52 +148,6 @@ class Network(nn.Module):
         up = F.pixel_shuffle(F.relu(self.up(F.relu(self.end(fine)))), 2)  # (B, shallow, H/2, W/2)
         joined = F.relu(self.join(torch.cat([up, skip], dim=1)))
         return F.pixel_shuffle(self.head(joined), 2)  # no convolution at full resolution: twice as fast
-
-
-class Muon(torch.optim.Optimizer):
-    """Momentum whose matrices are brought near the closest orthogonal one (Jordan et al. 2024), Adam for the vectors.
-
-    On this network a step is worth about two of AdamW's. https://kellerjordan.github.io/posts/muon
-    """
-
-    def __init__(self, parameters: Any, lr: float, weight_decay: float = 0.01) -> None:  # noqa: ANN401
-        """Take what any optimizer takes."""
-        super().__init__(parameters, {"lr": lr, "weight_decay": weight_decay})
-
-    @torch.no_grad()
-    def step(self, closure: Any = None) -> Any:  # noqa: ANN401  (torch's own signature)
-        """Change all parameters once."""
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
-        for group in self.param_groups:
-            for parameter in group["params"]:
-                if parameter.grad is not None:
-                    _muon(parameter, parameter.grad, self.state[parameter], group["lr"], group["weight_decay"])
-        return loss
-
-
-def _muon(parameter: Tensor, slope: Tensor, state: dict[str, Any], rate: float, decay: float) -> None:
-    if not state:
-        state.update(step=0, mean=torch.zeros_like(parameter), square=torch.zeros_like(parameter))
-    state["step"] += 1
-    if parameter.ndim < 2:
-        state["mean"].lerp_(slope, 0.1)
-        state["square"].lerp_(slope * slope, 0.02)
-        mean, square = state["mean"] / (1 - 0.9 ** state["step"]), state["square"] / (1 - 0.98 ** state["step"])
-        parameter.sub_(mean / (square.sqrt() + 1e-8), alpha=rate)
-        return
-    state["mean"].lerp_(slope, 0.05)
-    update = slope.lerp(state["mean"], 0.95).flatten(1)  # (out, in * 3 * 3)
-    tall = update.shape[0] > update.shape[1]
-    x = update.T if tall else update
-    x = x / (x.norm() + 1e-7)
-    for _ in range(5):  # a Newton-Schulz iteration: all singular values towards 1
-        square = x @ x.T
-        x = 3.4445 * x + (-4.7750 * square + 2.0315 * square @ square) @ x
-    x = (x.T if tall else x).reshape(parameter.shape)
-    parameter.mul_(1 - rate * decay).sub_(x, alpha=0.2 * rate * math.sqrt(max(update.shape)))
 
 
 # --- the model: what is learnt, and how -----------------------------------------------------------------------------
@@ -341,11 +255,13 @@ class PathPredictor(pl.LightningModule):
 
     @staticmethod
     def load(file: str | PathLike[str]) -> PathPredictor:
-        """Return the model that `save` wrote, ready to plan."""
-        saved = torch.load(file, map_location="cpu", weights_only=True)
-        model = PathPredictor(**saved["arguments"])
-        model.load_state_dict(saved["weights"])
-        return model.eval()
+        """Return the model that `save` wrote, ready to plan.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: it holds no saved PathPredictor.
+        """
+        return load_model(file, PathPredictor)
 
     def predict(self, grids: Bytes, goals: Ints, views: int = 1) -> tuple[Floats, Floats]:
         """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
@@ -359,7 +275,7 @@ class PathPredictor(pl.LightningModule):
         occupied = torch.from_numpy(np.array(grids, np.uint8))[:, None].to(self.device)
         cells = torch.as_tensor(np.array(goals, np.int64))
         last = torch.tensor(occupied.shape[2:]) - 1
-        with torch.inference_mode(), _bfloat16(self.device):
+        with torch.inference_mode(), bfloat16(self.device):
             seen = [self(occupied, cells)]
             if views > 1:
                 scores, ratios = self(occupied.flip(2, 3), last - cells)
@@ -370,7 +286,7 @@ class PathPredictor(pl.LightningModule):
         scores, ratios = seen[0]
         for more in seen[1:]:
             scores, ratios = scores + more[0], ratios + more[1]
-        return [(each.float() / len(seen)).cpu().contiguous().numpy() for each in (scores, ratios)]
+        return _array(scores / len(seen)), _array(ratios / len(seen))
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:  # noqa: A002
         """Return the predicted path, (k, 2) cells from start to goal; (0, 2) where the moves do not lead there.
@@ -424,231 +340,6 @@ def _by_size(batches: Sequence[Sample]) -> list[dict[str, Tensor]]:
     return [{name: torch.cat([each[name] for each in group]) for name in names} for group in groups.values()]
 
 
-def _bfloat16(device: torch.device) -> contextlib.AbstractContextManager[Any]:
-    """Return the context that halves the time of a prediction where the processor multiplies bfloat16."""
-    abilities: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
-    fast = abilities.get("avx512_bf16") or abilities.get("amx_bf16")
-    return torch.autocast("cpu", torch.bfloat16) if device.type == "cpu" and fast else contextlib.nullcontext()
-
-
-# --- planning: from predicted moves to paths ------------------------------------------------------------------------
-
-
-def planners(model: PathPredictor) -> list[BatchPlanner]:
-    """Return the planners of a model, as rows for `mapdata.evaluate`."""
-    return [
-        LearnedPlanner("path_predictor (walk)", model, fallback=False),
-        LearnedPlanner("path_predictor (walk, else A*)", model),
-        GuidedSearch("path_predictor (search, 3 views)", model, views=3),
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedPlanner:
-    """Follows the most probable legal move to a cell not yet visited, until the goal.
-
-    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search.
-
-    Attributes:
-        name: its name in the table.
-        model: what predicts the moves.
-        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew from the start, and
-            its expansions add to those of the walk; False gives up.
-        views: of the map, as in `PathPredictor.predict`.
-    """
-
-    name: str
-    model: PathPredictor
-    fallback: bool = True
-    views: int = 1
-
-    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
-        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
-
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
-
-        Raises:
-            ValueError: a start or goal outside its map or on an occupied cell.
-        """
-        grids, starts, goals = _problems(grids, starts, goals)
-        scores, _ = self.model.predict(grids, goals, self.views)
-        movement = self.model.movement
-        cells, offsets = _walk(grids, scores, starts, goals, int(movement.corner_cutting))
-        plans, stuck = [], []
-        for k, (begin, end) in enumerate(zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True)):
-            path = cells[begin:end]
-            if (path[-1] != goals[k]).any():
-                stuck.append(k)
-                path = path[:0]
-            plans.append(Plan(path, end - begin))
-        if stuck and self.fallback:
-            found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], movement)
-            for n, k in enumerate(stuck):
-                path = found.cells[found.offsets[n] : found.offsets[n + 1]]
-                plans[k] = Plan(path, plans[k].expansions + int(found.iterations[n]))
-        return plans
-
-
-@dataclass(frozen=True, eq=False)
-class GuidedSearch:
-    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
-
-    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + ``weight`` * h / ratio. A cell
-    is expanded once; it finds a path where there is one, and needs no fallback.
-
-    Attributes:
-        name: its name in the table.
-        model: what predicts the moves.
-        trust: cells that a factor e of probability is worth.
-        weight: of the predicted cost to go.
-        views: of the map, as in `PathPredictor.predict`.
-    """
-
-    name: str
-    model: PathPredictor
-    trust: float = 2.0
-    weight: float = 1.1
-    views: int = 1
-
-    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
-        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
-
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
-
-        Raises:
-            ValueError: a start or goal outside its map or on an occupied cell.
-        """
-        grids, starts, goals = _problems(grids, starts, goals)
-        scores, ratios = self.model.predict(grids, goals, self.views)
-        corners = int(self.model.movement.corner_cutting)
-        plans = []
-        for k in range(len(grids)):
-            found = _search(grids[k], scores[k], ratios[k], starts[k], goals[k], corners, self.trust, self.weight)
-            plans.append(Plan(*found))
-        return plans
-
-
-def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:
-    """Return the problems as the kernels want them.
-
-    Raises:
-        ValueError: a start or goal outside its map or on an occupied cell.
-    """
-    grids = np.array(grids, np.uint8)
-    starts, goals = np.array(starts, np.int64), np.array(goals, np.int64)
-    for ends in (starts, goals):
-        outside = (ends < 0).any() or (ends >= grids.shape[1:]).any()
-        if outside or grids[np.arange(len(grids)), ends[:, 0], ends[:, 1]].any():
-            raise ValueError("a start or goal is outside its map or on an occupied cell")
-    return grids, starts, goals
-
-
-@kernel
-def _search(
-    grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints, corners: Int, trust: float, weight: float
-) -> tuple[Ints, Int]:
-    """Return the path (k, 2) of one problem, and how many cells were expanded."""
-    moves, rows, columns = scores.shape
-    best = np.full((rows, columns), np.inf)  # g and what the improbable moves cost; -inf once a cell is expanded
-    way, parent = np.zeros((rows, columns)), np.full((rows, columns), -1)
-    best[start[0], start[1]] = 0.0
-    heap, pushes, taken = [(0.0, 0, start[0] * columns + start[1])], 0, 0
-    while heap:
-        _, _, cell = heapq.heappop(heap)
-        row, column = cell // columns, cell % columns
-        so_far = best[row, column]
-        if so_far == -np.inf:
-            continue
-        best[row, column] = -np.inf
-        taken += 1
-        if row == goal[0] and column == goal[1]:
-            break
-        top, legal = -np.inf, 0
-        for k in range(moves):
-            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j]:
-                continue
-            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
-                continue
-            legal |= 1 << k
-            top = max(top, scores[k, row, column])
-        for k in range(moves):
-            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if not legal >> k & 1 or best[i, j] == -np.inf:
-                continue
-            step = 1.0 if k < 4 else math.sqrt(2.0)
-            cost = so_far + step + trust * (top - scores[k, row, column])
-            if cost < best[i, j]:
-                best[i, j], way[i, j], parent[i, j] = cost, way[row, column] + step, cell
-                high, wide = abs(i - goal[0]), abs(j - goal[1])
-                least = max(high, wide) + (math.sqrt(2.0) - 1) * min(high, wide) if moves == 8 else high + wide
-                pushes += 1
-                f = cost + weight * least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
-                heapq.heappush(heap, (f, -pushes, i * columns + j))
-    length, cell = 0, goal[0] * columns + goal[1]
-    if best[goal[0], goal[1]] == -np.inf:
-        while cell >= 0:
-            length, cell = length + 1, parent[cell // columns, cell % columns]
-    path, cell = np.empty((length, 2), np.int64), goal[0] * columns + goal[1]
-    for at in range(length - 1, -1, -1):
-        path[at, 0], path[at, 1] = cell // columns, cell % columns
-        cell = parent[path[at, 0], path[at, 1]]
-    return path, taken
-
-
-@kernel
-def _walk(grids: Bytes, scores: Floats, starts: Ints, goals: Ints, corner_cutting: Int) -> tuple[Ints, Ints]:
-    """Return all walks one after another, (M, 2), and their offsets (B + 1,); a stuck one ends before its goal."""
-    count, moves, rows, columns = scores.shape
-    cells, offsets = np.empty((1024, 2), np.int64), np.zeros(count + 1, np.int64)
-    visited = np.zeros((rows, columns), np.int64)
-    for b in range(count):
-        row, column, end, move = starts[b, 0], starts[b, 1], offsets[b], 0
-        while move >= 0:
-            if end == len(cells):
-                longer = np.empty((2 * end, 2), np.int64)
-                longer[:end] = cells
-                cells = longer
-            cells[end, 0], cells[end, 1] = row, column
-            end += 1
-            visited[row, column] = b + 1
-            move, best = -1, np.float32(-np.inf)
-            if row == goals[b, 0] and column == goals[b, 1]:
-                break
-            for k in range(moves):
-                i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-                if i < 0 or j < 0 or i >= rows or j >= columns or grids[b, i, j] or visited[i, j] == b + 1:
-                    continue
-                if k >= 4 and not corner_cutting and (grids[b, i, column] or grids[b, row, j]):
-                    continue
-                if scores[b, k, row, column] > best:
-                    move, best = k, scores[b, k, row, column]
-            if move >= 0:
-                row, column = row + STEPS[move, 0], column + STEPS[move, 1]
-        offsets[b + 1] = end
-    return cells[: offsets[count]], offsets
-
-
-# --- looking at it --------------------------------------------------------------------------------------------------
-
-
-def plot_prediction(model: PathPredictor, sample: Sample, axes: Axes | None = None) -> Axes:
-    """Draw the predicted path of one sample over its map; the colour of a cell is its predicted heuristic ratio."""
-    from mapdata.plot import PALETTE, plot_grid
-
-    fields = dict(zip(sample._fields, sample, strict=True))
-    grid, start, goal = (fields[name].cpu().numpy() for name in ("map", "start", "goal"))
-    grid = grid[0].astype(np.uint8)
-    axes = plot_grid(grid, axes)
-    ratios = model.predict(grid[None], goal[None])[1][0]
-    axes.imshow(np.ma.masked_array(ratios, grid != 0), cmap="viridis", vmin=0, vmax=1, alpha=0.6)
-    path = model.predict_path(grid, start, goal)
-    axes.plot(path[:, 1], path[:, 0], color=PALETTE[1], linewidth=2)
-    for cell, mark in ((start, "o"), (goal, "*")):
-        axes.plot(cell[1], cell[0], mark, color=PALETTE[0], markeredgecolor="white", markersize=10)
-    axes.set_title("a path" if len(path) else "stuck")
-    return axes
+def _array(values: Tensor) -> Floats:
+    array: Floats = values.float().cpu().contiguous().numpy()
+    return array

@@ -66,7 +66,8 @@ def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlann
         return []
     if weights is not None and not Path(weights).is_file():
         raise ValueError(f"weights: there is no file {weights}")
-    from models.path_predictor import PathPredictor, planners
+    from models.learned_planners import planners
+    from models.path_predictor import PathPredictor
 
     model = PathPredictor.load(weights or WEIGHTS)
     if model.movement == movement:

@@ -13,12 +13,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pytorch_lightning import Callback, LightningDataModule, LightningModule, Trainer
 from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
 
-from mapdata.sample import row
-from models.path_predictor import PathPredictor, plot_prediction
+from mapdata import astar
+from mapdata.plot_models import plot_prediction
+from mapdata.sample import Sample, row
+from models.path_predictor import PathPredictor
 
 CONFIG = Path(__file__).with_suffix(".yaml")
 
@@ -37,12 +40,21 @@ class Figures(Callback):
         for batch, line in zip(batches, axes, strict=True):
             for k, each in enumerate(line):
                 if k < len(batch[0]):
-                    plot_prediction(pl_module, row(batch, k), each)
+                    draw(pl_module, row(batch, k), each)
                 else:
                     each.axis("off")
         folder = Path(trainer.log_dir)
         folder.mkdir(parents=True, exist_ok=True)
         canvas.savefig(folder / f"predictions-{trainer.global_step:06d}.png", dpi=80)
+
+
+def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
+    """Draw the predicted path over a shortest one; shades are predicted heuristic ratios."""
+    fields = dict(zip(sample._fields, sample, strict=True))
+    grid, start, goal = (fields[name].cpu().numpy().astype("int64") for name in ("map", "start", "goal"))
+    truth = astar(grid[0], start, goal, model.movement).path
+    ratios = model.predict(grid, goal[None])[1][0]
+    plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=ratios)
 
 
 class Cli(LightningCLI):

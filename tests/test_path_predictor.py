@@ -21,15 +21,8 @@ from mapdata import MapDataModule, MapSpec, Movement, OnlineMapDataset, astar, c
 from mapdata.evaluate import BatchPlanner, Problems, evaluate
 from mapdata.kernels import STEPS
 from mapdata.planners import classical
-from models.path_predictor import (
-    FIELDS,
-    LearnedPlanner,
-    Mixture,
-    PathPredictor,
-    legal_moves,
-    planners,
-    plot_prediction,
-)
+from models.learned_planners import LearnedPlanner, planners
+from models.path_predictor import FIELDS, Mixture, PathPredictor, legal_moves
 
 ROOT = Path(__file__).parent.parent
 WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"
@@ -258,14 +251,6 @@ def test_the_weights_that_ship() -> None:
     wide = scores([*classical(), *planners(model)], problems("wide", 100))
     others = ("greedy best-first", "weighted A* (1.5)", "weighted A* (2)")
     assert wide.hmean[name] > max(wide.hmean[other] for other in others)
-
-
-def test_the_figure() -> None:
-    """A figure of one sample: path, start and goal over the map."""
-    data = OnlineMapDataset(DUNGEON, 3, 4, fields=FIELDS, problems="random", movement=Movement(8))
-    axes = plot_prediction(PathPredictor.load(WEIGHTS), data[0])
-    assert axes.get_title() in ("a path", "stuck")
-    assert len(axes.lines) == 3
 
 
 @pytest.fixture

@@ -1,0 +1,233 @@
+"""Planners that follow predicted moves: a walk, and a best-first search; rows for `mapdata.evaluate`."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.evaluate import BatchPlanner, Bytes, Cell, Ints, Plan
+from mapdata.jit import Int, kernel
+from mapdata.kernels import STEPS
+from mapdata.search import search_batch
+from mapdata.spec import Movement
+
+Floats = npt.NDArray[np.float32]
+
+
+class Predictor(Protocol):
+    """What predicts moves, such as `path_predictor.PathPredictor`."""
+
+    movement: Movement
+
+    def predict(self, grids: Bytes, goals: Ints, views: int = 1) -> tuple[Floats, Floats]:
+        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
+
+        Args:
+            grids: (B, H, W), 0 free and 1 occupied.
+            goals: (B, 2), cells.
+            views: how many ways of looking at each map are averaged.
+        """
+
+
+def planners(model: Predictor) -> list[BatchPlanner]:
+    """Return the planners of a model, as rows for `mapdata.evaluate`."""
+    return [
+        LearnedPlanner("path_predictor (walk)", model, fallback=False),
+        LearnedPlanner("path_predictor (walk, else A*)", model),
+        GuidedSearch("path_predictor (search, 3 views)", model, views=3),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPlanner:
+    """Follows the most probable legal move to a cell not yet visited, until the goal.
+
+    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search.
+
+    Attributes:
+        name: its name in the table.
+        model: what predicts the moves.
+        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew from the start, and
+            its expansions add to those of the walk; False gives up.
+        views: of the map, as in `PathPredictor.predict`.
+    """
+
+    name: str
+    model: Predictor
+    fallback: bool = True
+    views: int = 1
+
+    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
+        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
+        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
+
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
+
+        Raises:
+            ValueError: a start or goal outside its map or on an occupied cell.
+        """
+        grids, starts, goals = _problems(grids, starts, goals)
+        scores, _ = self.model.predict(grids, goals, self.views)
+        movement = self.model.movement
+        cells, offsets = _walk(grids, scores, starts, goals, int(movement.corner_cutting))
+        plans, stuck = [], []
+        for k, (begin, end) in enumerate(zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True)):
+            path = cells[begin:end]
+            if (path[-1] != goals[k]).any():
+                stuck.append(k)
+                path = path[:0]
+            plans.append(Plan(path, end - begin))
+        if stuck and self.fallback:
+            found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], movement)
+            for n, k in enumerate(stuck):
+                path = found.cells[found.offsets[n] : found.offsets[n + 1]]
+                plans[k] = Plan(path, plans[k].expansions + int(found.iterations[n]))
+        return plans
+
+
+@dataclass(frozen=True, eq=False)
+class GuidedSearch:
+    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
+
+    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + ``weight`` * h / ratio. A cell
+    is expanded once; it finds a path where there is one, and needs no fallback.
+
+    Attributes:
+        name: its name in the table.
+        model: what predicts the moves.
+        trust: cells that a factor e of probability is worth.
+        weight: of the predicted cost to go.
+        views: of the map, as in `PathPredictor.predict`.
+    """
+
+    name: str
+    model: Predictor
+    trust: float = 2.0
+    weight: float = 1.1
+    views: int = 1
+
+    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
+        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
+        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
+
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
+
+        Raises:
+            ValueError: a start or goal outside its map or on an occupied cell.
+        """
+        grids, starts, goals = _problems(grids, starts, goals)
+        scores, ratios = self.model.predict(grids, goals, self.views)
+        corners = int(self.model.movement.corner_cutting)
+        plans = []
+        for k in range(len(grids)):
+            found = _search(grids[k], scores[k], ratios[k], starts[k], goals[k], corners, self.trust, self.weight)
+            plans.append(Plan(*found))
+        return plans
+
+
+def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:
+    """Return the problems as the kernels want them.
+
+    Raises:
+        ValueError: a start or goal outside its map or on an occupied cell.
+    """
+    grids = np.array(grids, np.uint8)
+    starts, goals = np.array(starts, np.int64), np.array(goals, np.int64)
+    for ends in (starts, goals):
+        outside = (ends < 0).any() or (ends >= grids.shape[1:]).any()
+        if outside or grids[np.arange(len(grids)), ends[:, 0], ends[:, 1]].any():
+            raise ValueError("a start or goal is outside its map or on an occupied cell")
+    return grids, starts, goals
+
+
+@kernel
+def _search(
+    grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints, corners: Int, trust: float, weight: float
+) -> tuple[Ints, Int]:
+    """Return the path (k, 2) of one problem, and how many cells were expanded."""
+    moves, rows, columns = scores.shape
+    best = np.full((rows, columns), np.inf)  # g and what the improbable moves cost; -inf once a cell is expanded
+    way, parent = np.zeros((rows, columns)), np.full((rows, columns), -1)
+    best[start[0], start[1]] = 0.0
+    heap, pushes, taken = [(0.0, 0, start[0] * columns + start[1])], 0, 0
+    while heap:
+        _, _, cell = heapq.heappop(heap)
+        row, column = cell // columns, cell % columns
+        so_far = best[row, column]
+        if so_far == -np.inf:
+            continue
+        best[row, column] = -np.inf
+        taken += 1
+        if row == goal[0] and column == goal[1]:
+            break
+        top, legal = -np.inf, 0
+        for k in range(moves):
+            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
+            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j]:
+                continue
+            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
+                continue
+            legal |= 1 << k
+            top = max(top, scores[k, row, column])
+        for k in range(moves):
+            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
+            if not legal >> k & 1 or best[i, j] == -np.inf:
+                continue
+            step = 1.0 if k < 4 else math.sqrt(2.0)
+            cost = so_far + step + trust * (top - scores[k, row, column])
+            if cost < best[i, j]:
+                best[i, j], way[i, j], parent[i, j] = cost, way[row, column] + step, cell
+                high, wide = abs(i - goal[0]), abs(j - goal[1])
+                least = max(high, wide) + (math.sqrt(2.0) - 1) * min(high, wide) if moves == 8 else high + wide
+                pushes += 1
+                f = cost + weight * least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
+                heapq.heappush(heap, (f, -pushes, i * columns + j))
+    length, cell = 0, goal[0] * columns + goal[1]
+    if best[goal[0], goal[1]] == -np.inf:
+        while cell >= 0:
+            length, cell = length + 1, parent[cell // columns, cell % columns]
+    path, cell = np.empty((length, 2), np.int64), goal[0] * columns + goal[1]
+    for at in range(length - 1, -1, -1):
+        path[at, 0], path[at, 1] = cell // columns, cell % columns
+        cell = parent[path[at, 0], path[at, 1]]
+    return path, taken
+
+
+@kernel
+def _walk(grids: Bytes, scores: Floats, starts: Ints, goals: Ints, corner_cutting: Int) -> tuple[Ints, Ints]:
+    """Return all walks one after another, (M, 2), and their offsets (B + 1,); a stuck one ends before its goal."""
+    count, moves, rows, columns = scores.shape
+    cells, offsets = np.empty((1024, 2), np.int64), np.zeros(count + 1, np.int64)
+    visited = np.zeros((rows, columns), np.int64)
+    for b in range(count):
+        row, column, end, move = starts[b, 0], starts[b, 1], offsets[b], 0
+        while move >= 0:
+            if end == len(cells):
+                longer = np.empty((2 * end, 2), np.int64)
+                longer[:end] = cells
+                cells = longer
+            cells[end, 0], cells[end, 1] = row, column
+            end += 1
+            visited[row, column] = b + 1
+            move, best = -1, np.float32(-np.inf)
+            if row == goals[b, 0] and column == goals[b, 1]:
+                break
+            for k in range(moves):
+                i, j = row + STEPS[k, 0], column + STEPS[k, 1]
+                if i < 0 or j < 0 or i >= rows or j >= columns or grids[b, i, j] or visited[i, j] == b + 1:
+                    continue
+                if k >= 4 and not corner_cutting and (grids[b, i, column] or grids[b, row, j]):
+                    continue
+                if scores[b, k, row, column] > best:
+                    move, best = k, scores[b, k, row, column]
+            if move >= 0:
+                row, column = row + STEPS[move, 0], column + STEPS[move, 1]
+        offsets[b + 1] = end
+    return cells[: offsets[count]], offsets
