@@ -44,12 +44,14 @@ def import_command(
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     if fit is not None and size is None:
         raise ValueError("--fit: does nothing without --size")
+    if max_pixels is not None and max_pixels < 1:
+        raise ValueError(f"--max-pixels: got {max_pixels}, expected at least 1")
     limits = Limits() if max_pixels is None else Limits(pixels=max_pixels)
     found = read_any(
         source,
         kind,
         limits,
-        scen=seeds if scen else None,
+        scen=seeds if scen or source.lower().endswith(".scen") else None,
         maps=maps,
         unknown=unknown,
         threshold=threshold,
@@ -57,6 +59,7 @@ def import_command(
         size=size,
         fit=fit,
     )
+    made = []
     try:
         made = import_maps(
             root,
@@ -70,7 +73,7 @@ def import_command(
             progress=True,
         )
     finally:
-        for name, why in found.left_out:
+        for name, why in found.left_out if made or len(found.left_out) > 1 else ():  # the error tells of a single one
             print(f"left out: {name}: {' '.join(why.split())}", file=sys.stderr)
     for note in dict.fromkeys(found.notes):
         print(f"note: {note}")
@@ -137,8 +140,14 @@ def add_verbs(verbs: argparse._SubParsersAction[Any]) -> None:
         verb.set_defaults(command=command)
 
 
+def _name(text: str) -> str:
+    if not text:  # else it would be the working folder
+        raise argparse.ArgumentTypeError("got an empty name")
+    return text
+
+
 def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text)
+    match = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected ROWSxCOLUMNS as in 64x64")
     return int(match[1]), int(match[2])
@@ -146,8 +155,9 @@ def _size(text: str) -> tuple[int, int]:
 
 def _add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("source", metavar="SRC", help="file or folder")
-    add("root", metavar="ROOT", help="folder of the dataset; with maps of several sizes, one below it for each")
+    add("source", metavar="SRC", type=_name, help="file or folder")
+    help_text = "folder of the dataset; with maps of several sizes, one below it for each"
+    add("root", metavar="ROOT", type=_name, help=help_text)
     add("--format", dest="kind", choices=_READERS, help="default: recognised by the files")
     add("--seeds", metavar="N", type=int, default=5, help="seed points a map (default: %(default)s)")
     add("--seed", metavar="S", type=int, default=0, help="64-bit seed of the draws (default: %(default)s)")
@@ -168,8 +178,8 @@ def _add_import_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_export_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("root", metavar="ROOT", help="folder of the dataset")
-    parser.add_argument("target", metavar="DST", help="new folder (planning-datasets: new .npz file)")
+    parser.add_argument("root", metavar="ROOT", type=_name, help="folder of the dataset")
+    parser.add_argument("target", metavar="DST", type=_name, help="new folder (planning-datasets: new .npz file)")
     parser.add_argument("--format", dest="kind", choices=_WRITERS, required=True, help="what to write")
     parser.add_argument("--image", choices=("pgm", "png", "bmp"), help="ros: kind of picture (default: pgm)")
 

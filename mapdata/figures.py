@@ -30,7 +30,8 @@ def pick_examples(of: Survey) -> dict[str, int]:
     They are maps with few to many rooms, one that is not connected (some rooms do not reach each other), one that is
     redundant (all rooms reach each other though a tunnel was not drawn: others or overlapping rooms stand in), one
     with the most rooms (nine in the paper) and the one with the hardest segment. Each is the first such map of the
-    dataset that is not shown yet; a kind that does not occur is left out.
+    dataset that is not shown yet; a kind that does not occur is left out. Where all maps have equally many rooms, as
+    many imported ones, they go from easy to hard instead.
     """
     kinds = np.unique(of.rooms)
     most = int(kinds[-1]) if len(kinds) else 0
@@ -41,11 +42,14 @@ def pick_examples(of: Survey) -> dict[str, int]:
         ("redundant", of.redundant),
         (_in_words(most, of.rooms_known), of.rooms == most),
     ]
+    if len(kinds) == 1:
+        marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest").tolist()
+        wanted += [(f"hardness {mark:.2f}", of.hardest == mark) for mark in marks]
     if len(of) and of.hardest.max() > 1:
         wanted.append((f"hardness {of.hardest.max():.2f}", of.hardest == of.hardest.max()))
     examples: dict[str, int] = {}
     for caption, which in wanted:
-        for index in of.index[which].tolist():
+        for index in of.index[which].tolist() if caption not in examples else ():
             if index not in examples.values():
                 examples[caption] = index
                 break
@@ -94,7 +98,7 @@ def plot_distributions(of: Survey, axes: Sequence[Axes] | None = None) -> list[A
             edges[:-1], counts, np.diff(edges), align="edge", color=COLOURS["astar"], edgecolor="white", linewidth=0.5
         )
         if (values == np.rint(values)).all():
-            ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         logarithmic = name in LOGARITHMIC
         if logarithmic:
             ax.set_yscale("log")

@@ -6,18 +6,19 @@ imported dataset has no recipe, so its identity is its content hash.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from concurrent.futures import Executor
+from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from mapdata.build import headers
 from mapdata.dungeon import Maps
@@ -27,7 +28,8 @@ from mapdata.manifest import LOCK, MANIFEST, Manifest, entry_of, is_shard_name, 
 from mapdata.rng import SPLIT, block, threshold
 from mapdata.seed_points import draw_points, largest_component, pack
 from mapdata.shard import Header, Shard, shard_image, write_file
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, MapSpec, Movement, check_seed
+from mapdata.spec import MAX_ROOMS, MAX_SIDE, MapSpec, Movement, canonical_json, check_seed
+from mapdata.work import bar, threads
 
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
@@ -43,11 +45,11 @@ _CELLS_A_SHARD = 2**24
 
 @dataclass(frozen=True, eq=False)
 class ForeignMap:
-    """One grid as a format gives it.
+    """One grid as a format gives it, kept as bits: an import holds all its maps in memory.
 
     Attributes:
         name: where it came from, for reports.
-        grid: (H, W) uint8, 0 free and 1 occupied.
+        cells: (H, W) uint8, 0 free and 1 occupied; afterwards it is `grid`.
         split: 0 train, 1 val, 2 test; None to draw it.
         resolution: metres per cell; None if the source does not say.
         number: its number in the source's own count; kept when the numbers of all maps are 0 to N - 1.
@@ -58,10 +60,11 @@ class ForeignMap:
         passage_width: in cells, -1 unknown.
         check: called with the labels and the number of this map in them; returns the names of what the source says
             otherwise.
+        shape: (H, W).
     """
 
     name: str
-    grid: Bytes
+    cells: InitVar[Bytes]
     split: int | None = None
     resolution: float | None = None
     number: int | None = None
@@ -71,6 +74,25 @@ class ForeignMap:
     directions: Ints | None = None
     passage_width: int = -1
     check: Callable[[Labels, int], list[str]] | None = None
+    shape: tuple[int, int] = field(init=False)
+    _bits: Bytes = field(init=False, repr=False)
+
+    def __post_init__(self, cells: Bytes) -> None:
+        """Pack the cells.
+
+        Raises:
+            ValueError: not two-dimensional, or another value.
+        """
+        if cells.ndim != 2 or cells.max(initial=0) > 1:
+            what = f"values up to {cells.max(initial=0)} in shape {cells.shape}"
+            raise ValueError(f"cells: {self.name}: got {what}, expected 0 free and 1 occupied in shape (H, W)")
+        object.__setattr__(self, "shape", cells.shape)
+        object.__setattr__(self, "_bits", np.packbits(cells, axis=1))
+
+    @property
+    def grid(self) -> Bytes:
+        """The cells, (H, W) uint8, 0 free and 1 occupied."""
+        return np.unpackbits(self._bits, axis=1, count=self.shape[1])
 
 
 @dataclass
@@ -156,12 +178,12 @@ def import_maps(
             source.left_out.append((one.name, why))
             continue
         metres = resolution or one.resolution or RESOLUTION
-        groups.setdefault((*one.grid.shape, metres), []).append(one)
+        groups.setdefault((*one.shape, metres), []).append(one)
     if not groups:
         why = f": {source.left_out[0][0]}: {source.left_out[0][1]}" if source.left_out else ""
         raise ValueError(f"no map to import{why}")
     folders = _folders(root, list(groups))
-    with tqdm(total=sum(map(len, groups.values())), unit=" maps", disable=not progress) as bar:
+    with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
         made = []
         for (rows, columns, metres), maps in groups.items():
             wanted = Manifest(
@@ -174,7 +196,8 @@ def import_maps(
                 resolution=metres,
             )
             ordered = _ordered(maps, source)
-            made.append(_write(folders[rows, columns, metres], wanted, ordered, seeds, seed, thresholds, bar))
+            folder = folders[rows, columns, metres]
+            made.append(_write(folder, wanted, ordered, seeds, seed, thresholds, advance, pool))
     return made
 
 
@@ -192,32 +215,30 @@ def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[Foreign
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         raise ValueError(f"tile: got {rows}x{columns}, expected 1 to {MAX_SIDE} rows and columns")
     for one in source.maps:
-        height, width = one.grid.shape
+        grid, (height, width) = one.grid, one.shape
         if height < rows or width < columns:
             source.left_out.append((one.name, f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"))
         for row in range(0, height - rows + 1, rows):
             for column in range(0, width - columns + 1, columns):
-                grid = one.grid[row : row + rows, column : column + columns]
                 name = f"{one.name} rows {row}.. columns {column}.."
-                yield ForeignMap(name, np.ascontiguousarray(grid), one.split, one.resolution)
+                part = grid[row : row + rows, column : column + columns]
+                yield ForeignMap(name, part, one.split, one.resolution)
 
 
 def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     """Return why a map cannot be in a dataset, or None."""
-    rows, columns = one.grid.shape
+    grid, (rows, columns) = one.grid, one.shape
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
-        return f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; cut it into tiles"
-    if one.grid.max() > 1:
-        return f"holds the value {one.grid.max()}, expected 0 free and 1 occupied"
+        return f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
     for row, column in one.seeds.tolist():
         if not (0 <= row < rows and 0 <= column < columns):
             return f"seed point {(row, column)} is outside the map of {rows} x {columns} cells"
-        if one.grid[row, column]:
+        if grid[row, column]:
             return f"seed point {(row, column)} is on an occupied cell"
     if one.rooms_known:
         return None if 1 <= len(one.seeds) <= MAX_ROOMS else f"{len(one.seeds)} rooms, expected 1 to {MAX_ROOMS}"
-    count = len(largest_component(np.ascontiguousarray(one.grid), rule_of(movement)[0]))
-    return None if count >= 2 else f"has no two connected free cells ({int((one.grid == 0).sum())} free in all)"
+    count = len(largest_component(grid, rule_of(movement)[0]))
+    return None if count >= 2 else f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
 
 
 def _folders(root: Path, keys: Sequence[tuple[int, int, float]]) -> dict[tuple[int, int, float], Path]:
@@ -257,7 +278,8 @@ def _write(
     seeds: int,
     seed: int,
     thresholds: tuple[int, int],
-    bar: tqdm[Any],
+    advance: Callable[[int], object],
+    pool: Executor,
 ) -> Imported:
     """Write one dataset, shard by shard; keep the shards that are there already."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -271,7 +293,7 @@ def _write(
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
         batch = maps[header.start : header.stop]
-        labels = label(to_maps(batch, header, seeds, seed, thresholds))
+        labels = pool.submit(label, to_maps(batch, header, seeds, seed, thresholds)).result()
         for k, one in enumerate(batch):
             disagreements.update(one.check(labels, k) if one.check else [])
         image, content = shard_image(labels, header)
@@ -283,10 +305,16 @@ def _write(
             write_file(path, image)
             entry = entry_of(Shard(path, header, content, {}), labels, image)
             manifest = merge(folder, replace(wanted, shards=(*manifest.shards, entry)))
-        bar.update(len(batch))
+        advance(len(batch))
     origin = {"seeds": seeds, "seed": seed, "sources": [one.name for one in maps]}
-    write_file(folder / PROVENANCE, (json.dumps(origin, indent=1) + "\n").encode())
+    write_file(folder / PROVENANCE, provenance_text(origin).encode())
     return Imported(folder, manifest, sum(one.check is not None for one in maps), dict(disagreements))
+
+
+def provenance_text(origin: dict[str, Any]) -> str:
+    """Return the text of ``import.json``, with a hash of what it says."""
+    stated = hashlib.sha256(canonical_json(origin).encode()).hexdigest()
+    return json.dumps({**origin, "hash": stated}, indent=1) + "\n"
 
 
 def to_maps(batch: Sequence[ForeignMap], header: Header, seeds: int, seed: int, thresholds: tuple[int, int]) -> Maps:
@@ -328,8 +356,8 @@ def to_maps(batch: Sequence[ForeignMap], header: Header, seeds: int, seed: int, 
 def _seed_points(one: ForeignMap, header: Header, seeds: int, seed: int, index: int) -> Ints:
     if one.rooms_known or len(one.seeds) >= seeds:
         return one.seeds
-    cells = largest_component(np.ascontiguousarray(one.grid), rule_of(header.movement)[0])
-    given = one.seeds[:, 0] * one.grid.shape[1] + one.seeds[:, 1]
+    cells = largest_component(one.grid, rule_of(header.movement)[0])
+    given = one.seeds[:, 0] * one.shape[1] + one.seeds[:, 1]
     cells = cells[~np.isin(cells, given)]
     drawn = draw_points(cells, np.uint64(seed), np.uint64(index), min(seeds - len(given), len(cells)))
-    return np.stack(np.divmod(np.concatenate((given, drawn)), one.grid.shape[1]), axis=1)
+    return np.stack(np.divmod(np.concatenate((given, drawn)), one.shape[1]), axis=1)

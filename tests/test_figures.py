@@ -94,6 +94,24 @@ def test_imported_maps_are_drawn_without_rooms(tmp_path: Path) -> None:
     assert [axes.get_title().split("\n")[0] for axes in plot_gallery(of)][:2] == ["one seed point", "three seed points"]
 
 
+def test_maps_with_equally_many_seed_points(tmp_path: Path) -> None:
+    """The gallery goes from easy to hard, each map once; the only number of seed points is the only tick."""
+    grids = generate(MapSpec.preset("dungeon"), 5, range(40)).occupancy
+    import_maps(tmp_path / "d", Collection([ForeignMap(str(k), grid) for k, grid in enumerate(grids)]), seeds=4)
+    of = survey(tmp_path / "d")
+    examples = pick_examples(of)
+    captions = [caption for caption in examples if caption.startswith("hardness")]
+    assert len(captions) == 6
+    assert captions == sorted(captions)
+    assert len(set(examples.values())) == len(examples)
+    for caption in captions:
+        assert caption == f"hardness {of.hardest[examples[caption]]:.2f}"
+    (rooms, *_) = plot_distributions(of)
+    figure_of(rooms).canvas.draw()
+    low, high = rooms.get_xlim()
+    assert [tick for tick in rooms.get_xticks() if low <= tick <= high] == [4]
+
+
 @pytest.mark.parametrize("kind", FIGURES)
 def test_command_writes_every_figure(small: Survey, tmp_path: Path, kind: str) -> None:
     """Command writes every figure."""

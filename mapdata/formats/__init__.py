@@ -54,20 +54,23 @@ def recognise(source: str | os.PathLike[str]) -> str:
         raise FormatError(f"{source}: no such file or folder")
     if paper.is_release(source):
         return "paper"
-    if planning.is_planning(source):
-        return "planning-datasets"
     endings = {
         **dict.fromkeys((".map", ".scen"), "movingai"),
         **dict.fromkeys((".yaml", ".yml"), "ros"),
         **dict.fromkeys((*images.PICTURES, *images.ARRAYS), "images"),
     }
     paths = walk(source, tuple(endings)) if source.is_dir() else [source]
-    found = {endings[path.suffix.lower()] for path in paths if path.suffix.lower() in endings}
+    known = [path for path in paths if path.suffix.lower() in endings]
+    found = {"planning-datasets" if planning.is_planning(path) else endings[path.suffix.lower()] for path in known}
     if "ros" in found:
         found -= {"images"}  # the pictures that the .yaml files name
     if len(found) != 1:
         what = f"files of {' and '.join(sorted(found))}" if found else "no file of a known format"
         raise FormatError(f"{source}: holds {what}; --format says which to read ({', '.join(READERS)})")
+    if found == {"images"} and source.is_dir() and any(path.suffix.lower() == ".csv" for path in source.iterdir()):
+        # perhaps a release with other headers: its pictures have the other polarity
+        advice = "--format paper says what is missing, --format images reads the pictures alone"
+        raise FormatError(f"{source}: holds a .csv without the paper's columns; {advice}")
     return found.pop()
 
 
@@ -131,10 +134,12 @@ def export(
         raise ValueError(f"format: got {kind!r}, expected one of {', '.join(WRITERS)}")
     if image is not None and kind != "ros":
         raise ValueError(f"--image: does nothing for format {kind}")
+    if kind == "planning-datasets" and target.suffix != ".npz":
+        raise ValueError(f"{target}: expected a name that ends with .npz")
     source = Stored.open(Path(root), progress=progress)
     empty_target(target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{os.getpid()}-{target.name}")  # keeps the ending
+    temporary = target.with_name(f".{os.getpid()}-{target.name}")
     try:
         notes = WRITERS[kind](temporary, source, **({} if image is None else {"image": image}))
         if target.is_dir():

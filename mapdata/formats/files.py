@@ -231,7 +231,10 @@ def _header(file: BinaryIO, size: int, what: str) -> tuple[tuple[int, ...], bool
 
 def _array(file: BinaryIO, size: int, what: str) -> Array:
     shape, fortran, dtype = _header(file, size, what)
-    values = np.frombuffer(file.read(), dtype)
+    data = file.read(size - file.tell())
+    if file.read(1):  # its archive states a smaller size than it has
+        raise FormatError(f"{what}: has more than the {size} bytes that its archive states")
+    values = np.frombuffer(data, dtype)
     return values.reshape(shape, order="F" if fortran else "C")
 
 
@@ -247,16 +250,16 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> npt.N
         FormatError: NaN, or another value.
     """
     if values.dtype == np.bool_:
-        return values.astype(np.uint8)
+        return values.view(np.uint8)
     low, high = (values.min(), values.max()) if values.size else (0, 0)
     if not (low >= 0 and high <= 1):  # NaN fails too
         raise FormatError(f"{what}: holds values from {low} to {high}, expected 0 to 1")
-    if threshold is not None:
-        return np.asarray(values > threshold, np.uint8)
-    whole = values.astype(np.uint8)
-    if not np.array_equal(whole, values):
+    if values.dtype.kind in "iu":
+        return values.astype(np.uint8, copy=False)  # a stack may be as large as the limits allow
+    occupied = values > (0.5 if threshold is None else threshold)
+    if threshold is None and not np.array_equal(occupied, values):
         raise FormatError(f"{what}: holds values between 0 and 1, expected only 0 and 1")
-    return whole
+    return occupied.view(np.uint8)
 
 
 def files_of(source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut) -> Iterator[Path]:

@@ -27,6 +27,9 @@ from mapdata.formats.files import (
     split_of,
 )
 from mapdata.imported import Collection, ForeignMap
+from mapdata.spec import MAX_SIDE
+
+Bytes = npt.NDArray[np.uint8]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 ARRAYS = (".npy", ".npz")
@@ -119,16 +122,21 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
     return Pixels(kept.reshape(rows, columns, 1), maximum)
 
 
-def brightness(pixels: Pixels) -> npt.NDArray[np.uint8]:
+def brightness(pixels: Pixels) -> Bytes:
     """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels count as white."""
-    values = pixels.values
+    grey = np.empty(pixels.values.shape[:2], np.uint8)
+    for k in range(0, len(grey), 256):  # a strip at a time: all at once would take several times the picture
+        grey[k : k + 256] = _mean(pixels.values[k : k + 256], pixels.maximum)
+    return grey
+
+
+def _mean(values: Array, maximum: int) -> Bytes:
     if values.shape[2] == 4:
         colour = values[:, :, :3].astype(np.uint16)
         values = 255 - (255 - colour) * values[:, :, 3:].astype(np.uint16) // 255
-    if values.shape[2] == 1 and pixels.maximum == 255:
+    if values.shape[2] == 1 and maximum == 255:
         return np.asarray(values[:, :, 0], np.uint8)
-    mean = values.sum(axis=2, dtype=np.uint32) * np.uint32(255) // np.uint32(values.shape[2] * pixels.maximum)
-    return np.asarray(mean, np.uint8)
+    return np.asarray(values.sum(axis=2, dtype=np.uint32) * np.uint32(255) // np.uint32(values.shape[2] * maximum))
 
 
 def read(
@@ -143,7 +151,8 @@ def read(
     """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
 
     Pictures: dark is occupied, as in ROS and most sets of floor plans; a pixel is occupied when its brightness is not
-    above ``threshold``. Arrays: (H, W) or (N, H, W); 1 is occupied, probabilities are occupied above ``threshold``.
+    above ``threshold``. Arrays: (H, W), (N, H, W) or (N, 1, H, W); 1 is occupied, probabilities are occupied above
+    ``threshold``.
 
     Args:
         source: folder or file.
@@ -161,45 +170,59 @@ def read(
         raise ValueError(f"threshold: got {threshold}, expected 0 to 1")
     if fit not in ("resize", "crop"):
         raise ValueError(f"fit: got {fit!r}, expected 'resize' or 'crop'")
+    if size is not None and not all(1 <= side <= MAX_SIDE for side in size):
+        raise ValueError(f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns")
     found = Collection()
     folder = source if source.is_dir() else source.parent
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
         try:
-            split = split_of(path, folder)
-            if path.suffix.lower() in ARRAYS:
-                grids = _stack(path, limits, threshold)
-                names = [f"{path}[{k}]" for k in range(len(grids))] if len(grids) > 1 else [str(path)]
-            else:
-                grey = brightness(read_pixels(path, limits))
-                if size is not None:
-                    grey = _fit(grey, size, fit)
-                grids, names = np.asarray(grey <= threshold * 255, np.uint8)[None], [str(path)]
-            if size is not None and grids.shape[1:] != size:
-                grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
-            for name, grid in zip(names, grids, strict=True):
-                found.maps.append(ForeignMap(name, grid ^ np.uint8(invert), split))
+            grids = _grids(path, limits, threshold, size, fit)
         except FormatError as error:
             found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
+            continue
+        split = split_of(path, folder)
+        for k, grid in enumerate(grids):
+            name = f"{path}[{k}]" if len(grids) > 1 else str(path)
+            found.maps.append(ForeignMap(name, grid ^ np.uint8(invert), split))
     return found
 
 
-def _stack(path: Path, limits: Limits, threshold: float) -> npt.NDArray[np.uint8]:
+def _grids(path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, fit: str) -> Bytes:
+    """Return the grids of a file, (N, H, W): one of a picture."""
+    if path.suffix.lower() in ARRAYS:
+        grids = _stack(path, limits, threshold)
+        if size is None or grids.shape[1:] == size:
+            return grids
+        return np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+    grey = brightness(read_pixels(path, limits))
+    if 0 < grey.max() <= threshold * 255:  # masks of 0 and 1, which look black
+        what = f"its brightest pixel is {grey.max()} of 255"
+        raise FormatError(f"{path}: {what}, nothing is above --threshold {threshold}")
+    if size is not None:
+        grey = _fit(grey, size, fit)
+    return np.asarray(grey <= threshold * 255, np.uint8)[None]
+
+
+def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
     """Return the grids of an array file, (N, H, W)."""
     if path.suffix.lower() == ".npy":
         values = read_npy(path, limits)
     else:
         archive = Npz(path, limits)
-        names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3)]
+        names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
         if len(names) != 1:
             raise FormatError(f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)")
         values = archive[names[0]]
+    if values.ndim == 4 and values.shape[1] == 1:
+        values = values[:, 0]
     if values.ndim not in (2, 3) or 0 in values.shape:
-        raise FormatError(f"{path}: has shape {values.shape}, expected (H, W) or (N, H, W)")
+        raise FormatError(f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)")
+    _check_size(path, values.shape[-2], values.shape[-1], limits)
     grids = occupancy(values, str(path), threshold)
     return grids if grids.ndim == 3 else grids[None]
 
 
-def _fit(grey: npt.NDArray[np.uint8], size: tuple[int, int], fit: str) -> npt.NDArray[np.uint8]:
+def _fit(grey: Bytes, size: tuple[int, int], fit: str) -> Bytes:
     """Return ``grey``, (H, W), with ``size``."""
     rows, columns = size
     if fit == "resize":

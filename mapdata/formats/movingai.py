@@ -126,8 +126,8 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
             length = Decimal(words[-1])
         except (ValueError, InvalidOperation):
             raise FormatError(f"{path}: line {number} is {line[:60]!r}, expected numbers around the map") from None
-        if not length.is_finite() or length < 0 or min(values) < 0:
-            raise FormatError(f"{path}: line {number}: expected numbers of at least 0")
+        if not length.is_finite() or length < 0 or min(values) < 0 or int(length.as_tuple().exponent) > 9:
+            raise FormatError(f"{path}: line {number}: expected numbers of at least 0, as people write them")
         x, y, goal_x, goal_y = values[-4:]
         size = (values[2], values[1]) if numeric == 7 else None
         name = " ".join(words[1:-numeric])
@@ -181,7 +181,10 @@ def check_scen(path: str | Path, maps: str | Path | None = None, limits: Limits 
     path = Path(path)
     report, terrains = ScenReport(path), dict[str, Bytes]()
     groups: dict[tuple[str, str], list[Problem]] = {}
-    for problem in read_scen(path, limits):
+    all_problems = read_scen(path, limits)
+    if not all_problems:
+        raise FormatError(f"{path}: holds no problems")
+    for problem in all_problems:
         if problem.map not in terrains:
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
         terrain = terrains[problem.map]
@@ -273,17 +276,10 @@ def read(
     if source.suffix.lower() == ".scen" and scen is None:
         scen = MAX_ROOMS
     folder = source if source.is_dir() else source.parent
-    points: dict[Path, dict[tuple[int, int], None]] = {}
-    for path in files_of(source, (".map",) if scen is None else (".scen",), limits, found.left_out):
-        try:
-            if scen is None:
-                points[path] = {}
-                continue
-            for problem in read_scen(path, limits):
-                ends = points.setdefault(find_map(problem.map, path, maps), {})
-                ends.update(dict.fromkeys((problem.start, problem.goal)))
-        except FormatError as error:
-            found.left_out.append((str(path), _why(error, path)))
+    if scen is None:
+        points = {path: dict[tuple[int, int], None]() for path in files_of(source, (".map",), limits, found.left_out)}
+    else:
+        points = _end_points(source, limits, maps, found)
     water = 0
     for path, ends in points.items():
         try:
@@ -300,6 +296,21 @@ def read(
     if water:
         found.notes.append(f"{water} cells of water (W) are occupied: nothing leads there from land")
     return found
+
+
+def _end_points(
+    source: Path, limits: Limits, maps: str | Path | None, found: Collection
+) -> dict[Path, dict[tuple[int, int], None]]:
+    """Return the end points of the problems of each map that a .scen names, in the order of their appearance."""
+    points: dict[Path, dict[tuple[int, int], None]] = {}
+    for path in files_of(source, (".scen",), limits, found.left_out):
+        try:
+            for problem in read_scen(path, limits):
+                ends = points.setdefault(find_map(problem.map, path, maps), {})
+                ends.update(dict.fromkeys((problem.start, problem.goal)))
+        except FormatError as error:
+            found.left_out.append((str(path), _why(error, path)))
+    return points
 
 
 def _why(error: FormatError, path: Path) -> str:

@@ -2,7 +2,8 @@
 
 Source: Flores-Aquino et al., arXiv 2110.13242, section III-D: 10,000 maps as images plus one CSV. The release itself is
 not at hand, so the headers below are ours; a reader takes others that say the same (case, spaces, plurals and
-underscores do not matter), and lists written as JSON, as numpy prints them, or with any separators.
+underscores do not matter; commas, semicolons or tabs between), and lists written as JSON, as numpy prints them, or with
+any separators. Other kinds of pictures do as well.
 
 Pictures are black where free and white where occupied, as in the paper's Figure 2; 1 bit a pixel.
 
@@ -39,7 +40,7 @@ import pandas as pd
 from PIL import Image
 
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, walk
-from mapdata.formats.images import brightness, read_pixels
+from mapdata.formats.images import PICTURES, brightness, read_pixels
 from mapdata.formats.stored import Stored
 from mapdata.imported import Collection, ForeignMap
 from mapdata.labels import Labels
@@ -142,12 +143,10 @@ def joined(route: list[Ints]) -> Ints:
 def is_release(source: Path) -> bool:
     """Return whether ``source`` is a folder with one CSV whose headers are the paper's, or such a CSV."""
     try:
-        path = _csv(source)
-        with open(path, encoding="utf-8-sig", errors="replace") as file:
-            header = file.readline(100_000)
+        header = _header(_csv(source))
     except (OSError, FormatError):
         return False
-    return set(_NEEDED) <= set(_columns(header.strip().replace('"', "").split(",")).values())
+    return set(_NEEDED) <= set(_columns(header.replace('"', "").split(_separator(header))).values())
 
 
 def _csv(source: Path) -> Path:
@@ -157,6 +156,16 @@ def _csv(source: Path) -> Path:
     if len(found) != 1:
         raise FormatError(f"{source}: holds {len(found)} .csv files, expected a folder with one")
     return found[0]
+
+
+def _header(path: Path) -> str:
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        return file.readline(100_000).strip()
+
+
+def _separator(header: str) -> str:
+    """Return what separates the columns: commas, semicolons as where a comma is in numbers, or tabs."""
+    return max(",;\t", key=header.count)
 
 
 def _plain(header: str) -> str:
@@ -181,11 +190,12 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     if path.stat().st_size > limits.unpacked:
         raise FormatError(f"{path}: has {path.stat().st_size} bytes, expected at most {limits.unpacked}")
     found, movements = Collection(), dict[str, None]()
-    pictures = {picture.stem.lower(): picture for picture in walk(path.parent, (".png",), limits, found.left_out)}
+    pictures = {picture.stem.lower(): picture for picture in walk(path.parent, PICTURES, limits, found.left_out)}
     known: set[int] = set()
     try:
         chunks = pd.read_csv(
             path,
+            sep=_separator(_header(path)),
             dtype=str,
             keep_default_na=False,
             index_col=False,
@@ -198,6 +208,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
             for chunk in chunks:
                 columns = _columns([str(name) for name in chunk.columns])
                 missing = [name for name in _NEEDED if name not in columns.values()]
+                missing += ["label"] if not {"label", "item"} & set(columns.values()) else []
                 if missing:
                     raise FormatError(f"{path}: no column {missing[0]!r} among {', '.join(map(str, chunk.columns))}")
                 for row in chunk.rename(columns=columns).to_dict("records"):
@@ -225,12 +236,12 @@ def _read_row(
 ) -> None:
     """Add one line of the CSV to ``found``, as a map or as left out."""
     item = row.get("item", "").strip()
-    name = Path(row.get("label", "").strip() or f"map{item}").name
-    stem = name[:-4] if name.lower().endswith(".png") else name
+    name = row.get("label", "").strip().replace("\\", "/").rsplit("/", 1)[-1] or f"map{item}"
+    stem = name[: -len(Path(name).suffix)] if name.lower().endswith(PICTURES) else name
     try:
         picture = pictures.get(stem.lower()) or pictures.get(item.lower())
         if picture is None:
-            raise FormatError(f"its picture {stem}.png is missing")
+            raise FormatError(f"its picture {stem}{PICTURES[0]} is missing")
         grid = np.asarray(brightness(read_pixels(picture, limits)) >= 128, np.uint8)
         seeds = _pairs(row, "seed_rows", "seed_columns")
         sizes = _pairs(row, "size_rows", "size_columns")
@@ -246,12 +257,13 @@ def _read_row(
         resolution = float(row["resolution"]) if row.get("resolution") else None
         if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
             raise FormatError(f"resolution {resolution}, expected metres per cell above 0")
+        stated = {name: text for name, text in row.items() if text.strip() and _is_label(name)}
         width = numbers(row.get("passage_size", ""))[:1]
         if width and not -1 <= width[0] < 2**15:
             raise FormatError(f"passage size {width[0]} is out of range")
         one = ForeignMap(
             name=stem,
-            grid=grid,
+            cells=grid,
             split=SPLIT_NAMES.get(row.get("split", "").strip().lower()),
             resolution=resolution,
             number=number,
@@ -260,7 +272,7 @@ def _read_row(
             sizes=sizes if len(sizes) else None,
             directions=directions.reshape(-1, 2) if len(directions) else None,
             passage_width=width[0] if width else -1,
-            check=_Check(row),
+            check=_Check(stated) if stated else None,
         )
     except (ValueError, OverflowError) as error:
         found.left_out.append((stem, str(error)))
@@ -308,18 +320,16 @@ def numbers(text: str) -> list[int]:
 class _Check:
     """Compares the labels that a line states with ours."""
 
-    def __init__(self, row: dict[str, str]) -> None:
-        self._row = row
+    def __init__(self, stated: dict[str, str]) -> None:
+        self._stated = stated
 
     def __call__(self, labels: Labels, k: int) -> list[str]:
-        """Return the names of the columns that say otherwise; empty and missing ones say nothing."""
+        """Return the names of the columns that say otherwise."""
         ours = _row(labels, k, 0)
-        return [
-            name for name, text in self._row.items() if text.strip() and _stated(name) and not _same(text, ours[name])
-        ]
+        return [name for name, text in self._stated.items() if not _same(text, ours[name])]
 
 
-def _stated(name: str) -> bool:
+def _is_label(name: str) -> bool:
     return name in ("connected", "path_exists") or name.startswith(PLANNERS)
 
 

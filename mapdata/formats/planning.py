@@ -20,14 +20,17 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from tqdm import tqdm
 
-from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, occupancy
+from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.stored import Stored
 from mapdata.imported import Collection, ForeignMap
 from mapdata.search import distance_field
@@ -43,6 +46,7 @@ PERCENTILES = (0.55, 0.70, 0.85, 1.0)
 """Between these the loader draws a start."""
 
 Array = npt.NDArray[Any]
+Bytes = npt.NDArray[np.uint8]
 
 
 def is_planning(path: Path, limits: Limits = LIMITS) -> bool:
@@ -57,51 +61,61 @@ def is_planning(path: Path, limits: Limits = LIMITS) -> bool:
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
-    """Read an .npz: maps, goals (the first seed point of each map) and splits; check its distances.
+    """Read an .npz, or all below a folder: maps, goals (the first seed point of each map) and splits; check distances.
 
     Raises:
-        FormatError: not such a file. A map with a bad goal is left out.
+        FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad goal.
     """
-    archive = Npz(source, limits)
     found = Collection(movement=MOVEMENT)
-    wrong = checked = 0
-    for code, split in enumerate(SPLITS):
+    same = 0
+    for path in files_of(source, (".npz",), limits, found.left_out):
+        try:
+            for one, distances in _problems(path, limits, found):
+                found.maps.append(one)
+                same += np.array_equal(hops(one.grid, one.seeds[0]), distances)
+        except FormatError as error:
+            if path == source:
+                raise
+            found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
+    found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
+    return found
+
+
+def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
+    """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``."""
+    archive = Npz(path, limits)
+    splits = [code for code in range(len(SPLITS)) if any(f"arr_{4 * code + k}" in archive.shapes for k in range(4))]
+    if not splits:
+        raise FormatError(f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11")
+    for code in splits:
         names = [f"arr_{4 * code + k}" for k in range(4)]
-        if not any(name in archive.shapes for name in names):
-            continue
         free = archive[names[0]]
         if free.ndim == 4 and free.shape[1] == 1:
             free = free[:, 0]
         if free.ndim != 3:
-            raise FormatError(f"{source}: {names[0]} has shape {free.shape}, expected (N, H, W)")
-        grids = 1 - occupancy(free, f"{source}: {names[0]}")
+            raise FormatError(f"{path}: {names[0]} has shape {free.shape}, expected (N, H, W)")
+        grids = 1 - occupancy(free, f"{path}: {names[0]}")
         one_each = (len(grids), 1, *grids.shape[1:])
         goals, distances = archive[names[1]], archive[names[3]]
         for name, array in ((names[1], goals), (names[3], distances)):
             if array.shape != one_each:
-                raise FormatError(f"{source}: {name} has shape {array.shape}, expected {one_each}")
+                raise FormatError(f"{path}: {name} has shape {array.shape}, expected {one_each}")
         for k, grid in enumerate(grids):
-            name = f"{source}: {split} {k}"
+            name = f"{path}: {SPLITS[code]} {k}"
             cells = np.argwhere(goals[k, 0] == 1)
             if len(cells) != 1 or np.count_nonzero(goals[k]) != 1 or grid[tuple(cells[0])]:
                 found.left_out.append((name, "its goal is not one free cell"))
                 continue
-            checked += 1
-            wrong += not np.array_equal(hops(grid, cells[0].tolist()), distances[k, 0])
-            found.maps.append(ForeignMap(name, grid, code, seeds=cells.astype(np.int64)))
-    if not found.maps and not found.left_out:
-        raise FormatError(f"{source}: holds no maps")
-    found.notes.append(f"distances of {checked - wrong} of {checked} maps are what our search finds")
-    return found
+            yield ForeignMap(name, grid, code, seeds=cells.astype(np.int64)), distances[k, 0]
 
 
-def hops(grid: npt.NDArray[np.uint8], goal: object) -> npt.NDArray[np.float32]:
+def hops(grid: Bytes, goal: object) -> npt.NDArray[np.float32]:
     """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W where there is no way."""
     distance = distance_field(grid, goal, MOVEMENT)
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
 
-def policy(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+def policy(values: npt.NDArray[np.float32]) -> Bytes:
     """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=-np.inf)
@@ -124,61 +138,64 @@ def write(target: Path, source: Stored) -> list[str]:
 
     The arrays go to disk a shard at a time; maps and actions are uint8, distances float32 (the loader converts).
 
+    Args:
+        target: file.
+        source: dataset.
+
     Returns:
         Notes for the user.
 
     Raises:
-        FormatError: a split without maps, or a name that does not end with .npz.
+        FormatError: a split without maps.
     """
-    if target.suffix != ".npz":
-        raise FormatError(f"{target}: expected a name that ends with .npz")
-    kept = [[_keep(batch, code) for batch in _grids(source)] for code in range(len(SPLITS))]
-    counts = [sum(int(mask.sum()) for mask in masks) for masks in kept]
-    if 0 in counts:
-        raise FormatError(f"{target}: the split {SPLITS[counts.index(0)]!r} has no usable map, its loader needs one")
-    rows, columns = source.manifest.map_size
-    kinds: tuple[tuple[tuple[int, ...], str, Callable[..., Array]], ...] = (
-        ((rows, columns), "u1", lambda grid, goal: 1 - grid),
-        ((1, rows, columns), "u1", _one_hot),
-        ((8, 1, rows, columns), "u1", lambda grid, goal: policy(hops(grid, goal))[:, None]),
-        ((1, rows, columns), "<f4", lambda grid, goal: hops(grid, goal)[None]),
-    )
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
-        for code, (count, masks) in enumerate(zip(counts, kept, strict=True)):
-            for k, (shape, dtype, make) in enumerate(kinds):
-                info = zipfile.ZipInfo(f"arr_{4 * code + k}.npy")  # its date is fixed: equal content, equal bytes
-                info.compress_type = zipfile.ZIP_DEFLATED
-                with archive.open(info, "w", force_zip64=True) as member:
-                    head = BytesIO()
-                    np.lib.format.write_array_header_1_0(
-                        head, {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": (count, *shape)}
-                    )
-                    member.write(head.getvalue())
-                    for (grids, goals, _), mask in zip(_grids(source), masks, strict=True):
-                        for grid, goal in zip(grids[mask], goals[mask].tolist(), strict=True):
-                            member.write(np.ascontiguousarray(make(grid, goal), dtype).tobytes())
+    passes = 1 + len(SPLITS) * len(_ARRAYS)
+    shards = len(source.manifest.shards)
+    with tqdm(total=passes * shards, unit=" shards", leave=False, disable=not source.progress) as bar:
+        batches = partial(_batches, replace(source, progress=False), bar)
+        splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in batches()]
+        counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
+        if 0 in counts:
+            missing = SPLITS[counts.index(0)]
+            raise FormatError(f"the split {missing!r} has no usable map, neural-astar's loader needs one")
+        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
+            for code, count in enumerate(counts):
+                for k, (lead, dtype, make) in enumerate(_ARRAYS):
+                    head, shape = BytesIO(), (count, *lead, *source.manifest.map_size)
+                    header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
+                    np.lib.format.write_array_header_1_0(head, header)
+                    info = zipfile.ZipInfo(f"arr_{4 * code + k}.npy")  # its date is fixed: equal content, equal bytes
+                    info.compress_type = zipfile.ZIP_DEFLATED
+                    with archive.open(info, "w", force_zip64=True) as member:
+                        member.write(head.getvalue())
+                        for (grids, goals, _), split in zip(batches(), splits, strict=True):
+                            for i in np.flatnonzero(split == code):
+                                member.write(np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes())
     left = source.manifest.maps - sum(counts)
     return [f"{left} maps are left out: the loader finds no start on them"] if left else []
 
 
-def _grids(source: Stored) -> Iterator[tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], npt.NDArray[np.uint8]]]:
+def _one_hot(grid: Bytes, goal: Array) -> Bytes:
+    out = np.zeros(grid.shape, np.uint8)
+    out[tuple(goal)] = 1
+    return out
+
+
+_ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...] = (
+    ((), "u1", lambda grid, goal: 1 - grid),
+    ((1,), "u1", _one_hot),
+    ((8, 1), "u1", lambda grid, goal: policy(hops(grid, goal))),
+    ((1,), "<f4", hops),
+)
+"""The four arrays of a split: the axes between N and H, the type, and what one is of a grid and its goal."""
+
+
+def _batches(source: Stored, bar: tqdm[Any]) -> Iterator[tuple[Bytes, Array, Bytes]]:
     """Yield grids, goals and splits of each shard."""
     for labels in source.batches():
         yield labels.maps.occupancy, labels.maps.seeds[:, 0], labels.maps.split
+        bar.update()
 
 
-def _keep(
-    batch: tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], npt.NDArray[np.uint8]], code: int
-) -> npt.NDArray[np.bool_]:
-    """Return which maps of a shard belong to a split and have starts."""
-    grids, goals, splits = batch
-    mask = splits == code
-    for k in np.flatnonzero(mask).tolist():
-        mask[k] = has_starts(hops(grids[k], goals[k].tolist()))
-    return np.asarray(mask, np.bool_)
-
-
-def _one_hot(grid: npt.NDArray[np.uint8], goal: tuple[int, int]) -> npt.NDArray[np.uint8]:
-    out = np.zeros((1, *grid.shape), np.uint8)
-    out[0, goal[0], goal[1]] = 1
-    return out
+def _usable(grids: Bytes, goals: Array) -> npt.NDArray[np.bool_]:
+    """Return which maps have starts."""
+    return np.array([has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)], np.bool_)

@@ -128,8 +128,9 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
     if not (inside and image.is_file()):
         what = "is missing" if inside else "lies outside the folder of the yaml"
         beside = name.replace("\\", "/").rsplit("/", 1)[-1]
-        advice = f"; say image: {beside}, which lies beside it" if beside != name and (folder / beside).is_file() else ""
-        raise FormatError(f"{path}: image {name[:80]!r} {what}{advice}")
+        if beside != name and (folder / beside).is_file():
+            what += f"; say image: {beside}, which lies beside it"
+        raise FormatError(f"{path}: image {name[:80]!r} {what}")
     return image
 
 

@@ -108,3 +108,45 @@ def test_recognising(root: Path, tmp_path: Path) -> None:
         read_any(tmp_path / "text", "zarr")
     with pytest.raises(ValueError, match="--unknown: does nothing for format images"):
         read_any(tmp_path / "stack.npy", unknown="free")
+
+
+def test_pictures_beside_another_table(tmp_path: Path) -> None:
+    """A .csv with other headers may be a release, whose polarity is the other: the user says what it is."""
+    Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "a.png")
+    (tmp_path / "data.csv").write_text("name,rows\na,4\n")
+    with pytest.raises(FormatError, match="without the paper's columns; --format paper says"):
+        recognise(tmp_path)
+    assert len(read_any(tmp_path, "images").maps) == 1
+    with pytest.raises(FormatError, match="no column 'seed_rows' among name, rows"):
+        read_any(tmp_path, "paper")
+
+
+@pytest.mark.parametrize(
+    ("says", "arguments"),
+    [
+        ("SRC: got an empty name", ["", "out"]),
+        ("ROOT: got an empty name", ["stack.npy", ""]),
+        ("--size: got '0x5', expected ROWSxCOLUMNS", ["stack.npy", "out", "--size", "0x5"]),
+        ("size: got 2000x5, expected 1 to 1024", ["stack.npy", "out", "--size", "2000x5"]),
+        ("--max-pixels: got 0, expected at least 1", ["stack.npy", "out", "--max-pixels", "0"]),
+        ("has 6 x 6 pixels, expected at most 35", ["stack.npy", "out", "--max-pixels", "35"]),
+        ("--fit: does nothing without --size", ["stack.npy", "out", "--fit", "crop"]),
+    ],
+)
+def test_usage_of_import(
+    says: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line that names the flag or the file, exit code 2, and nothing is made."""
+    monkeypatch.chdir(tmp_path)
+    np.save("stack.npy", np.zeros((2, 6, 6)))
+    code, out, err = cli(capsys, "import", *arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert says in err
+    assert [path.name for path in tmp_path.iterdir()] == ["stack.npy"]
+
+
+def test_an_export_to_no_name(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty name is refused; a name without .npz is named as the user wrote it."""
+    assert "DST: got an empty name" in cli(capsys, "export", root, "", "--format", "ros")[2]
+    code, _, err = cli(capsys, "export", root, tmp_path / "x", "--format", "planning-datasets")
+    assert (code, err) == (2, f"mapdata: {tmp_path / 'x'}: expected a name that ends with .npz\n")

@@ -135,8 +135,8 @@ def hostile(folder: Path) -> dict[str, str]:
         "lie.npy": (npy((2**20, 2**20), b""), "but has"),
         "nan.npy": (npy((1, 2), np.array([0, np.nan]).tobytes(), "<f8"), "expected 0 to 1"),
         "grey.npy": (npy((1, 2), b"\0\xff"), "holds values from 0 to 255, expected 0 to 1"),
-        "flat.npy": (npy((4,), bytes(4)), "expected (H, W) or (N, H, W)"),
-        "empty.npy": (npy((0, 4, 4), b""), "expected (H, W) or (N, H, W)"),
+        "flat.npy": (npy((4,), bytes(4)), "expected (H, W), (N, H, W) or (N, 1, H, W)"),
+        "empty.npy": (npy((0, 4, 4), b""), "expected (H, W), (N, H, W) or (N, 1, H, W)"),
         "header.npy": (b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16, "not an array"),
         "version.npy": (b"\x93NUMPY\x09\x00\x10\x00" + b" " * 16, "not an array"),
         "long.npy": (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f{", "not an array"),
@@ -235,3 +235,21 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     (tmp_path / "in" / "e.map").write_text("x")
     code, _, err = cli(capsys, "import", tmp_path / "in", tmp_path / "no")
     assert (code, "files of images and movingai; --format says which" in err) == (2, True)
+
+
+def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
+    """Their brightest pixel is 1 of 255: left out with advice, read when the threshold says so."""
+    Image.fromarray(1 - GRID).save(tmp_path / "mask.png")
+    found = read(tmp_path, invert=True)
+    assert found.maps == []
+    assert "brightest pixel is 1 of 255, nothing is above --threshold 0.5" in found.left_out[0][1]
+    assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
+
+
+def test_stacks_with_a_channel(tmp_path: Path) -> None:
+    """(N, 1, H, W), as torch has it, is a stack; two channels are not; a limit counts the cells of one map."""
+    np.savez(tmp_path / "a.npz", maps=np.stack([GRID, 1 - GRID])[:, None], labels=np.arange(2))
+    assert grids(tmp_path) == [GRID.tolist(), (1 - GRID).tolist()]
+    assert read(tmp_path, Limits(pixels=11)).maps == []
+    np.savez(tmp_path / "a.npz", maps=np.zeros((3, 2, 4, 4)))
+    assert read(tmp_path).maps == []

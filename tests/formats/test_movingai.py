@@ -73,7 +73,9 @@ def test_scen_forms(tmp_path: Path) -> None:
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=1)]
     path.write_text("3 dao/cave.map 1 3 5 0 12.0711\n")
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=1, size=None)]
-    path.write_text("\nversion 1\n3 dao/cave.map 1 3 5 0 12.0711\n\n////\n  article{sturtevant2012,\n  volume={4},\n}\n")
+    path.write_text(
+        "\nversion 1\n3 dao/cave.map 1 3 5 0 12.0711\n\n////\n  article{sturtevant2012,\n  volume={4},\n}\n"
+    )
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=3, size=None)]
 
 
@@ -198,6 +200,8 @@ def test_hostile_maps(name: str, tmp_path: Path) -> None:
 
 
 HOSTILE_SCENS = {
+    "nothing": ("", "holds no problems"),
+    "no problem": ("version 1\n", "holds no problems"),
     "words": ("0\tcave.map\t6\t4\n", "line 1 has 4 fields"),
     "eight": ("0 cave.map 6 4 0 0 1 1\n", "line 1 has 8 fields"),
     "text": ("0\tcave.map\t6\t4\ta\t0\t0\t0\t0\n", "expected numbers"),
@@ -247,6 +251,13 @@ def test_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert labels.all_connected.all()
 
 
+def test_a_scen_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its map is imported with its first end points on land, as many as asked for."""
+    assert cli(capsys, "import", files(tmp_path), tmp_path / "out", "--seeds", 3)[0] == 0
+    labels = read_shard(tmp_path / "out" / read_manifest(tmp_path / "out").shards[0].name)
+    assert labels.maps.seeds[0].tolist() == [[0, 0], [3, 0], [1, 1]]
+
+
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Maps, seeds and splits come back, and all lengths agree with ours."""
     assert cli(capsys, "export", root, tmp_path / "out", "--format", "movingai")[0] == 0
@@ -272,6 +283,6 @@ def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[
     (tmp_path / "wide.map").write_text(text)
     code, _, err = cli(capsys, "import", tmp_path, tmp_path / "no")
     assert code == 2
-    assert "cut it into tiles" in err
+    assert "--tile cuts it" in err
     assert cli(capsys, "import", tmp_path, tmp_path / "out", "--tile", "3x500")[0] == 0
     assert read_manifest(tmp_path / "out").maps == 4

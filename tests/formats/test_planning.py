@@ -14,12 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 
+from mapdata.datamodule import MapDataModule
+from mapdata.evaluate import Problems, evaluate
 from mapdata.formats import export, recognise
 from mapdata.formats.files import FormatError, Limits, Npz
-from mapdata.formats.planning import has_starts, hops, policy, read
+from mapdata.formats.planning import MOVEMENT, has_starts, hops, policy, read
 from mapdata.imported import import_maps
 from mapdata.manifest import read_manifest
+from mapdata.planners import classical
 from mapdata.shard import read_shard
+from mapdata.spec import Movement
 
 Floats = npt.NDArray[np.float32]
 MOVES = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
@@ -157,6 +161,45 @@ def test_files_in_the_wild(tmp_path: Path) -> None:
     assert made.manifest.maps == 2
 
 
+@pytest.mark.parametrize("movement", [None, Movement(8)])
+def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | None, tmp_path: Path) -> None:
+    """From the .npz to batches of every split, and to a table in which A* is optimal."""
+    arrays = sound(12, 9, 9)
+    for code in range(3):
+        arrays[f"arr_{4 * code}"][:, 1::2, ::2] = 0  # bars with gaps: the stated distances are wrong, and counted so
+    np.savez(tmp_path / "mazes.npz", **arrays)  # type: ignore[arg-type]
+    found = read(tmp_path / "mazes.npz")
+    import_maps(tmp_path / "mazes", found, seeds=4)
+    loaders = MapDataModule(
+        tmp_path / "mazes", movement=movement, batch_size=8, fields=("map", "goal", "optimal_moves")
+    )
+    for loader in (loaders.train_dataloader(), loaders.val_dataloader(), loaders.test_dataloader()):
+        batches = list(loader)
+        assert sum(len(batch[0]) for batch in batches) == 12 * 3
+        assert batches[0][2].shape == (8, 1, 9, 9)
+    rule = movement or MOVEMENT
+    table = evaluate(classical(rule), Problems.read(tmp_path / "mazes", movement=rule), bootstrap=10)
+    best = table[(table["planner"] == "A*") & (table["subset"] == "all")].iloc[0]
+    assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
+
+
+def test_a_folder_of_environments(tmp_path: Path) -> None:
+    """All .npz below a folder are one dataset; what is no such file is left out with its reason."""
+    arrays = sound()
+    for name in ("forest", "mazes"):
+        np.savez(tmp_path / f"{name}.npz", **arrays)  # type: ignore[arg-type]
+    assert recognise(tmp_path) == "planning-datasets"
+    del arrays["arr_3"]
+    np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
+    found = read(tmp_path)
+    assert [one.name for one in found.maps][5:7] == [
+        f"{tmp_path / 'forest.npz'}: test 1",
+        f"{tmp_path / 'mazes.npz'}: train 0",
+    ]
+    assert [(Path(name).name, why[:23]) for name, why in found.left_out] == [("bad.npz", "holds no array 'arr_3',")]
+    assert found.notes == ["distances of 12 of 12 maps are what our search finds"]
+
+
 def test_export_refuses(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Another ending, an existing target, an unknown format's option: nothing is written."""
     for arguments in (
@@ -201,7 +244,7 @@ def archives(folder: Path) -> dict[str, tuple[Path, str]]:
         "cut": (cut, "not a sound .npz"),
         "flipped": (flipped, "not a sound .npz|not an array|but has"),
         "text": (text, "not a sound .npz"),
-        "outside": (outside, "holds no array|holds no maps"),
+        "outside": (outside, "expected arr_0 to arr_11"),
         "nan": (other("nan", arr_0=npy((2, 4, 4), np.full(32, np.nan).tobytes(), "<f8")), "expected 0 to 1"),
         "grey": (other("grey", arr_0=npy((2, 4, 4), np.full(32, 0.5).tobytes(), "<f8")), "expected only 0 and 1"),
         "flat": (other("flat", arr_0=npy((32,), np.ones(32).tobytes(), "<f8")), "expected \\(N, H, W\\)"),
