@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mapdata.build import build as build
-    from mapdata.build import verify as verify
+    from mapdata.damage import repair as repair
+    from mapdata.damage import verify as verify
     from mapdata.datamodule import MapDataModule as MapDataModule
     from mapdata.dataset import MapDataset as MapDataset
     from mapdata.dungeon import Maps as Maps
@@ -40,7 +41,8 @@ __version__ = "0.1.0"
 
 _HOME = {
     "build": "build",
-    "verify": "build",
+    "repair": "damage",
+    "verify": "damage",
     "MapDataset": "dataset",
     "OnlineMapDataset": "online",
     "MapDataModule": "datamodule",

@@ -1,31 +1,28 @@
-"""Many shards: build them, go on where a build stopped, verify them."""
+"""Many shards: build them, go on where a build stopped."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+import warnings
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
-from tqdm import tqdm
-
-from mapdata.content import content_hash
 from mapdata.dungeon import generate
 from mapdata.labels import label
 from mapdata.manifest import (
     LOCK,
     MANIFEST,
+    MOST_SHARDS,
     Entry,
     Manifest,
-    counts_of,
     entry_of,
     is_shard_name,
     load_shard,
@@ -34,14 +31,18 @@ from mapdata.manifest import (
     shard_name,
     sweep,
 )
-from mapdata.shard import Header, Shard, ShardError, decode, open_shard, shard_image, write_file
+from mapdata.shard import Header, Shard, ShardError, open_shard, shard_image, write_file
 from mapdata.spec import FORMAT_VERSION, PRESETS, MapSpec, check_count, check_seed, identity
-
-MOST_SHARDS = 10**7
-"""Most files of a dataset."""
+from mapdata.work import CORES, bar, finished, threads
 
 _MERGE_EVERY = 2.0
-"""Seconds between two writes of the manifest."""
+"""Seconds between two writes of the manifest; more where one takes long, so that many shards cost no more each."""
+
+_UNDER_WAY = 10_000
+"""Most shards that an executor is given at once."""
+
+_FEW = 4 * CORES
+"""Most that threads of this process are."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ def build(
     shard_size: int = 1000,
     workers: int | None = None,
     executor: Executor | None = None,
+    part: tuple[int, int] = (0, 1),
     progress: bool = False,
 ) -> Manifest:
     """Make maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``; go on where a build
@@ -116,11 +118,14 @@ def build(
         seed: 64-bit seed.
         shard_size: maps a shard.
         workers: threads (the kernels hold no GIL); default all cores.
-        executor: runs the shards instead of threads; anything with ``submit``.
+        executor: runs the shards instead of threads; anything with ``submit``. When one of its workers dies and breaks
+            it, as that of a process pool does, threads of this process go on.
+        part: (k, n): make only every n-th shard, from shard k on; the n parts, in any order, at once or one by one, on
+            one machine or many that share the folder, make the whole.
         progress: show a progress bar.
 
     Returns:
-        The manifest of the finished dataset.
+        The manifest: that of the finished dataset, or of what is there when other parts are not finished.
 
     Raises:
         ValueError: bad arguments; the root is a file or holds something else; another spec, seed, shard size, or more
@@ -144,26 +149,41 @@ def build(
     )
     if maps > MOST_SHARDS * shard_size:
         raise ValueError(f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger shards")
-    have = _prepare(root, wanted)
-    todo = [header for header in headers(wanted) if (header.start, header.stop) not in have]
+    if not (len(part) == 2 and all(isinstance(number, int) for number in part) and 0 <= part[0] < part[1]):
+        raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
+    have, torn = _prepare(root, wanted)
+    if os.access(root, os.W_OK):
+        sweep(root, replace(wanted, shards=tuple(have.values())))
+    mine = list(headers(wanted))[part[0] :: part[1]]
+    todo = [header for header in mine if (header.start, header.stop) not in have]
     if not todo:  # nothing to write, so a root that may only be read will do
         return replace(wanted, shards=tuple(have.values()))
-    sweep(root)
-    manifest = replace(wanted, shards=tuple(have.values()))
-    with _bar(progress, total=maps, initial=_count(manifest.shards), unit=" maps") as advance:
-        pool = executor or ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="mapdata")
+    if not os.access(root, os.W_OK):
+        raise PermissionError(f"root: no permission to write in {root}")
+    if executor is not None:  # kernels are compiled here, once, and not in each of its processes
+        shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
+    shards, wait = list(have.values()), True
+    total, left = _count(mine), _count(todo)
+    with (
+        bar(progress, total, total - left) as advance,
+        threads(workers) if executor is None else nullcontext(executor) as pool,
+        closing(_made(pool, root.absolute(), todo, torn, _UNDER_WAY if executor else _FEW)) as made,
+    ):
+        due = time.monotonic() + _MERGE_EVERY
         try:
-            written = time.monotonic()
-            for entry in _run(pool, root, todo):
+            for entry in made:
+                if executor is not None and _size(root / entry.name) != entry.bytes:
+                    raise OSError(f"root: a worker wrote {entry.name} elsewhere: it must share the folder {root}")
+                shards.append(entry)
                 advance(entry.stop - entry.start)
-                manifest = replace(manifest, shards=(*manifest.shards, entry))
-                if time.monotonic() - written > _MERGE_EVERY:
-                    merge(root, manifest)
-                    written = time.monotonic()
+                if (began := time.monotonic()) > due:
+                    merge(root, replace(wanted, shards=tuple(shards)), wait=False)
+                    due = time.monotonic() + max(_MERGE_EVERY, 20 * (time.monotonic() - began))
+        except KeyboardInterrupt:
+            wait = False  # the next build adopts what the manifest does not list
+            raise
         finally:
-            if executor is None:
-                pool.shutdown(wait=True, cancel_futures=True)
-            manifest = merge(root, manifest)
+            manifest = merge(root, replace(wanted, shards=tuple(shards)), wait=wait)
     return manifest
 
 
@@ -181,9 +201,9 @@ def headers(manifest: Manifest) -> Iterator[Header]:
         )
 
 
-def make_shard(root: Path, header: Header) -> Entry:
-    """Make one shard, unless a sound one stands under its name already; return its entry."""
-    if found := load_shard(root, header):
+def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
+    """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case; return its entry."""
+    if not anew and (found := load_shard(root, header)):
         return found
     if header.spec is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
@@ -194,28 +214,30 @@ def make_shard(root: Path, header: Header) -> Entry:
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _run(pool: Executor, root: Path, todo: Iterable[Header]) -> Iterator[Entry]:
-    """Yield entries as shards are finished, with few shards under way so that a stop is quick."""
-    under_way: set[Future[Entry]] = set()
-    waiting = iter(todo)
+def _make(root: Path, torn: frozenset[tuple[int, int]], header: Header) -> Entry:
+    return make_shard(root, header, anew=(header.start, header.stop) in torn)
+
+
+def _made(
+    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[tuple[int, int]], most: int
+) -> Generator[Entry, None, None]:
+    """Yield entries as shards are finished."""
+    make, left = partial(_make, root, torn), dict.fromkeys(todo)
     try:
-        while True:
-            for header in waiting:
-                under_way.add(pool.submit(make_shard, root, header))
-                if len(under_way) >= 4 * (os.cpu_count() or 1):
-                    break
-            if not under_way:
-                return
-            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    finally:
-        for future in under_way:
-            future.cancel()
+        for header, entry in finished(pool, make, todo, most):
+            del left[header]
+            yield entry
+    except BrokenExecutor as error:
+        warnings.warn(f"executor: {error} Threads of this process make the other shards.", stacklevel=3)
+        with threads() as spare:
+            for _, entry in finished(spare, make, left, _FEW):
+                yield entry
 
 
-def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
-    """Make the root if it is missing; return what it has of the wanted dataset, or refuse it."""
+def _prepare(root: Path, wanted: Manifest) -> tuple[dict[tuple[int, int], Entry], frozenset[tuple[int, int]]]:
+    """Make the root if it is missing; return what it has of the wanted dataset and which of its shards are damaged, or
+    refuse it.
+    """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
     root.mkdir(parents=True, exist_ok=True)
@@ -240,23 +262,14 @@ def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
             raise ValueError(f"root: {root} holds a dataset with {name} {theirs}, asked for {name} {mine}")
     if wanted.maps < found.maps:
         raise ValueError(f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows")
-    plan, have = set(wanted.plan), {}
+    plan, have, torn = set(wanted.plan), {}, set()
     for entry in found.shards:
-        if _size(root / entry.name) != entry.bytes:
-            (root / entry.name).unlink(missing_ok=True)  # damaged: it is made again
-        elif (entry.start, entry.stop) in plan:
-            have[entry.start, entry.stop] = entry
-    return have
-
-
-@contextmanager
-def _bar(shown: bool, **arguments: Any) -> Iterator[Callable[[int], object]]:  # noqa: ANN401  (tqdm's own)
-    """Yield what advances a progress bar; a bar that is not shown is not made, since tqdm takes a lock and a thread."""
-    if shown:
-        with tqdm(**arguments) as bar:
-            yield bar.update
-    else:
-        yield lambda _: None
+        limits, size = (entry.start, entry.stop), _size(root / entry.name)
+        if size not in (-1, entry.bytes):
+            torn.add(limits)
+        elif size == entry.bytes and limits in plan:
+            have[limits] = entry
+    return have, frozenset(torn)
 
 
 def _check_owner(path: Path, wanted: Manifest) -> None:
@@ -281,71 +294,8 @@ def _size(path: Path) -> int:
         return -1
 
 
-def _count(shards: Iterable[Entry]) -> int:
-    return sum(entry.stop - entry.start for entry in shards)
-
-
-def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]:
-    """Return what is wrong with a dataset, a line each; an empty list when all is well.
-
-    Every file is hashed before HDF5 opens it, then guarded, and its content hash is computed again.
-
-    Raises:
-        DatasetNotFoundError: there is no dataset under ``root``.
-    """
-    root = Path(root)
-    try:
-        manifest = read_manifest(root)
-    except ShardError as error:
-        return [str(error)]
-    problems = []
-    text = (root / MANIFEST).read_text(encoding="utf-8")
-    if text != json.dumps(json.loads(text), indent=1) + "\n":
-        problems.append(f"{root / MANIFEST}: damaged (its text is not as it was written)")
-    planned = {(header.start, header.stop): header for header in headers(manifest)}
-    with _bar(progress, total=len(manifest.shards), unit=" shards") as advance:
-        for entry in manifest.shards:
-            header = planned.pop((entry.start, entry.stop), None) or _partial(entry, planned.values())
-            problem = "not a shard of this dataset" if header is None else _problem(root / entry.name, entry, header)
-            if problem:
-                problems.append(problem if str(root) in problem else f"{root / entry.name}: {problem}")
-            advance(1)
-    problems += [f"{root / shard_name(*missing)}: missing (the build did not finish)" for missing in planned]
-    return problems
-
-
-def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
-    """Return the header of a partial last shard that an extension has not replaced yet."""
-    for header in planned:
-        if header.start == entry.start and entry.stop < header.stop:
-            return replace(header, stop=entry.stop)
-    return None
-
-
-def _problem(path: Path, entry: Entry, header: Header) -> str | None:
-    """Return what is wrong with one shard file, or None."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        return "missing"
-    except OSError as error:
-        return f"cannot be read ({error})"
-    if len(data) != entry.bytes:
-        return f"has {len(data)} bytes, the manifest says {entry.bytes}"
-    if hashlib.sha256(data).hexdigest() != entry.sha256:
-        return "damaged (its file hash does not fit)"
-    try:
-        shard = open_shard(path, entry.bytes)
-    except ShardError as error:
-        return str(error)
-    if shard.header != header:
-        return "holds other maps than the manifest says"
-    labels = decode(shard)
-    if not content_hash(labels) == shard.content_hash == entry.content_hash:
-        return "damaged (its content hash does not fit)"
-    if counts_of(labels) != entry.counts:
-        return "the manifest counts other problems than it holds"
-    return None
+def _count(shards: Sequence[Header]) -> int:
+    return sum(header.stop - header.start for header in shards)
 
 
 class _Module(ModuleType):

@@ -5,19 +5,26 @@ data are damaged or disagree, 2 usage or environment.
 from __future__ import annotations
 
 import argparse
+import os
+import re
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NoReturn
 
 import mapdata
-from mapdata.build import Recipe, build, verify
+from mapdata.build import Recipe, build
 from mapdata.cli_formats import add_verbs as add_format_verbs
+from mapdata.cluster import executor_of
+from mapdata.damage import inspect, mend
 from mapdata.manifest import Manifest, read_manifest
 from mapdata.shard import ShardError, write_file
 from mapdata.spec import PRESETS
+from mapdata.work import THREADS
 
 
 class _DisagreeError(Exception):
@@ -32,6 +39,8 @@ def build_command(
     recipe: str | None,
     shard_size: int,
     workers: int | None,
+    scheduler: str | None,
+    part: tuple[int, int],
 ) -> None:
     """Make maps with all labels as shards; run again to go on, ask for more maps to extend."""
     if recipe is None and preset not in PRESETS:
@@ -39,17 +48,20 @@ def build_command(
     wanted = Recipe.load(preset if recipe is None else recipe)
     maps, seed = wanted.maps if maps is None else maps, wanted.seed if seed is None else seed
     began = time.perf_counter()
-    manifest = build(
-        root,
-        wanted.spec,
-        maps=maps,
-        seed=seed,
-        shard_size=shard_size,
-        workers=workers,
-        progress=True,
-    )
+    with nullcontext() if scheduler is None else executor_of(scheduler, workers) as executor:
+        manifest = build(
+            root,
+            wanted.spec,
+            maps=maps,
+            seed=seed,
+            shard_size=shard_size,
+            workers=workers if executor is None else None,
+            executor=executor,
+            part=part,
+            progress=True,
+        )
     print(summary(root, manifest, time.perf_counter() - began))
-    if wanted.content_hash is not None and (maps, seed) == (wanted.maps, wanted.seed):
+    if wanted.content_hash is not None and (maps, seed) == (wanted.maps, wanted.seed) and manifest.complete:
         if manifest.content_hash != wanted.content_hash:
             raise _DisagreeError(f"content hash {manifest.content_hash}, the recipe says {wanted.content_hash}")
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
@@ -68,14 +80,20 @@ def info_command(root: str, recipe: bool, card: str | None) -> None:
     print(f"wrote {path}")
 
 
-def verify_command(root: str) -> None:
+def verify_command(root: str, repair: bool) -> None:
     """Check every file of a dataset; exit code 1 if one is damaged."""
-    problems = verify(root, progress=True)
-    for problem in problems:
+    findings = inspect(root, progress=True)
+    for problem in findings.problems:
         print(problem)
-    if problems:
-        raise _DisagreeError(f"{len(problems)} found")
-    print(f"{root}: all is well")
+    found = len(findings.problems)
+    if found and not repair:
+        raise _DisagreeError(f"{found} found; --repair makes them again from the recipe")
+    left = mend(root, findings, progress=True) if found else []
+    for problem in left:
+        print(f"not mended: {problem}")
+    if left:
+        raise _DisagreeError(f"{len(left)} of {found} not mended")
+    print(f"{root}: {f'{found} mended' if found else 'all is well'}")
 
 
 def show_command(root: str, index: int | None, output: str, paper_colours: bool, figure: str) -> None:
@@ -87,7 +105,8 @@ def show_command(root: str, index: int | None, output: str, paper_colours: bool,
     if paper_colours and figure not in WITH_GRID:
         raise ValueError(f"--paper-colours: does nothing with --figure {figure}, which shows no map")
     drawn = draw(root, figure, index=index or 0, paper_colours=paper_colours)
-    drawn.savefig(output, dpi=150, bbox_inches="tight")
+    kind = Path(output).suffix[1:] or "png"  # else matplotlib adds an ending to the name
+    drawn.savefig(output, format=kind, dpi=150, bbox_inches="tight")
     print(f"wrote {output}")
 
 
@@ -130,7 +149,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name, command, add_arguments in (
         ("build", build_command, add_build_arguments),
         ("info", info_command, _add_info_arguments),
-        ("verify", verify_command, lambda _: None),
+        ("verify", verify_command, _add_verify_arguments),
         ("show", show_command, _add_show_arguments),
         ("report", report_command, _add_report_arguments),
     ):
@@ -155,10 +174,18 @@ def run(command: Callable[..., None], **values: object) -> None:
     """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a user can mend."""
     try:
         command(**values)
+        print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
+    except BrokenPipeError:  # as in: mapdata info ROOT | head -1
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
+        sys.exit(141)  # as a shell says it
     except (_DisagreeError, ShardError) as error:
         sys.exit(_complain(error, 1))
     except KeyboardInterrupt:
-        sys.exit(_complain("stopped; run the same command again to go on", 130))
+        code = _complain("stopped; run the same command again to go on", 130)
+        if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
+            sys.stdout.flush()
+            os._exit(code)  # a plain exit would wait for the shards under way, however long they take
+        sys.exit(code)
     except (ValueError, OSError) as error:
         sys.exit(_complain(error, 2))
 
@@ -182,6 +209,27 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--recipe", metavar="FILE", help="what 'mapdata info ROOT --recipe' prints, or an own spec")
     parser.add_argument("--shard-size", metavar="K", type=int, default=1000, help="maps a shard (default: %(default)s)")
     parser.add_argument("--workers", metavar="W", type=int, help="threads (default: all cores)")
+    parser.add_argument(
+        "--scheduler", metavar="WHERE", help="build with Dask: tcp://HOST:PORT of a scheduler, or local processes"
+    )
+    parser.add_argument(
+        "--part",
+        metavar="K/N",
+        type=_part,
+        default=(0, 1),
+        help="make only part K of N, K from 0 to N - 1: for array jobs on a shared folder (default: 0/1, all)",
+    )
+
+
+def _part(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if match is None or int(match[1]) >= int(match[2]):
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected K/N with K from 0 to N - 1, as in 0/4")
+    return int(match[1]), int(match[2])
+
+
+def _add_verify_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--repair", action="store_true", help="make damaged and missing shards again from the recipe")
 
 
 def _add_info_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import operator
 import os
 from abc import ABC, abstractmethod
@@ -254,7 +255,8 @@ class MapDataset(ProblemDataset):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""
-        return _reopen, ({"root": self.roots, **self._arguments()}, self.filters)
+        content = [manifest.content_hash for manifest in self.store.manifests]
+        return _reopen, ({"root": self.roots, **self._arguments()}, self.filters, content)
 
     @property
     def map_size(self) -> tuple[int, int]:
@@ -299,7 +301,7 @@ class MapDataset(ProblemDataset):
                 raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
         numbers = np.arange(len(self.store)) if self._kept is None else self._kept
         keep = [self._meets(numbers[k : k + 4096], conditions) for k in range(0, len(numbers), 4096)]
-        view = _reopen(self.__reduce__()[1][0], ())
+        view = copy.copy(self)
         view.filters = (*self.filters, conditions)
         view._kept = numbers[np.concatenate([np.zeros(0, np.bool_), *keep])]
         return view
@@ -350,6 +352,9 @@ class MapDataset(ProblemDataset):
         def paths() -> Paths:
             if self.problems == "route" and self.movement == self.store.movement:
                 return Paths(*self.store.paths(shards, maps, first, self.planner))
+            for cells in (starts, goals):
+                for k in np.flatnonzero(grids[np.arange(len(grids)), cells[:, 0], cells[:, 1]])[:1]:
+                    raise self.store.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
             return self._solve(grids, starts, goals)
 
         return self._as_batch(numbers, shards, maps, grids, starts, goals, paths)
@@ -426,9 +431,12 @@ def _turned(batch: Batch, seed: int, epoch: int) -> Batch:
     )
 
 
-def _reopen(arguments: dict[str, Any], filters: tuple[dict[str, Any], ...]) -> MapDataset:
-    """Return the dataset that was pickled."""
+def _reopen(arguments: dict[str, Any], filters: tuple[dict[str, Any], ...], content: list[str]) -> MapDataset:
+    """Return the dataset that was pickled, if it still is: in another its problems would have other numbers."""
     dataset = MapDataset(**arguments)
+    for root, manifest, expected in zip(dataset.roots, dataset.store.manifests, content, strict=True):
+        if manifest.content_hash != expected:
+            raise ValueError(f"root: {root} holds other maps than when this dataset was opened; open it again")
     for conditions in filters:
         dataset = dataset.filter(**conditions)
     return dataset

@@ -9,12 +9,19 @@ import json
 import os
 import re
 import socket
+import stat
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock
+
+if sys.platform != "win32":
+    import fcntl
 
 import mapdata
 from mapdata.content import combine, content_hash
@@ -24,6 +31,13 @@ from mapdata.spec import FORMAT_VERSION, SPLITS, MapSpec, Movement, canonical_js
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
+MOST_SHARDS = 10**7
+"""Most files of a dataset."""
+
+MOST_BYTES = 2**28
+"""Largest manifest that is read: room for some 300,000 shards."""
+
+_A_DAY = 86_400
 _TEMPORARY = re.compile(r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp")
 
 
@@ -33,10 +47,13 @@ class DatasetNotFoundError(FileNotFoundError):
     def __init__(self, root: object, why: str = "it does not exist") -> None:
         """Say what was looked for under ``root`` and what to do."""
         self.root, self.why = root, why
-        super().__init__(
-            f"no dataset at {root}: {why}. Make one with 'python scripts/build_shards.py {root}', with "
-            f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, build='paper')"
+        how = (
+            f"Make one with 'python scripts/build_shards.py {root}', with mapdata.build({str(root)!r}, MapSpec()), or "
+            f"with MapDataModule({str(root)!r}, build='paper')"
         )
+        if "://" in str(root):
+            how = "Make one in a folder with 'python scripts/build_shards.py FOLDER', and serve that folder"
+        super().__init__(f"no dataset at {root}: {why}. {how}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as arguments: an exception of a worker says the same in its parent."""
@@ -135,7 +152,7 @@ class Manifest:
             "map_size": list(self.map_size),
             "movement": asdict(self.movement),
             "resolution": self.resolution,
-            "shards": [asdict(entry) for entry in self.shards],
+            "shards": [vars(entry) for entry in self.shards],
         }
         values["manifest_hash"] = _hash(values)
         return json.dumps(values, indent=1) + "\n"
@@ -193,6 +210,9 @@ def read_manifest(root: Path) -> Manifest:
     """
     path = root / MANIFEST
     try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
+            raise ShardError(f"{path}: not a file, or larger than {MOST_BYTES} bytes")
         text = path.read_bytes().decode()
     except (FileNotFoundError, NotADirectoryError):
         raise DatasetNotFoundError(root, f"no {MANIFEST} there" if root.is_dir() else "it does not exist") from None
@@ -227,6 +247,8 @@ def parse_manifest(text: str, path: str) -> Manifest:
             resolution=values["resolution"],
             shards=entries,
         )
+        if manifest.maps > MOST_SHARDS * manifest.shard_size:
+            raise ShardError(f"{path}: damaged (plans over {MOST_SHARDS} files)")
         if (values["identity"], values["content_hash"]) != (manifest.identity, manifest.content_hash):
             raise ShardError(f"{path}: damaged (its identity or content hash is not what its values give)")
         return manifest
@@ -254,11 +276,38 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
     return entry
 
 
-def merge(root: Path, mine: Manifest) -> Manifest:
-    """Write the union of ``mine`` and the manifest on disk, remove shards that larger ones replaced; return the
-    union.
+@contextmanager
+def _locked(root: Path, wait: bool) -> Iterator[bool]:
+    """Hold the lock of a root and yield True; yield False when another holds it and ``wait`` is False.
+
+    A file system without locks (or Windows) yields True: two merges at once may then lose entries, never shards, and
+    the next build adopts those.
     """
-    with FileLock(root / LOCK):
+    with open(root / LOCK, "ab") as file:
+        if sys.platform == "win32":
+            yield True
+            return
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        except OSError:
+            yield True
+            return
+        try:
+            yield True
+        finally:
+            fcntl.flock(file, fcntl.LOCK_UN)  # closing would not do where a fork shares the file
+
+
+def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
+    """Write the union of ``mine`` and the manifest on disk, remove shards that larger ones replaced; return the
+    union. While another builder merges, wait for it, or without ``wait`` do nothing and return ``mine``.
+    """
+    with _locked(root, wait) as free:
+        if not free:
+            return mine
         theirs = read_manifest(root) if (root / MANIFEST).exists() else mine
         union = _union(mine, theirs)
         write_file(root / MANIFEST, union.to_json().encode())
@@ -280,13 +329,27 @@ def _union(mine: Manifest, theirs: Manifest) -> Manifest:
     return replace(union, shards=tuple(kept))
 
 
-def sweep(root: Path) -> None:
-    """Remove what dead builders of this host left behind."""
-    with FileLock(root / LOCK):
-        for path in root.glob(".*.tmp"):
-            match = _TEMPORARY.fullmatch(path.name)
-            if match and match["host"] == socket.gethostname() and not _alive(int(match["pid"])):
+def sweep(root: Path, manifest: Manifest) -> None:
+    """Remove what dead builders left behind: temporary files, and shards that larger ones replaced."""
+    for path in root.glob(".*.tmp"):
+        match = _TEMPORARY.fullmatch(path.name)
+        if match and (_old(path) if match["host"] != socket.gethostname() else not _alive(int(match["pid"]))):
+            path.unlink(missing_ok=True)
+    plan = set(manifest.plan)
+    whole = {entry.start: entry.stop for entry in manifest.shards if (entry.start, entry.stop) in plan}
+    for path in root.glob("maps-*.h5"):
+        if is_shard_name(path.name):
+            start, stop = map(int, path.stem.split("-")[1:])
+            if stop < whole.get(start, 0):
                 path.unlink(missing_ok=True)
+
+
+def _old(path: Path) -> bool:
+    """Return whether a file was last written so long ago that no builder is still at it."""
+    try:
+        return time.time() - path.stat().st_mtime > _A_DAY
+    except FileNotFoundError:
+        return False
 
 
 def _alive(pid: int) -> bool:

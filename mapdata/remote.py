@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from mapdata.jit import cache_home
-from mapdata.manifest import MANIFEST, DatasetNotFoundError, Entry, parse_manifest
+from mapdata.manifest import MANIFEST, MOST_BYTES, DatasetNotFoundError, Entry, parse_manifest
 from mapdata.shard import ShardError, write_file
 
 
@@ -26,7 +26,7 @@ def local_root(root: str) -> Path:
     if not is_url(root):
         return Path(root)
     folder = _cache(root)
-    text = _fetch(f"{root.rstrip('/')}/{MANIFEST}", root)
+    text = _fetch(f"{root.rstrip('/')}/{MANIFEST}", root, MOST_BYTES)
     parse_manifest(text.decode(errors="replace"), root)
     folder.mkdir(parents=True, exist_ok=True)
     write_file(folder / MANIFEST, text)
@@ -43,7 +43,7 @@ def local_file(root: str, entry: Entry) -> Path:
         return Path(root) / entry.name
     path = _cache(root) / f"{entry.sha256[:16]}-{entry.name}"
     if not path.exists() or path.stat().st_size != entry.bytes:
-        data = _fetch(f"{root.rstrip('/')}/{entry.name}", root)
+        data = _fetch(f"{root.rstrip('/')}/{entry.name}", root, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise ShardError(f"{root}/{entry.name}: what was fetched is damaged (its file hash does not fit)")
         write_file(path, data)
@@ -55,12 +55,13 @@ def _cache(root: str) -> Path:
     return cache_home() / "mapdata" / "remote" / hashlib.sha256(root.rstrip("/").encode()).hexdigest()[:24]
 
 
-def _fetch(url: str, root: str) -> bytes:
+def _fetch(url: str, root: str, most: int) -> bytes:
+    """Return the content of a URL, and no more of it than one byte above ``most``."""
     import fsspec
 
     try:
         with fsspec.open(url, "rb") as file:
-            return bytes(file.read())
+            return bytes(file.read(most + 1))
     except ImportError as error:
         raise ValueError(f"root: {root} needs another package: {error}") from None
     except ValueError as error:  # a protocol that fsspec does not know

@@ -275,6 +275,7 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
     Raises:
         FileNotFoundError: no such file.
         ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it links to.
+        OSError: too many files are open or mapped.
     """
     path = Path(path)
     for _ in range(_ATTEMPTS):
@@ -320,28 +321,30 @@ def _access() -> h5p.PropFAID:
 _ACCESS = _access()
 
 
+@lru_cache(maxsize=1)
+def _libc() -> Any:  # noqa: ANN401  (ctypes has no type for it)
+    """Return the C library, with the types of the two functions that are called."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.mmap.restype = ctypes.c_void_p
+    libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
+    libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
+    return libc
+
+
 class _Mapping:
     """A file in memory, to read only, until the last array that looks at it is gone.
 
     `mmap.mmap` would keep a descriptor for each file, of which a process often may have 1,024 only.
     """
 
-    _libc: Any = None
-
     def __init__(self, descriptor: int, size: int) -> None:
         """Map ``size`` bytes; the descriptor may be closed afterwards."""
         self._unmap: Any = None
-        if _Mapping._libc is None:
-            libc = ctypes.CDLL(None, use_errno=True)
-            libc.mmap.restype = ctypes.c_void_p
-            libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
-            libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
-            _Mapping._libc = libc
-        address = _Mapping._libc.mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
+        address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
         if address == ctypes.c_void_p(-1).value:
             error = ctypes.get_errno()
             raise OSError(error, f"{os.strerror(error)}: cannot map a shard beside those that are open")
-        self._unmap, self._place = _Mapping._libc.munmap, (address, size)
+        self._unmap, self._place = _libc().munmap, (address, size)
         self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": (address, True)}
 
     def __del__(self) -> None:

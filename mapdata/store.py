@@ -22,7 +22,7 @@ from mapdata.kernels import STEPS
 from mapdata.manifest import Entry, Manifest, read_manifest
 from mapdata.remote import local_file, local_root
 from mapdata.shard import Shard, ShardError, bits_of, head, open_shard
-from mapdata.spec import SPLITS
+from mapdata.spec import MAX_ROOMS, SPLITS
 
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
@@ -198,6 +198,8 @@ class ShardStore:
                     )
         self.map_size, self.movement = first.map_size, first.movement
         self.most_rooms = max(manifest.most_rooms for manifest in self.manifests)
+        if self.most_rooms > MAX_ROOMS:  # matrices have room for all
+            raise ShardError(f"{roots}: the manifest says maps of {self.most_rooms} rooms, expected up to {MAX_ROOMS}")
         self.shards = [
             (root, entry) for root, manifest in zip(roots, self.manifests, strict=True) for entry in manifest.shards
         ]
@@ -206,9 +208,14 @@ class ShardStore:
             ([0], np.cumsum([self._count(entry) for _, entry in self.shards], dtype=np.int64))
         )
         self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
-        self._open: list[Shard | None] = [None] * len(self.shards)
+        self._open: dict[int, Shard] = {}
         # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when it is opened.
-        self._rows = np.empty((self.offsets[-1], 3), np.int32)
+        try:
+            self._rows = np.empty((self.offsets[-1], 3), np.int32)
+        except (MemoryError, ValueError):
+            raise ShardError(
+                f"{roots}: the manifest says {self.offsets[-1]} problems, more than memory holds"
+            ) from None
 
     def __len__(self) -> int:
         """Return the number of problems."""
@@ -234,8 +241,8 @@ class ShardStore:
             FileNotFoundError: the file is gone.
             ShardError: the file is not what the manifest says.
         """
-        if (shard := self._open[k]) is not None:
-            return shard
+        if k in self._open:
+            return self._open[k]
         root, entry = self.shards[k]
         try:
             shard = self._checked(root, entry)
@@ -252,7 +259,7 @@ class ShardStore:
         if len(rows) != last - first:
             raise ShardError(f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}")
         self._rows[first:last] = rows
-        self._open[k] = shard
+        shard = self._open.setdefault(k, shard)  # of two threads, the first one's: its addresses may be in use
         self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
         return shard
 
@@ -296,9 +303,13 @@ class ShardStore:
         bits, column = bits_of(self.movement), ARRAYS.index(f"{planner}_offsets")
         cells, offsets, iterations, bad = read_paths(self._table, shards, maps, rooms, column, bits, self.map_size)
         if bad >= 0:
-            root, entry = self.shards[int(shards[bad])]
-            raise ShardError(f"{root}/{entry.name}: a stored path of map {entry.start + int(maps[bad])} is damaged")
+            raise self.damage(shards[bad], maps[bad], "a stored path of map {} is damaged")
         return cells, offsets, iterations
+
+    def damage(self, shard: Int, number: Int, what: str) -> ShardError:
+        """Return the error that says what is wrong with a map of a shard; {} in it becomes the map's number."""
+        root, entry = self.shards[int(shard)]
+        return ShardError(f"{root}/{entry.name}: {what.format(entry.start + int(number))}")
 
     def rooms(self, shards: Ints, maps: Ints, planner: str) -> tuple[Floats, Ints]:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
@@ -318,11 +329,12 @@ class ShardStore:
 
 
 def _successor(before: Manifest, now: Manifest, entry: Entry) -> Entry | None:
-    """Return what holds the maps of ``entry`` now, if the dataset is the same and the entry another."""
+    """Return what holds the maps of ``entry`` now; None where it is the same, or they are others."""
+    drawn = before.identity is not None and before.identity == now.identity
     for other in now.shards:
-        same = other.content_hash == entry.content_hash if other.stop == entry.stop else before.identity == now.identity
-        if other != entry and other.start == entry.start and other.stop >= entry.stop and same:
-            return other if now.identity == before.identity else None
+        same = drawn or (other.stop, other.content_hash) == (entry.stop, entry.content_hash)
+        if same and other.start == entry.start and other.stop >= entry.stop and other != entry:
+            return other
     return None
 
 

@@ -47,7 +47,8 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 class LearnedPlanner:
     """Follows the most probable legal move to a cell not yet visited, until the goal.
 
-    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search.
+    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search. The
+    path is the shortest one through these cells.
 
     Attributes:
         name: its name in the table.
@@ -75,14 +76,10 @@ class LearnedPlanner:
         grids, starts, goals = _problems(grids, starts, goals)
         scores, _ = self.model.predict(grids, goals, self.views)
         movement = self.model.movement
-        cells, offsets = _walk(grids, scores, starts, goals, int(movement.corner_cutting))
-        plans, stuck = [], []
-        for k, (begin, end) in enumerate(zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True)):
-            path = cells[begin:end]
-            if (path[-1] != goals[k]).any():
-                stuck.append(k)
-                path = path[:0]
-            plans.append(Plan(path, end - begin))
+        corners, plans = int(movement.corner_cutting), []
+        for k in range(len(grids)):
+            plans.append(Plan(*_walk(grids[k], scores[k], starts[k], goals[k], corners)))
+        stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
         if stuck and self.fallback:
             found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], movement)
             for n, k in enumerate(stuck):
@@ -96,7 +93,8 @@ class GuidedSearch:
     """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
 
     f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + ``weight`` * h / ratio. A cell
-    is expanded once; it finds a path where there is one, and needs no fallback.
+    is expanded once; it finds a path where there is one, and needs no fallback. The path is the shortest one through
+    the expanded cells.
 
     Attributes:
         name: its name in the table.
@@ -154,7 +152,7 @@ def _search(
     """Return the path (k, 2) of one problem, and how many cells were expanded."""
     moves, rows, columns = scores.shape
     best = np.full((rows, columns), np.inf)  # g and what the improbable moves cost; -inf once a cell is expanded
-    way, parent = np.zeros((rows, columns)), np.full((rows, columns), -1)
+    way = np.zeros((rows, columns))
     best[start[0], start[1]] = 0.0
     heap, pushes, taken = [(0.0, 0, start[0] * columns + start[1])], 0, 0
     while heap:
@@ -183,51 +181,74 @@ def _search(
             step = 1.0 if k < 4 else math.sqrt(2.0)
             cost = so_far + step + trust * (top - scores[k, row, column])
             if cost < best[i, j]:
-                best[i, j], way[i, j], parent[i, j] = cost, way[row, column] + step, cell
+                best[i, j], way[i, j] = cost, way[row, column] + step
                 high, wide = abs(i - goal[0]), abs(j - goal[1])
                 least = max(high, wide) + (math.sqrt(2.0) - 1) * min(high, wide) if moves == 8 else high + wide
                 pushes += 1
                 f = cost + weight * least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
                 heapq.heappush(heap, (f, -pushes, i * columns + j))
-    length, cell = 0, goal[0] * columns + goal[1]
-    if best[goal[0], goal[1]] == -np.inf:
-        while cell >= 0:
-            length, cell = length + 1, parent[cell // columns, cell % columns]
-    path, cell = np.empty((length, 2), np.int64), goal[0] * columns + goal[1]
-    for at in range(length - 1, -1, -1):
-        path[at, 0], path[at, 1] = cell // columns, cell % columns
-        cell = parent[path[at, 0], path[at, 1]]
-    return path, taken
+    return _through(grid, best == -np.inf, start, goal, moves, corners), taken
 
 
 @kernel
-def _walk(grids: Bytes, scores: Floats, starts: Ints, goals: Ints, corner_cutting: Int) -> tuple[Ints, Ints]:
-    """Return all walks one after another, (M, 2), and their offsets (B + 1,); a stuck one ends before its goal."""
-    count, moves, rows, columns = scores.shape
-    cells, offsets = np.empty((1024, 2), np.int64), np.zeros(count + 1, np.int64)
-    visited = np.zeros((rows, columns), np.int64)
-    for b in range(count):
-        row, column, end, move = starts[b, 0], starts[b, 1], offsets[b], 0
-        while move >= 0:
-            if end == len(cells):
-                longer = np.empty((2 * end, 2), np.int64)
-                longer[:end] = cells
-                cells = longer
-            cells[end, 0], cells[end, 1] = row, column
-            end += 1
-            visited[row, column] = b + 1
-            move, best = -1, np.float32(-np.inf)
-            if row == goals[b, 0] and column == goals[b, 1]:
-                break
-            for k in range(moves):
-                i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-                if i < 0 or j < 0 or i >= rows or j >= columns or grids[b, i, j] or visited[i, j] == b + 1:
-                    continue
-                if k >= 4 and not corner_cutting and (grids[b, i, column] or grids[b, row, j]):
-                    continue
-                if scores[b, k, row, column] > best:
-                    move, best = k, scores[b, k, row, column]
-            if move >= 0:
-                row, column = row + STEPS[move, 0], column + STEPS[move, 1]
-        offsets[b + 1] = end
-    return cells[: offsets[count]], offsets
+def _through(grid: Bytes, expanded: npt.NDArray[np.bool_], start: Ints, goal: Ints, moves: Int, corners: Int) -> Ints:
+    """Return the shortest path through ``expanded`` cells only, (k, 2); (0, 2) where there is none.
+
+    What a search has seen of a map may hold a shorter path than the one that it came by. Dijkstra's algorithm.
+    """
+    rows, columns = grid.shape
+    costs, came = np.full((rows, columns), np.inf), np.full((rows, columns), -1)
+    costs[start[0], start[1]] = 0.0
+    heap = [(0.0, start[0] * columns + start[1])]
+    while heap:
+        cost, cell = heapq.heappop(heap)
+        row, column = cell // columns, cell % columns
+        if row == goal[0] and column == goal[1]:
+            break
+        if cost > costs[row, column]:
+            continue
+        for k in range(moves):
+            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
+            if i < 0 or j < 0 or i >= rows or j >= columns or not expanded[i, j]:
+                continue
+            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
+                continue
+            longer = cost + (1.0 if k < 4 else math.sqrt(2.0))
+            if longer < costs[i, j] - 1e-9:
+                costs[i, j], came[i, j] = longer, k
+                heapq.heappush(heap, (longer, i * columns + j))
+    path = np.empty((rows * columns, 2), np.int64)
+    at, row, column = len(path), goal[0], goal[1]
+    while costs[row, column] < np.inf:
+        at -= 1
+        path[at, 0], path[at, 1] = row, column
+        k = came[row, column]
+        if k < 0:
+            break
+        row, column = row - STEPS[k, 0], column - STEPS[k, 1]
+    return path[at:].copy()
+
+
+@kernel
+def _walk(grid: Bytes, scores: Floats, start: Ints, goal: Ints, corners: Int) -> tuple[Ints, Int]:
+    """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells were expanded."""
+    moves, rows, columns = scores.shape
+    expanded = np.zeros((rows, columns), np.bool_)
+    row, column, move, taken = start[0], start[1], 0, 0
+    while move >= 0:
+        expanded[row, column] = True
+        taken += 1
+        move, best = -1, np.float32(-np.inf)
+        if row == goal[0] and column == goal[1]:
+            break
+        for k in range(moves):
+            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
+            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j] or expanded[i, j]:
+                continue
+            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
+                continue
+            if scores[k, row, column] > best:
+                move, best = k, scores[k, row, column]
+        if move >= 0:
+            row, column = row + STEPS[move, 0], column + STEPS[move, 1]
+    return _through(grid, expanded, start, goal, moves, corners), taken

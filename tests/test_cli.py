@@ -159,7 +159,7 @@ def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
         str(copied / shard_name(0, 4)),
         str(copied / shard_name(8, 11)),
     ]
-    assert outcome.err.splitlines()[-1] == "mapdata: 2 found"
+    assert outcome.err.splitlines()[-1] == "mapdata: 2 found; --repair makes them again from the recipe"
 
 
 @pytest.mark.parametrize("index", [0, 3, 4, MAPS - 1])
@@ -483,3 +483,20 @@ def test_the_script_takes_a_root_and_the_flags(tmp_path: Path, monkeypatch: pyte
     manifest = read_manifest(tmp_path / "there")
     assert (manifest.spec, manifest.seed) == (MapSpec.preset("dungeon"), 9)
     assert (manifest.maps, manifest.shard_size) == (3, 2)
+
+
+def test_a_reader_that_is_gone(dataset: Path) -> None:
+    """``mapdata info ROOT | head -1``: no error is told, whether much or little was printed."""
+    command = [sys.executable, "-c", "from mapdata.cli import main; main()", "info", str(dataset)]
+    ours, theirs = os.pipe()
+    os.close(ours)
+    done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_show_writes_the_name_it_says(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A name without an ending is a PNG of that very name; an empty name is none."""
+    assert run("show", dataset, "-o", tmp_path / "picture").out == f"wrote {tmp_path / 'picture'}\n"
+    assert (tmp_path / "picture").read_bytes()[:4] == b"\x89PNG"
+    run.refused(2, "No such file", "show", dataset, "-o", "")

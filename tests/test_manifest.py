@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -23,6 +25,7 @@ import mapdata
 from mapdata.build import build, headers
 from mapdata.content import combine
 from mapdata.manifest import (
+    LOCK,
     MANIFEST,
     DatasetNotFoundError,
     Entry,
@@ -213,6 +216,7 @@ def test_a_flipped_bit_changes_no_value(built: Path) -> None:
 LIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "no maps": lambda values: values.pop("maps"),
     "no shards": lambda values: values.pop("shards"),
+    "more files than there can be": lambda values: values.update(maps=10**15),
     "shards a number": lambda values: values.update(shards=5),
     "a shard is a number": lambda values: values["shards"].append(5),
     "a shard without a name": lambda values: values["shards"][0].pop("name"),
@@ -321,13 +325,35 @@ def test_merge_refuses_another_dataset(other: Manifest, tmp_path: Path) -> None:
     assert read_manifest(tmp_path) == other
 
 
+def test_merge_can_do_without_waiting(tmp_path: Path) -> None:
+    """While another builder merges, one that does not wait leaves the manifest as it is; a closed file frees it."""
+    whole = manifest_of(SPEC, 1, 10, 4, done=3)
+    merge(tmp_path, replace(whole, shards=()))
+    with open(tmp_path / LOCK, "ab") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert merge(tmp_path, whole, wait=False) == whole
+        assert read_manifest(tmp_path).shards == ()
+    assert merge(tmp_path, whole, wait=False) == whole == read_manifest(tmp_path)
+
+
+def test_merge_needs_no_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system that has none says so, and is written to all the same."""
+
+    def flock(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    whole = manifest_of(SPEC, 1, 10, 4, done=3)
+    assert merge(tmp_path, whole, wait=False) == whole == read_manifest(tmp_path)
+
+
 # --- sweeping ---------------------------------------------------------------------------------------------------------
 
 
 def swept(root: Path, name: str) -> bool:
     """Tell whether a file of this name goes."""
     (root / name).touch()
-    sweep(root)
+    sweep(root, manifest_of(SPEC, 1, 6, 3))
     gone = not (root / name).exists()
     (root / name).unlink(missing_ok=True)
     return gone
@@ -364,6 +390,27 @@ def test_sweep(host: str, temporary: str, goes: bool, tmp_path: Path, monkeypatc
     """Temporaries of dead builders of this host go; those of living ones, of other hosts, and other files stay."""
     monkeypatch.setattr("socket.gethostname", lambda: host)
     assert swept(tmp_path, temporary) == goes
+
+
+def test_sweep_takes_what_is_a_day_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a builder of another host left goes when none can be at it any more."""
+    monkeypatch.setattr("socket.gethostname", lambda: "node1")
+    path = tmp_path / f".{shard_name(0, 3)}.node2.{os.getpid()}.tmp"
+    for age, stays in ((0, True), (80_000, True), (90_000, False)):
+        path.touch()
+        now = path.stat().st_mtime
+        os.utime(path, (now - age, now - age))
+        sweep(tmp_path, manifest_of(SPEC, 1, 6, 3))
+        assert path.exists() == stays
+
+
+def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
+    """A partial shard whose successor is listed, left by a builder that died just then; nothing else."""
+    stay = [(0, 4), (4, 8), (8, 10), (8, 12), (12, 13)]
+    for limits in (*stay, (4, 6), (4, 7)):
+        (tmp_path / shard_name(*limits)).touch()
+    sweep(tmp_path, manifest_of(SPEC, 1, 10, 4, done=3))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [shard_name(*limits) for limits in stay]
 
 
 def test_sweep_lives_with_odd_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

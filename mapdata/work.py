@@ -1,0 +1,74 @@
+"""Long work: a bar, threads that Ctrl-C does not wait for, and results as they are finished."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from queue import SimpleQueue
+from typing import TypeVar
+
+from tqdm import tqdm
+
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+"""How many cores this process may use: in a batch job often fewer than the machine has."""
+
+THREADS = "mapdata"
+"""What the names of our threads begin with."""
+
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
+
+
+@contextmanager
+def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Callable[[int], object]]:
+    """Yield what advances a bar of how much is done, the rate and the time left.
+
+    A bar that is not shown is not made, since tqdm takes a lock and a thread. In a log file it grows every ten seconds.
+    """
+    if shown:
+        pause = 0.1 if sys.stderr.isatty() else 10.0
+        with tqdm(total=total, initial=initial, unit=unit, mininterval=pause) as shown_bar:
+            yield shown_bar.update
+    else:
+        yield lambda _: None
+
+
+@contextmanager
+def threads(workers: int | None = None) -> Iterator[Executor]:
+    """Yield an executor of so many threads; default all cores. Ctrl-C does not wait for what they have begun."""
+    pool = ThreadPoolExecutor(workers or CORES, thread_name_prefix=THREADS)
+    wait = True
+    try:
+        yield pool
+    except KeyboardInterrupt:
+        wait = False
+        raise
+    finally:
+        pool.shutdown(wait=wait, cancel_futures=True)
+
+
+def finished(
+    pool: Executor, function: Callable[[_Task], _Result], tasks: Iterable[_Task], most: int
+) -> Iterator[tuple[_Task, _Result]]:
+    """Yield each task with its result when it is finished; at most ``most`` are under way, and the rest is cancelled
+    when the caller stops.
+    """
+    done: SimpleQueue[Future[_Result]] = SimpleQueue()
+    under_way: dict[Future[_Result], _Task] = {}
+    try:
+        for task in tasks:
+            future = pool.submit(function, task)
+            under_way[future] = task
+            future.add_done_callback(done.put)
+            while len(under_way) >= most or not done.empty():
+                future = done.get()
+                yield under_way.pop(future), future.result()
+        while under_way:
+            future = done.get()
+            yield under_way.pop(future), future.result()
+    finally:
+        for future in under_way:
+            future.cancel()
