@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mapdata.dungeon import generate as generate
     from mapdata.evaluate import Plan as Plan
     from mapdata.evaluate import evaluate as evaluate
+    from mapdata.guard import read_shard as read_shard
     from mapdata.labels import Labels as Labels
     from mapdata.labels import label as label
     from mapdata.manifest import DatasetNotFoundError as DatasetNotFoundError
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from mapdata.search import distance_field as distance_field
     from mapdata.search import search_batch as search_batch
     from mapdata.shard import ShardError as ShardError
-    from mapdata.shard import read_shard as read_shard
     from mapdata.spec import MapSpec as MapSpec
     from mapdata.spec import Movement as Movement
     from mapdata.spec import identity as identity
@@ -62,7 +62,7 @@ _HOME = {
     "distance_field": "search",
     "search_batch": "search",
     "ShardError": "shard",
-    "read_shard": "shard",
+    "read_shard": "guard",
     "MapSpec": "spec",
     "Movement": "spec",
     "identity": "spec",

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 from mapdata.dungeon import generate
+from mapdata.guard import open_shard
 from mapdata.labels import label
 from mapdata.manifest import (
     LOCK,
@@ -31,7 +32,7 @@ from mapdata.manifest import (
     shard_name,
     sweep,
 )
-from mapdata.shard import Header, Shard, ShardError, open_shard, shard_image, write_file
+from mapdata.shard import Header, Shard, ShardError, shard_image, write_file
 from mapdata.spec import FORMAT_VERSION, PRESETS, MapSpec, check_count, check_seed, identity
 from mapdata.work import CORES, bar, finished, threads
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from mapdata.build import headers, make_shard
 from mapdata.content import content_hash
+from mapdata.guard import open_shard
 from mapdata.imported import PROVENANCE, provenance_text
 from mapdata.manifest import (
     MANIFEST,
@@ -30,7 +31,7 @@ from mapdata.manifest import (
     read_manifest,
     shard_name,
 )
-from mapdata.shard import Header, ShardError, decode, open_shard, write_file
+from mapdata.shard import Header, ShardError, decode, write_file
 from mapdata.work import CORES, bar, finished, threads
 
 

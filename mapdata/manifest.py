@@ -25,8 +25,9 @@ if sys.platform != "win32":
 
 import mapdata
 from mapdata.content import combine, content_hash
+from mapdata.guard import is_hash, open_shard
 from mapdata.labels import Labels
-from mapdata.shard import Header, Shard, ShardError, decode, is_hash, open_shard, write_file
+from mapdata.shard import Header, Shard, ShardError, decode, write_file
 from mapdata.spec import FORMAT_VERSION, SPLITS, MapSpec, Movement, canonical_json, check_count, check_seed, identity
 
 MANIFEST = "manifest.json"

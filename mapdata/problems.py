@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.dungeon import generate
+from mapdata.guard import read_shard
 from mapdata.manifest import read_manifest
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search import BatchResult, distance_field, search_batch
-from mapdata.shard import read_shard
 from mapdata.spec import SPLITS, MapSpec, Movement, check_seed, identity
 
 HARD = 1.05

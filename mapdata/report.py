@@ -21,8 +21,9 @@ import numpy.typing as npt
 
 from mapdata.card import Section, sections, title
 from mapdata.figures import LOGARITHMIC
+from mapdata.guard import open_shard
 from mapdata.labels import Labels
-from mapdata.shard import bits_of, decode, open_shard, pack_moves
+from mapdata.shard import bits_of, decode, pack_moves
 from mapdata.survey import Floats, Ints, Survey, histogram, survey
 
 MAPS = 500

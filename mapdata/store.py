@@ -17,11 +17,12 @@ from numba import types
 from numba.extending import intrinsic
 
 from mapdata.dungeon import WORD, unpack
+from mapdata.guard import head, open_shard
 from mapdata.jit import Int, inlined, kernel
 from mapdata.kernels import STEPS
 from mapdata.manifest import Entry, Manifest, read_manifest
 from mapdata.remote import local_file, local_root
-from mapdata.shard import Shard, ShardError, bits_of, head, open_shard
+from mapdata.shard import Shard, ShardError, bits_of
 from mapdata.spec import MAX_ROOMS, SPLITS
 
 Ints = npt.NDArray[np.int64]

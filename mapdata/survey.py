@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mapdata.guard import open_shard
 from mapdata.labels import Labels
 from mapdata.manifest import Manifest, read_manifest
-from mapdata.shard import ShardError, decode, open_shard
+from mapdata.shard import ShardError, decode
 from mapdata.spec import SPLITS, Movement
 
 Ints = npt.NDArray[np.int64]

@@ -29,8 +29,9 @@ from mapdata.dataset import PROBLEMS, MapDataset
 from mapdata.formats import export, read_any
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.movingai import check_scen
+from mapdata.guard import open_shard
 from mapdata.manifest import MANIFEST, read_manifest
-from mapdata.shard import ShardError, decode, open_shard
+from mapdata.shard import ShardError, decode
 from mapdata.spec import MapSpec, Movement
 
 SPEC = MapSpec((12, 20), (2, 4), (2, 5), (2, 7), passage_width=(1, 2), skip_probability=0.4, splits=(0.4, 0.3, 0.3))

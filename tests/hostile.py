@@ -1,4 +1,4 @@
-"""Writes shards that are wrong in one way each: what `mapdata.shard.open_shard` must refuse.
+"""Writes shards that are wrong in one way each: what `mapdata.guard.open_shard` must refuse.
 
 Nothing here imports mapdata, since a hostile file comes from elsewhere. Each file is a sound shard but for one fault:
 in a dataset, in a root attribute, or in the bytes of the file.

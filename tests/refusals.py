@@ -17,8 +17,8 @@ from mapdata.build import Recipe
 from mapdata.dataset import MapDataset
 from mapdata.formats import read_any
 from mapdata.formats.files import FormatError
+from mapdata.guard import open_shard
 from mapdata.manifest import read_manifest
-from mapdata.shard import open_shard
 from models.path_predictor import PathPredictor
 
 

@@ -22,9 +22,10 @@ from mapdata.build import Recipe, build, headers, make_shard
 from mapdata.content import content_hash
 from mapdata.damage import verify
 from mapdata.dungeon import generate
+from mapdata.guard import read_shard
 from mapdata.labels import label
 from mapdata.manifest import MANIFEST, Manifest, merge, read_manifest, shard_name
-from mapdata.shard import ShardError, read_shard
+from mapdata.shard import ShardError
 from mapdata.spec import MapSpec, Movement, identity
 
 SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)

@@ -19,8 +19,8 @@ from test_shard import unprivileged_folder
 
 import mapdata
 from mapdata import cli
+from mapdata.guard import read_shard
 from mapdata.manifest import MANIFEST, read_manifest, shard_name
-from mapdata.shard import read_shard
 from mapdata.spec import MapSpec
 
 HOME = Path(__file__).parents[1]

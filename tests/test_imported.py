@@ -16,10 +16,10 @@ from scipy import ndimage
 
 from mapdata.damage import verify
 from mapdata.dataset import MapDataset
+from mapdata.guard import read_shard
 from mapdata.imported import Collection, ForeignMap, import_maps
 from mapdata.manifest import read_manifest
 from mapdata.seed_points import draw_points, largest_component, pack
-from mapdata.shard import read_shard
 from mapdata.spec import Movement
 
 SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=100)

@@ -19,8 +19,9 @@ from mapdata.build import build
 from mapdata.content import combine, content_hash
 from mapdata.damage import verify
 from mapdata.dataset import MapDataset
+from mapdata.guard import open_shard, read_shard
 from mapdata.manifest import MANIFEST, parse_manifest, read_manifest
-from mapdata.shard import ShardError, open_shard, read_shard
+from mapdata.shard import ShardError
 from mapdata.spec import FORMAT_VERSION, MapSpec, canonical_json
 
 KEPT = Path(__file__).with_name("data")

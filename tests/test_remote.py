@@ -153,7 +153,7 @@ def test_urls_that_need_another_package_name_it(server: Server) -> None:
 
 def test_unknown_protocols_are_refused() -> None:
     """A slip in the URL is an error that names the root."""
-    with pytest.raises(ValueError, match="root: htp://host/maps: .*htp"):
+    with pytest.raises(ValueError, match=r"root: htp://host/maps: .*htp"):
         MapDataset("htp://host/maps")
 
 

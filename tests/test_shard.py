@@ -27,20 +27,9 @@ from test_spec import MOVEMENTS, specs
 
 from mapdata.content import content_hash
 from mapdata.dungeon import generate
+from mapdata.guard import open_shard, read_shard
 from mapdata.labels import Labels, label
-from mapdata.shard import (
-    FIELDS,
-    Header,
-    ShardError,
-    bits_of,
-    decode,
-    open_shard,
-    pack_moves,
-    read_shard,
-    shard_image,
-    unpack_moves,
-    write_file,
-)
+from mapdata.shard import FIELDS, Header, ShardError, bits_of, decode, pack_moves, shard_image, unpack_moves, write_file
 from mapdata.spec import MapSpec, Movement
 
 SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=60)

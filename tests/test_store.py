@@ -22,8 +22,9 @@ from torch.utils.data import DataLoader
 import mapdata
 from mapdata.build import build
 from mapdata.dataset import MapDataset
+from mapdata.guard import map_file, open_shard, read_shard
 from mapdata.manifest import MANIFEST, Manifest, entry_of, read_manifest
-from mapdata.shard import ShardError, map_file, open_shard, read_shard, shard_image, write_file
+from mapdata.shard import ShardError, shard_image, write_file
 from mapdata.spec import MapSpec
 
 FIELDS = ("map", "start", "goal", "length", "iterations", "connection_matrix")

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from mapdata.guard import read_shard
 from mapdata.labels import Labels
 from mapdata.manifest import Manifest, read_manifest
-from mapdata.shard import ShardError, read_shard
+from mapdata.shard import ShardError
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from wild import cli
 
+from mapdata.guard import read_shard
 from mapdata.manifest import read_manifest
-from mapdata.shard import read_shard
 from mapdata.spec import SPLITS
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")

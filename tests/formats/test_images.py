@@ -14,8 +14,8 @@ from wild import Bytes, cli, npy, npz, png
 from mapdata.formats import recognise
 from mapdata.formats.files import FormatError, Limits, natural, read_npy, walk
 from mapdata.formats.images import brightness, read, read_pixels
+from mapdata.guard import read_shard
 from mapdata.manifest import read_manifest
-from mapdata.shard import read_shard
 
 GRID: Bytes = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
 DARK: Bytes = np.where(GRID, np.uint8(10), np.uint8(240)).astype(np.uint8)

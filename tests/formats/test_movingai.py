@@ -15,8 +15,8 @@ from wild import GRIDS, SETTINGS, Bytes, cli, lengths
 
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.movingai import Problem, agrees, check_scen, read_scen, read_terrain, world
+from mapdata.guard import read_shard
 from mapdata.manifest import read_manifest
-from mapdata.shard import read_shard
 
 MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
 LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]

@@ -21,9 +21,9 @@ from mapdata.damage import verify
 from mapdata.formats import export, read_any, recognise
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.paper import floats, joined, numbers, read
+from mapdata.guard import read_shard
 from mapdata.imported import import_maps
 from mapdata.manifest import read_manifest
-from mapdata.shard import read_shard
 from mapdata.spec import MapSpec
 
 csv.field_size_limit(2**27)

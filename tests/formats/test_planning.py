@@ -19,10 +19,10 @@ from mapdata.evaluate import Problems, evaluate
 from mapdata.formats import export, recognise
 from mapdata.formats.files import FormatError, Limits, Npz
 from mapdata.formats.planning import MOVEMENT, has_starts, hops, policy, read
+from mapdata.guard import read_shard
 from mapdata.imported import import_maps
 from mapdata.manifest import read_manifest
 from mapdata.planners import classical
-from mapdata.shard import read_shard
 from mapdata.spec import Movement
 
 Floats = npt.NDArray[np.float32]

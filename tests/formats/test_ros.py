@@ -17,8 +17,8 @@ from wild import SETTINGS, Bytes, cli, png
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.ros import _classify, read, read_map, to_grid
+from mapdata.guard import read_shard
 from mapdata.manifest import read_manifest
-from mapdata.shard import read_shard
 
 YAML = """image: {image}
 resolution: 0.050000
