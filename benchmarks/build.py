@@ -1,4 +1,4 @@
-"""Building a dataset beside the kernels alone, and what a newcomer waits for: python benchmarks/build.py [--quick].
+"""Building a dataset beside the kernels alone, and what a newcomer waits for: python -m benchmarks build.
 
 Everything is measured in one run. Wall time, so the machine should be idle; every build starts from an empty folder and
 ends with both hashes and all bytes on disk.
@@ -6,7 +6,6 @@ ends with both hashes and all bytes on disk.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import statistics
@@ -15,8 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from measure import Row, each, interleaved, median_ratio, print_table, seconds
-
+from benchmarks.measure import Row, each, interleaved, median_ratio, seconds, to_text
 from mapdata import MapSpec, build, generate, label
 from mapdata.shard import write_file
 
@@ -144,15 +142,10 @@ def _wall(command: list[str], environment: dict[str, str]) -> tuple[float, str]:
     return seconds(run), output[0]
 
 
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--quick", action="store_true", help="a small run: no 100,000 maps, rough figures")
-    parser.add_argument("--folder", metavar="FOLDER", help="where to write (default: the temporary folder)")
-    arguments = parser.parse_args()
-    quick = arguments.quick
+def table(quick: bool, parent: str | None = None) -> str:
+    """Measure, and return the table; datasets are written below ``parent``, or the temporary folder."""
     rounds = 3 if quick else 9
-    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+    with tempfile.TemporaryDirectory(dir=parent) as name:
         folder = Path(name)
         (folder / "builds").mkdir()
         rows = build_rows(folder / "builds", 10_000, rounds, "1.6x", beside_kernels=True)
@@ -160,12 +153,8 @@ def main() -> None:
             rows += build_rows(folder / "builds", 100_000, 5, "1.8x", beside_kernels=False)
         rows += first_rows(folder, 1 if quick else 3)
         rows += import_rows(5 if quick else 15)
-        notes = (
-            f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3}), taking turns",
-            f"preset paper, shards of {SHARD} maps, written below {folder.parent}; a target in seconds is a limit",
-        )
-        print_table("Building a dataset", rows, packages=PACKAGES, notes=notes)
-
-
-if __name__ == "__main__":
-    main()
+    notes = (
+        f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3}), taking turns",
+        f"preset paper, shards of {SHARD} maps; a target in seconds is a limit",
+    )
+    return to_text("Building a dataset", rows, packages=PACKAGES, notes=notes)

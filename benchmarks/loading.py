@@ -1,4 +1,4 @@
-"""Loading batches beside what people do otherwise: python benchmarks/loading.py [--quick].
+"""Loading batches beside what people do otherwise: python -m benchmarks loading.
 
 Everything is measured in one run, on one thread. Readers that stand beside ours must first give equal batches; those
 whose package is not installed are left out.
@@ -6,7 +6,6 @@ whose package is not installed are left out.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import csv
 import io
@@ -18,8 +17,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,13 +24,24 @@ import h5py
 import numpy as np
 import pytorch_lightning as pl
 import torch
-from measure import Row, interleaved, median_ratio, print_table
 from PIL import Image
 from torch.utils.data import DataLoader, Dataset, IterableDataset, TensorDataset
 
+from benchmarks.measure import Peer, Row, interleaved, median_ratio, to_text
 from mapdata import MapDataModule, MapDataset, MapSpec, OnlineMapDataset, Sample, build
 
-PACKAGES = ("mapdata", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "datasets", "webdataset", "pillow")
+PACKAGES = ("mapdata", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "pillow")
+ARROW = Peer("HF datasets", "datasets", "datasets", 'load_from_disk(path).with_format("torch")[i]')
+TAR = Peer("webdataset", "webdataset", "webdataset", "WebDataset(path).decode().to_tuple(...)")
+PEERS = (
+    Peer("in-RAM tensors", "torch", "torch", "tensor[idx]"),
+    Peer("TensorDataset", "torch", "torch", "DataLoader(TensorDataset(*tensors), batch_sampler=...)"),
+    Peer("naive h5py", "h5py", "h5py", "h5py.File(path)[name][i]"),
+    Peer("npz", "numpy", "numpy", "np.load(path)[name], then array[i]"),
+    Peer("PNG + CSV", "pillow", "PIL", "Image.open(png), ast.literal_eval(cell of the csv)"),
+    ARROW,
+    TAR,
+)
 SPEC = MapSpec.preset("paper")
 BATCH = 256
 MASKED = ("map", "start", "goal", "path_mask")
@@ -150,7 +158,7 @@ class Pictures(Dataset[Any]):
 
 def hugging_face(folder: Path, tensors: Tensors) -> Dataset[Any]:
     """Return the samples as an Arrow file of Hugging Face's `datasets`, in torch's format."""
-    datasets: Any = import_module("datasets")  # it ships no types
+    datasets = ARROW.load()
     datasets.disable_progress_bars()
     size = tuple(tensors[0].shape[1:])
     picture, cell = datasets.Array3D(size, "uint8"), datasets.Sequence(datasets.Value("int64"), length=2)
@@ -163,7 +171,7 @@ def hugging_face(folder: Path, tensors: Tensors) -> Dataset[Any]:
 
 def web_dataset(path: Path, tensors: Tensors) -> Iterable[Any]:
     """Return the samples as a tar file of `webdataset`, in its order."""
-    webdataset: Any = import_module("webdataset")
+    webdataset = TAR.load()
     with tarfile.open(path, "w") as tar:
         for k, values in enumerate(zip(*tensors, strict=True)):
             for name, value in zip(MASKED, values, strict=True):
@@ -213,12 +221,12 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
         Reader("PNG + CSV, DataLoader", lambda: drain(loader_of(pictures, BATCH, 1)), BATCH, "the paper's release"),
         Reader("memset of the same bytes", fill, 20 * BATCH, "writes only; the same memory again and again"),
     ]
-    if find_spec("datasets") is not None:
+    if not ARROW.absence:
         arrow = hugging_face(folder / "arrow", small)
         batch = next(iter(DataLoader(arrow, 8)))
         check([batch[name] for name in MASKED], tensors, "datasets")
         found.append(Reader("HF datasets, DataLoader", lambda: drain(loader_of(arrow, few, 1)), BATCH, "torch format"))
-    if find_spec("webdataset") is not None:
+    if not TAR.absence:
         web = web_dataset(folder / "maps.tar", small[:512])
         found.append(Reader("webdataset, in order", lambda: drain(web), len(small[0]), "tar of npy, no batches"))
     return found
@@ -423,33 +431,29 @@ def trainer_rows(folder: Path, rounds: int, batches: int) -> list[Row]:
     ]
 
 
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--quick", action="store_true", help="a small run: no 100,000 maps, rough figures")
-    parser.add_argument("--folder", metavar="FOLDER", help="where to write (default: the temporary folder)")
-    arguments = parser.parse_args()
-    rounds = 3 if arguments.quick else 9
-    torch.set_num_threads(1)
+def table(quick: bool, parent: str | None = None) -> str:
+    """Measure, and return the table; datasets are written below ``parent``, or the temporary folder."""
+    rounds = 3 if quick else 9
     logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
-    warnings.filterwarnings("ignore", module="pytorch_lightning")
-    warnings.filterwarnings("ignore", message=".*does not have many workers|.*configure_optimizers.*returned `None`")
-    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    with warnings.catch_warnings(), tempfile.TemporaryDirectory(dir=parent) as name:
+        warnings.filterwarnings("ignore", module="pytorch_lightning")
+        warnings.filterwarnings(
+            "ignore", message=".*does not have many workers|.*configure_optimizers.*returned `None`"
+        )
         folder = Path(name) / "10k"
         folder.mkdir()
         rows = reader_rows(folder, 10_000, rounds, ram_target="5x", only_ram=False)
-        rows += trainer_rows(folder, rounds, 60 if arguments.quick else 120)
+        rows += trainer_rows(folder, rounds, 60 if quick else 120)
         rows += opening_rows(folder, rounds)
-        if not arguments.quick:
+        if not quick:
             folder = Path(name) / "100k"
             folder.mkdir()
             rows += reader_rows(folder, 100_000, rounds, ram_target="3x", only_ram=True)
+    torch.set_num_threads(threads)
     notes = (
         f"medians of {rounds} repeats, the readers taking turns; one thread; a ratio is the median of the repeats'",
         f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0; data fresh in the page cache",
     )
-    print_table("Loading", rows, packages=PACKAGES, notes=notes)
-
-
-if __name__ == "__main__":
-    main()
+    return to_text("Loading", rows, packages=PACKAGES, notes=notes, peers=PEERS)

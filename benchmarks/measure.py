@@ -6,10 +6,12 @@ import os
 import platform
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 AT_LEAST = 0.05
 """Seconds that one timing takes at least: short calls are repeated until they fill it."""
@@ -24,6 +26,43 @@ class Row(NamedTuple):
     ratio: str = ""
     target: str = ""
     note: str = ""
+
+
+class Peer(NamedTuple):
+    """Somebody else's code that a table stands beside.
+
+    Attributes:
+        name: as the rows call it.
+        package: what pip calls it.
+        module: what Python calls it.
+        command: the call that is timed.
+    """
+
+    name: str
+    package: str
+    module: str
+    command: str
+
+    @property
+    def absence(self) -> str:
+        """Why it is skipped; empty if it is there."""
+        return absence(self.module)
+
+    def load(self) -> Any:  # noqa: ANN401  (peers ship types or not)
+        """Return its module."""
+        return import_module(self.module)
+
+
+@cache
+def absence(module: str) -> str:
+    """Return why ``module`` cannot be used, empty if it can."""
+    try:
+        import_module(module)
+    except ModuleNotFoundError as error:
+        return "not installed" if error.name and module.startswith(error.name) else f"does not import: {error}"
+    except ImportError as error:
+        return f"does not import: {error}"
+    return ""
 
 
 def interleaved(
@@ -68,17 +107,19 @@ def each(times: list[float], count: int) -> str:
     return f"{value * 1e3:.3g} ms" if value >= 1e-3 else f"{value * 1e6:.3g} us"
 
 
-def print_table(title: str, rows: Iterable[Row], *, packages: Iterable[str], notes: Iterable[str]) -> None:
-    """Print the table, with versions and machine on top."""
-    print(f"# {title}\n")
-    for fact in (versions(packages), machine(), *notes):
-        print(f"- {fact}")
+def to_text(
+    title: str, rows: Iterable[Row], *, packages: Sequence[str], notes: Iterable[str], peers: Sequence[Peer] = ()
+) -> str:
+    """Return the table in markdown, with versions, machine and the peers' commands on top."""
+    found = versions([*packages, *(peer.package for peer in peers if peer.package not in packages)])
+    commands = [f"{peer.name}: {f'skipped, {why}' if (why := peer.absence) else f'`{peer.command}`'}" for peer in peers]
+    head = [f"## {title}", "", *(f"- {fact}" for fact in (found, machine(), *notes, *commands)), ""]
     lines = [[*Row._fields], *([*row] for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(Row._fields))]
     lines.insert(1, ["-" * width for width in widths])
-    print()
     for cells in lines:
-        print("| " + " | ".join(text.ljust(width) for text, width in zip(cells, widths, strict=True)) + " |")
+        head.append("| " + " | ".join(text.ljust(width) for text, width in zip(cells, widths, strict=True)) + " |")
+    return "\n".join(head) + "\n"
 
 
 def versions(packages: Iterable[str]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -39,7 +38,7 @@ def planners(model: Predictor) -> list[BatchPlanner]:
     return [
         LearnedPlanner("path_predictor (walk)", model, fallback=False),
         LearnedPlanner("path_predictor (walk, else A*)", model),
-        GuidedSearch("path_predictor (search, 3 views)", model, views=3),
+        GuidedSearch("path_predictor (search, 2 views)", model, views=2),
     ]
 
 
@@ -48,7 +47,7 @@ class LearnedPlanner:
     """Follows the most probable legal move to a cell not yet visited, until the goal.
 
     Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search. The
-    path is the shortest one through these cells.
+    path is the shortest one over the moves that were looked at.
 
     Attributes:
         name: its name in the table.
@@ -75,10 +74,10 @@ class LearnedPlanner:
         """
         grids, starts, goals = _problems(grids, starts, goals)
         scores, _ = self.model.predict(grids, goals, self.views)
-        movement = self.model.movement
-        corners, plans = int(movement.corner_cutting), []
+        movement, plans = self.model.movement, []
+        rule = int(movement.corner_cutting), movement.diagonal_cost
         for k in range(len(grids)):
-            plans.append(Plan(*_walk(grids[k], scores[k], starts[k], goals[k], corners)))
+            plans.append(Plan(*_walk(grids[k], scores[k], starts[k], goals[k], *rule)))
         stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
         if stuck and self.fallback:
             found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], movement)
@@ -93,8 +92,8 @@ class GuidedSearch:
     """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
 
     f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + ``weight`` * h / ratio. A cell
-    is expanded once; it finds a path where there is one, and needs no fallback. The path is the shortest one through
-    the expanded cells.
+    is expanded once; it finds a path where there is one, and needs no fallback. The path is the shortest one over
+    the moves that were looked at.
 
     Attributes:
         name: its name in the table.
@@ -122,11 +121,10 @@ class GuidedSearch:
         """
         grids, starts, goals = _problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals, self.views)
-        corners = int(self.model.movement.corner_cutting)
-        plans = []
+        movement, plans = self.model.movement, []
+        how = int(movement.corner_cutting), movement.diagonal_cost, self.trust, self.weight
         for k in range(len(grids)):
-            found = _search(grids[k], scores[k], ratios[k], starts[k], goals[k], corners, self.trust, self.weight)
-            plans.append(Plan(*found))
+            plans.append(Plan(*_search(grids[k], scores[k], ratios[k], starts[k], goals[k], *how)))
         return plans
 
 
@@ -147,7 +145,15 @@ def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Int
 
 @kernel
 def _search(
-    grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints, corners: Int, trust: float, weight: float
+    grid: Bytes,
+    scores: Floats,
+    ratios: Floats,
+    start: Ints,
+    goal: Ints,
+    corners: Int,
+    diagonal: float,
+    trust: float,
+    weight: float,
 ) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, and how many cells were expanded."""
     moves, rows, columns = scores.shape
@@ -178,23 +184,26 @@ def _search(
             i, j = row + STEPS[k, 0], column + STEPS[k, 1]
             if not legal >> k & 1 or best[i, j] == -np.inf:
                 continue
-            step = 1.0 if k < 4 else math.sqrt(2.0)
+            step = 1.0 if k < 4 else diagonal
             cost = so_far + step + trust * (top - scores[k, row, column])
             if cost < best[i, j]:
                 best[i, j], way[i, j] = cost, way[row, column] + step
                 high, wide = abs(i - goal[0]), abs(j - goal[1])
-                least = max(high, wide) + (math.sqrt(2.0) - 1) * min(high, wide) if moves == 8 else high + wide
+                least = max(high, wide) + (diagonal - 1) * min(high, wide) if moves == 8 else high + wide
                 pushes += 1
                 f = cost + weight * least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
                 heapq.heappush(heap, (f, -pushes, i * columns + j))
-    return _through(grid, best == -np.inf, start, goal, moves, corners), taken
+    return _through(grid, best == -np.inf, start, goal, moves, corners, diagonal), taken
 
 
 @kernel
-def _through(grid: Bytes, expanded: npt.NDArray[np.bool_], start: Ints, goal: Ints, moves: Int, corners: Int) -> Ints:
-    """Return the shortest path through ``expanded`` cells only, (k, 2); (0, 2) where there is none.
+def _through(
+    grid: Bytes, expanded: npt.NDArray[np.bool_], start: Ints, goal: Ints, moves: Int, corners: Int, diagonal: float
+) -> Ints:
+    """Return the shortest path over all moves that a search has looked at, (k, 2); (0, 2) where there is none.
 
-    What a search has seen of a map may hold a shorter path than the one that it came by. Dijkstra's algorithm.
+    Those are the moves from and to expanded cells. Among them there may be a shorter path than the one that the
+    search came by. Dijkstra's algorithm.
     """
     rows, columns = grid.shape
     costs, came = np.full((rows, columns), np.inf), np.full((rows, columns), -1)
@@ -209,11 +218,13 @@ def _through(grid: Bytes, expanded: npt.NDArray[np.bool_], start: Ints, goal: In
             continue
         for k in range(moves):
             i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if i < 0 or j < 0 or i >= rows or j >= columns or not expanded[i, j]:
+            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j]:
+                continue
+            if not (expanded[row, column] or expanded[i, j]):
                 continue
             if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
                 continue
-            longer = cost + (1.0 if k < 4 else math.sqrt(2.0))
+            longer = cost + (1.0 if k < 4 else diagonal)
             if longer < costs[i, j] - 1e-9:
                 costs[i, j], came[i, j] = longer, k
                 heapq.heappush(heap, (longer, i * columns + j))
@@ -230,7 +241,7 @@ def _through(grid: Bytes, expanded: npt.NDArray[np.bool_], start: Ints, goal: In
 
 
 @kernel
-def _walk(grid: Bytes, scores: Floats, start: Ints, goal: Ints, corners: Int) -> tuple[Ints, Int]:
+def _walk(grid: Bytes, scores: Floats, start: Ints, goal: Ints, corners: Int, diagonal: float) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells were expanded."""
     moves, rows, columns = scores.shape
     expanded = np.zeros((rows, columns), np.bool_)
@@ -251,4 +262,4 @@ def _walk(grid: Bytes, scores: Floats, start: Ints, goal: Ints, corners: Int) ->
                 move, best = k, scores[k, row, column]
         if move >= 0:
             row, column = row + STEPS[move, 0], column + STEPS[move, 1]
-    return _through(grid, expanded, start, goal, moves, corners), taken
+    return _through(grid, expanded, start, goal, moves, corners, diagonal), taken

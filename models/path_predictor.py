@@ -61,7 +61,7 @@ Floats = npt.NDArray[np.float32]
 
 
 @lru_cache(maxsize=16)
-def _surroundings(rows: int, columns: int, moves: int) -> tuple[Tensor, Tensor]:
+def _surroundings(rows: int, columns: int, movement: Movement) -> tuple[Tensor, Tensor]:
     """Return planes about a goal in their middle, (6, 2 rows - 1, 2 columns - 1), and how much each move leads astray.
 
     The window of a map with its goal at (i, j) begins at (rows - 1 - i, columns - 1 - j). A move leads astray by its
@@ -72,30 +72,31 @@ def _surroundings(rows: int, columns: int, moves: int) -> tuple[Tensor, Tensor]:
 
     def heuristic(down: Tensor, right: Tensor) -> Tensor:
         down, right = down.abs(), right.abs()
-        if moves == 4:
+        if movement.connectivity == 4:
             return down + right
-        return torch.maximum(down, right) + (math.sqrt(2) - 1) * torch.minimum(down, right)
+        return torch.maximum(down, right) + (movement.diagonal_cost - 1) * torch.minimum(down, right)
 
     here = heuristic(down, right)
     near, side = [torch.clamp(each / 4, -1, 1) for each in (down, right)], (down.abs() - right.abs()) / 4
     planes = torch.stack([here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)])
-    steps = STEPS[:moves].tolist()
-    astray = [heuristic(down + r, right + c) - here + math.hypot(r, c) for r, c in steps]
+    steps = STEPS[: movement.connectivity].tolist()
+    costs = [movement.diagonal_cost if row and column else 1.0 for row, column in steps]
+    astray = [heuristic(down + r, right + c) - here + cost for (r, c), cost in zip(steps, costs, strict=True)]
     return planes, torch.stack(astray)
 
 
-def look(occupied: Tensor, goals: Tensor, moves: int) -> tuple[Tensor, Tensor]:
+def look(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
     """Return what the network sees, (B, 8, H, W), and how much each move leads astray, (B, moves, H, W).
 
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.
         goals: (B, 2), cells.
-        moves: 4 or 8.
+        movement: how one moves; it has 4 or 8 moves.
     """
     count, _, rows, columns = occupied.shape
-    planes, astray = (each.to(occupied.device) for each in _surroundings(rows, columns, moves))
+    planes, astray = (each.to(occupied.device) for each in _surroundings(rows, columns, movement))
     seen = torch.zeros(count, 8, rows, columns, device=occupied.device)
-    prior = torch.empty(count, moves, rows, columns, device=occupied.device)
+    prior = torch.empty(count, movement.connectivity, rows, columns, device=occupied.device)
     seen[:, 0] = occupied[:, 0] == 0
     for k, (i, j) in enumerate(goals.tolist()):
         window = (slice(None), slice(rows - 1 - i, 2 * rows - 1 - i), slice(columns - 1 - j, 2 * columns - 1 - j))
@@ -161,6 +162,7 @@ class PathPredictor(pl.LightningModule):
     Args:
         connectivity: 4 or 8 moves.
         corner_cutting: whether diagonal moves pass beside occupied cells.
+        diagonal_cost: of a diagonal move, sqrt(2) or 1.
         widths: channels at strides 2, 4 and 8.
         passes: exchanges between strides 4 and 8: how far information travels.
         learning_rate: the highest; it rises over 100 steps and falls as a cosine until the last step.
@@ -172,6 +174,7 @@ class PathPredictor(pl.LightningModule):
         self,
         connectivity: int = 8,
         corner_cutting: bool = False,
+        diagonal_cost: float = math.sqrt(2),
         widths: tuple[int, int, int] = (32, 48, 48),
         passes: int = 3,
         learning_rate: float = 0.012,
@@ -181,7 +184,7 @@ class PathPredictor(pl.LightningModule):
         """Make the network."""
         super().__init__()
         self.save_hyperparameters()
-        self.movement = Movement(connectivity, corner_cutting)
+        self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         network = Network(connectivity, widths, passes)
         self.network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -194,7 +197,7 @@ class PathPredictor(pl.LightningModule):
         """
         rows, columns = occupied.shape[2:]
         padded = F.pad(occupied, (0, -columns % STRIDE, 0, -rows % STRIDE), value=1)
-        seen, astray = look(padded, goals, self.movement.connectivity)
+        seen, astray = look(padded, goals, self.movement)
         out = self.network(seen)[..., :rows, :columns]
         scores = torch.sub(out[:, :-1], astray[..., :rows, :columns], alpha=3)
         return scores, torch.sigmoid(out[:, -1].float())

@@ -58,11 +58,21 @@ def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
 
 
 class Cli(LightningCLI):
-    """LightningCLI with the flag --weights."""
+    """LightningCLI with the flags --weights and --connectivity."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Add the flag."""
+        """Add the flags."""
         parser.add_argument("--weights", type=str | None, default=None, help="file for the weights after the last step")
+        parser.add_argument("--connectivity", type=int | None, default=None, help="short for --model.connectivity")
+
+    def before_instantiate_classes(self) -> None:
+        """Let the data move as the model does."""
+        config = self.config[self.subcommand]
+        model, data = config.model, config.data.init_args
+        if config.connectivity is not None:
+            model.connectivity = config.connectivity
+        for part in [each.init_args for each in data.parts] if "parts" in data else [data]:
+            part.movement = [model.connectivity, model.corner_cutting, model.diagonal_cost]
 
     def after_fit(self) -> None:
         """Write the weights."""

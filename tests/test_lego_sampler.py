@@ -229,8 +229,8 @@ def test_what_is_refused(kind: type[Any]) -> None:
 
 
 def test_padding_changes_nothing() -> None:
-    """A map that was walled in to a multiple of 8 has the same shares."""
-    model = small(Heatmap)
+    """A map that was walled in to a multiple of 8 has the same shares, seen one way."""
+    model = small(Heatmap, views=1)
     assert isinstance(model, Heatmap)
     grid = (np.random.default_rng(1).random((21, 30)) < 0.4).astype(np.uint8)
     ends = np.argwhere(grid == 0)[[0, -1]]
@@ -266,7 +266,7 @@ def test_symmetries_move_everything_along() -> None:
     fields = {"map": grids, "optimal_mask": marks, "start": torch.tensor(ends[0]), "goal": torch.tensor(ends[1])}
     torch.manual_seed(0)
     kinds = set()
-    for _ in range(60):
+    for _ in range(300):
         turned, points = _turned(fields, torch.tensor(ends[0]) + 0.25)
         for name in ("start", "goal"):
             row, column = turned[name].T
@@ -313,7 +313,10 @@ def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
     assert type(again) is kind
     assert again.targets == "lego"
     problem = drawn().grids[0], drawn().starts[0], drawn().goals[0]
-    assert np.array_equal(model.sample(*problem, 9), again.sample(*problem, 9))
+    again.save(tmp_path / "weights.pt")  # the first time rounds to 16 bits
+    assert np.array_equal(again.sample(*problem, 9), load(tmp_path / "weights.pt").sample(*problem, 9))
+    for one, other in zip(model.parameters(), again.parameters(), strict=True):
+        assert torch.allclose(one, other, rtol=1e-3, atol=1e-6)
     torch.save({"weights": {}}, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="holds no saved Heatmap or CVAE or LocalCVAE"):
         load(tmp_path / "other.pt")
@@ -444,7 +447,7 @@ def test_the_weights_are_there() -> None:
     """Four at least, a few MB in all, and they load safely."""
     names = {"lego_cvae", "lego_heatmap", "shortest_path_cvae", "shortest_path_heatmap"}
     assert names <= {file.stem for file in WEIGHTS}
-    assert sum(file.stat().st_size for file in WEIGHTS) < 12_000_000
+    assert sum(file.stat().st_size for file in WEIGHTS) < 8_000_000
     for file in WEIGHTS:
         assert file.stem.startswith(load(file).targets)
 

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import re
-import shlex
 from pathlib import Path
 
+import pages
 import pytest
+from pages import ROOT
 
 from mapdata.build import Recipe
-from mapdata.cli import build_main, main
+from mapdata.cli import build_main
 from mapdata.spec import PRESETS
 
-ROOT = Path(__file__).parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS: list[tuple[str, str]] = re.findall(r"^```(\w+)\n(.*?)^```$", README, re.DOTALL | re.MULTILINE)
-"""Language and text of each code block, in order."""
-
-PYTHON = [k for k, (language, _) in enumerate(BLOCKS) if language == "python"]
-
-
-def exit_code(arguments: list[str]) -> object:
-    """Run ``mapdata`` and return its exit code."""
-    try:
-        main(arguments)
-    except SystemExit as stop:
-        return stop.code
-    return None
+PAGE = ROOT / "README.md"
+README = PAGE.read_text(encoding="utf-8")
+BLOCKS = pages.blocks(PAGE)
 
 
 @pytest.fixture(autouse=True)
@@ -41,21 +30,22 @@ def test_both_command_lines_stand_at_the_top() -> None:
     assert first + second in README.split("\n## ")[0]
 
 
-@pytest.mark.parametrize("k", PYTHON)
-def test_python_does_what_the_readme_says(k: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """A block of Python prints the block of text that follows it, if one does, and leaves the pictures it names."""
-    code = BLOCKS[k][1]
-    exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
-    following = BLOCKS[k + 1] if k + 1 < len(BLOCKS) else ("", "")
-    if following[0] == "text":
-        assert capsys.readouterr().out == following[1]
-    for picture in re.findall(r'savefig\("([^"]+)"', code):
+def test_every_block_runs() -> None:
+    """Python prints the text that follows it, commands run as they stand, and the pictures that are named are there."""
+    shown = pages.run(PAGE)
+    commands = [line for block in BLOCKS if block.language == "sh" for line in block.text.splitlines()]
+    assert {"build", "info", "verify", "show", "report"} <= {line.split()[1] for line in commands}
+    assert len(shown) == len(commands)
+    for line, printed in zip(commands, shown, strict=True):
+        assert ("bit for bit" in printed) == (" build " in line and "--recipe" in line), line
+    for picture in ("map7.png", "map.png"):
         assert Path(picture).read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_first_example_is_ten_lines_and_ends_in_a_picture() -> None:
     """One minute of reading, and something to see."""
-    lines = [line for line in BLOCKS[PYTHON[0]][1].splitlines() if line]
+    first = next(block for block in BLOCKS if block.language == "python")
+    lines = [line for line in first.text.splitlines() if line]
     assert len(lines) <= 10
     assert "savefig" in lines[-1]
 
@@ -67,26 +57,9 @@ def test_the_script_builds_where_the_readme_says(capsys: pytest.CaptureFixture[s
     assert "mapdata show data/maps --index 2 -o map.png" in capsys.readouterr().out
 
 
-def test_commands_run_one_after_another(capsys: pytest.CaptureFixture[str]) -> None:
-    """From building to rebuilding by a recipe, as they stand."""
-    lines = [line for language, block in BLOCKS if language == "sh" for line in block.splitlines()]
-    assert {"build", "info", "verify", "show"} <= {line.split()[1] for line in lines}
-    for line in lines:
-        program, *arguments = shlex.split(line, comments=True)
-        output = arguments.pop() if ">" in arguments else None
-        assert program == "mapdata"
-        assert exit_code([word for word in arguments if word != ">"]) in (None, 0), line
-        printed = capsys.readouterr().out
-        if output is not None:
-            Path(output).write_text(printed, encoding="utf-8")
-        if "--recipe" in arguments and "build" in arguments:
-            assert "bit for bit" in printed
-    assert Path("map.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_the_recipe_of_ones_own_is_one() -> None:
     """A recipe needs only what differs from the defaults."""
-    (text,) = (block for language, block in BLOCKS if language == "json")
+    (text,) = (block.text for block in BLOCKS if block.language == "json")
     recipe = Recipe.load(text)
     assert (recipe.spec.map_size, recipe.spec.movement.connectivity, recipe.maps) == ((48, 96), 8, 500)
 

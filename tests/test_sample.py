@@ -223,7 +223,7 @@ def test_pinning_keeps_names(root: str, monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(torch.Tensor, "pin_memory", pin)
     batch = next(iter(DataLoader(MapDataset(root), 8)))
-    again: Any = pin_memory(batch)  # type: ignore[no-untyped-call]
+    again: Any = pin_memory(batch)
     assert type(again) is type(batch)
     assert len(pinned) == 4
     samples.assert_same(again, batch)

@@ -1,0 +1,265 @@
+"""A* a path from Python beside what a user would otherwise pick: python -m benchmarks paths.
+
+Everything is measured in one run. Each peer solves the same problems on its own kind of grid, made beforehand, and must
+find paths of the same length; one that is not installed is skipped by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import combinations, pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+import mapdata
+from benchmarks import naive
+from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
+from mapdata import MapSpec, generate
+
+Ints: TypeAlias = npt.NDArray[np.int64]
+Bytes: TypeAlias = npt.NDArray[np.uint8]
+Cell: TypeAlias = tuple[int, int]
+Path: TypeAlias = Sequence[Any] | npt.NDArray[Any]
+"""Cells, or what a peer has for them, one for each; empty without a path."""
+
+PACKAGES = ("mapdata", "numpy", "numba")
+
+
+@dataclass(frozen=True)
+class Problems:
+    """P path problems: (P, H, W) uint8 grids, (P, 2) start and goal cells, and the number of each one's map."""
+
+    grids: Bytes
+    starts: Ints
+    goals: Ints
+    owners: list[int]
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return len(self.starts)
+
+    def __iter__(self) -> Iterator[tuple[int, Cell, Cell]]:
+        """Yield number, start and goal of each problem."""
+        for k, (start, goal) in enumerate(zip(self.starts.tolist(), self.goals.tolist(), strict=True)):
+            yield k, (start[0], start[1]), (goal[0], goal[1])
+
+    def first(self, count: int) -> Problems:
+        """Return the first ``count`` problems."""
+        return Problems(self.grids[:count], self.starts[:count], self.goals[:count], self.owners[:count])
+
+
+def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
+    """Return the problems of a batch: between consecutive seeds, or between every pair of seeds of a map."""
+    owners, starts, goals = [], [], []
+    for i in range(len(maps)):
+        seeds = naive.seeds_of(maps, i)
+        for start, goal in combinations(seeds, 2) if every_pair else pairwise(seeds):
+            owners.append(i)
+            starts.append(start)
+            goals.append(goal)
+    return Problems(maps.occupancy[np.array(owners)], np.array(starts), np.array(goals), owners)
+
+
+def table_1(size: int, rooms: tuple[int, int] = (2, 9)) -> MapSpec:
+    """Return Table 1 for maps of ``size`` x ``size``: rooms and tunnels as large a share of the side."""
+    scale = size // 64
+    sides = 14 * scale, 33 * scale
+    width = 7 * scale, 15 * scale
+    return MapSpec((size, size), rooms, room_rows=sides, room_columns=sides, passage_width=width)
+
+
+# --- the peers: each makes its kind of grid once, and gives a function from start and goal to a path ------------------
+
+Solver: TypeAlias = Callable[[Cell, Cell], Path]
+
+
+def pyastar2d(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+    """Weights in float32, infinite where occupied."""
+    weights = np.where(grid == 1, np.inf, 1).astype(np.float32)
+    return lambda start, goal: none_is_empty(module.astar_path(weights, start, goal))
+
+
+def tcod(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+    """A cost of 0 where occupied."""
+    cost = (1 - grid).astype(np.int8)
+    path2d = partial(module.path2d, cost, cardinal=1, diagonal=0)
+    return lambda start, goal: path2d(start_points=[start], end_points=[goal])
+
+
+def scipy(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+    """A sparse graph, both directions of each edge; the path is walked back."""
+    from scipy.sparse import csr_matrix
+
+    a, b = edges_of(grid)
+    both = np.concatenate([a, b]), np.concatenate([b, a])
+    graph = csr_matrix((np.ones(2 * len(a), np.int8), both), shape=(grid.size, grid.size))
+    columns = grid.shape[1]
+
+    def solve(start: Cell, goal: Cell) -> Path:
+        first, cell = start[0] * columns + start[1], goal[0] * columns + goal[1]
+        parents = module.breadth_first_order(graph, first)[1]
+        path = [cell]
+        while cell != first:
+            cell = parents[cell]
+            if cell < 0:
+                return []
+            path.append(cell)
+        return path
+
+    return solve
+
+
+def skimage(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+    """Costs of 1, negative where occupied: no way through."""
+    costs = np.where(grid == 1, -1.0, 1.0)
+
+    def solve(start: Cell, goal: Cell) -> Path:
+        try:
+            found: Path = module.route_through_array(costs, start, goal, fully_connected=False, geometric=False)[0]
+        except ValueError:  # its word for no path
+            return []
+        return found
+
+    return solve
+
+
+def networkx(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+    """A graph of numbered cells; its shortest_path searches from both ends."""
+    graph = module.Graph()
+    graph.add_nodes_from(np.flatnonzero(grid == 0).tolist())
+    graph.add_edges_from(zip(*(end.tolist() for end in edges_of(grid)), strict=True))
+    columns = grid.shape[1]
+
+    def solve(start: Cell, goal: Cell) -> Path:
+        try:
+            ends = start[0] * columns + start[1], goal[0] * columns + goal[1]
+            found: Path = module.shortest_path(graph, *ends)
+        except module.NetworkXNoPath:
+            return []
+        return found
+
+    return solve
+
+
+def pathfinding(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+    """Its grid, 1 free, cleaned between searches."""
+    from importlib import import_module
+
+    world = import_module("pathfinding.core.grid").Grid(matrix=(1 - grid).tolist())
+    finder = module.AStarFinder()
+
+    def solve(start: Cell, goal: Cell) -> Path:
+        world.cleanup()
+        found: Path = finder.find_path(world.node(start[1], start[0]), world.node(goal[1], goal[0]), world)[0]
+        return found
+
+    return solve
+
+
+def edges_of(grid: Bytes) -> tuple[Ints, Ints]:
+    """Return both ends, as numbers of cells, of each pair of neighbouring free cells."""
+    numbers, free = np.arange(grid.size).reshape(grid.shape), grid == 0
+    right, down = free[:, :-1] & free[:, 1:], free[:-1] & free[1:]
+    first = np.concatenate([numbers[:, :-1][right], numbers[:-1][down]])
+    return first, np.concatenate([numbers[:, 1:][right], numbers[1:][down]])
+
+
+def none_is_empty(path: Path | None) -> Path:
+    """Return a path, empty where a peer says None."""
+    return [] if path is None else path
+
+
+PEERS: dict[Peer, Callable[[Any, Bytes], Solver]] = {
+    Peer("pyastar2d", "pyastar2d", "pyastar2d", "astar_path(weights, start, goal)"): pyastar2d,
+    Peer("python-tcod", "tcod", "tcod.path", "path2d(cost, start_points=[s], end_points=[g], cardinal=1)"): tcod,
+    Peer("scipy", "scipy", "scipy.sparse.csgraph", "breadth_first_order(graph, start), then back from goal"): scipy,
+    Peer("scikit-image", "scikit-image", "skimage.graph", "route_through_array(costs, start, goal, False)"): skimage,
+    Peer("networkx", "networkx", "networkx", "shortest_path(graph, start, goal)"): networkx,
+    Peer("pathfinding", "pathfinding", "pathfinding.finder.a_star", "AStarFinder().find_path(s, g, grid)"): pathfinding,
+}
+
+
+def solve_with(peer: Peer, problems: Problems) -> Callable[[], list[Path]]:
+    """Return what solves ``problems`` one by one with ``peer``, whose grids are made here.
+
+    Raises:
+        SystemExit: it finds a path of another length than `mapdata` does.
+    """
+    prepare, module = PEERS[peer], peer.load()
+    made = cache(lambda owner: prepare(module, problems.grids[problems.owners.index(owner)]))
+    solvers = [made(owner) for owner in problems.owners]
+
+    def run() -> list[Path]:
+        return [solvers[k](start, goal) for k, start, goal in problems]
+
+    ours = np.diff(mapdata.search_batch("astar", problems.grids, problems.starts, problems.goals).offsets)
+    for k, path in enumerate(run()):
+        if len(path) != ours[k]:
+            raise SystemExit(f"mapdata and {peer.name} differ: {ours[k]} and {len(path)} cells on problem {k}")
+    return run
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------
+
+
+def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
+    """Return the rows of maps of ``size`` x ``size``: ``count`` of them for single calls and batches beside pyastar2d,
+    their first ``few`` problems beside every peer.
+    """
+    maps = generate(table_1(size), 1, range(count))
+    own = problems_of(maps, every_pair=False)
+    # A batch on one grid: the same number of problems, between free cells of the first map.
+    free = np.argwhere(maps.occupancy[0] == 0)
+    drawn = np.random.default_rng(0).integers(len(free), size=(2, len(own)))
+    grids = np.broadcast_to(maps.occupancy[0], own.grids.shape)
+    one = Problems(grids, free[drawn[0]], free[drawn[1]], [0] * len(own))
+    some = own.first(few)
+
+    def singly(problems: Problems) -> list[Path]:
+        return [mapdata.astar(problems.grids[k], start, goal).path for k, start, goal in problems]
+
+    contestants: dict[str, Callable[[], object]] = {
+        "few": lambda: singly(some),
+        "single": lambda: singly(own),
+        "batch": lambda: mapdata.search_batch("astar", own.grids, own.starts, own.goals),
+        "one grid": lambda: mapdata.search_batch("astar", one.grids[0], one.starts, one.goals),
+    }
+    fastest, *others = PEERS
+    if not fastest.absence:
+        contestants |= {"theirs": solve_with(fastest, own), "theirs on one": solve_with(fastest, one)}
+    contestants |= {peer.name: solve_with(peer, some) for peer in others if not peer.absence}
+    times = interleaved(contestants, rounds)
+
+    def row(work: str, name: str, other: str, target: str, peer: Peer, total: int) -> Row:
+        value = each(times[name], total)
+        if peer.absence:
+            return Row(work, value, target=target, note=f"{peer.name}: skipped")
+        ratio = f"{median_ratio(times[other], times[name]):,.1f}x"
+        return Row(
+            work, value, each(times[other], total), ratio, target, f"{peer.name}: equal lengths, {total:,} paths"
+        )
+
+    sized = f"A* a path, {size} x {size}"
+    many = len(own)
+    return [
+        row(f"{sized}, single calls", "single", "theirs", "15x", fastest, many),
+        row(f"{sized}, one call, a grid each", "batch", "theirs", "80x", fastest, many),
+        row(f"{sized}, one call, one grid", "one grid", "theirs on one", "80x", fastest, many),
+        *(row(f"{sized}, single calls", "few", peer.name, "", peer, len(some)) for peer in others),
+    ]
+
+
+def table(quick: bool, parent: str | None = None) -> str:
+    """Measure, and return the table; nothing is written."""
+    rounds = 3 if quick else 9
+    count = 100 if quick else 400
+    rows = [*rows_of(64, count, 100, rounds), *rows_of(256, count // 4, 25, rounds)]
+    notes = (
+        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the median of the repeats'",
+        "maps of Table 1, for 256 x 256 with 4 times the sides; between consecutive rooms, 4-connected",
+    )
+    return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])

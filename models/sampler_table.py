@@ -1,0 +1,216 @@
+"""Samplers of roadmaps in one table: how often a roadmap of n vertices has a path, and how long the paths are.
+
+from mapdata import MapSpec
+from mapdata.evaluate import Problems
+from models.lego_sampler import load
+from models.sampler_table import compare, contenders, to_text
+
+problems = Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=1000)
+print(to_text(compare(contenders({"lego_heatmap": load("models/weights/lego_heatmap.pt")}), problems)))
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mapdata.plot import MARKERS, PALETTE
+from mapdata.plot_models import plot_roadmap
+from mapdata.problems import HARD, Problems
+from models.roadmap import SAMPLERS, between, halton, path_lengths
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIZES = (24, 50, 100)
+"""Vertices of a roadmap, without start and goal."""
+
+DENSE = 2000
+"""Vertices of the roadmap whose paths the lengths are compared with."""
+
+METRICS = ("success", "length_ratio")
+"""Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+
+_BATCH = 50
+
+
+class Contender(Protocol):
+    """What gives all vertices of roadmaps."""
+
+    def __call__(self, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+        """Return (B, n, 2) points in free cells: grids (B, H, W), starts and goals (B, 2)."""
+
+
+class Learned(Protocol):
+    """What `models.lego_sampler.Sampler` is."""
+
+    def sample_batch(self, grids: Bytes, starts: Ints, goals: Ints, n: int, seed: int = 0) -> Floats:
+        """Return (B, n, 2) points."""
+
+
+def contenders(learned: Mapping[str, Learned]) -> dict[str, Contender]:
+    """Return the rows of the table: Halton and uniform points; half Halton and half Gaussian, bridge or learned."""
+    rows: dict[str, Contender] = {name: partial(_classical, name) for name in SAMPLERS}
+    return rows | {name: partial(_learned, model) for name, model in learned.items()}
+
+
+def _classical(name: str, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+    first = 0 if name in ("halton", "uniform") else n - n // 2
+    rest = [SAMPLERS[name](grid, n - first, seed) for grid, seed in zip(grids, seeds, strict=True)]
+    return np.concatenate([_halton(grids, first, seeds), np.stack(rest)], axis=1)
+
+
+def _learned(model: Learned, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+    found = model.sample_batch(grids, starts, goals, n // 2, seeds[0])
+    return np.concatenate([_halton(grids, n - n // 2, seeds), found], axis=1)
+
+
+def _halton(grids: Bytes, n: int, seeds: Sequence[int]) -> Floats:
+    if n == 0:
+        return np.empty((len(grids), 0, 2))
+    return np.stack([halton(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
+
+
+def compare(
+    rows: Mapping[str, Contender],
+    problems: Problems,
+    sizes: Sequence[int] = SIZES,
+    *,
+    bootstrap: int = 1000,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Return the table: for each size two rows a sampler, all problems and the hard ones.
+
+    Columns: ``sampler``; ``subset``, "all" or "hard" (hardness of the grid problem at least ``HARD``); ``n``, vertices
+    of the roadmap; ``problems``, how many are in the subset; ``success``, the share whose roadmap joins start and goal;
+    ``length_ratio``, the mean over those of the path's length to that on a Halton roadmap of ``DENSE`` vertices (a
+    problem that has none there is left out), NaN where there is none; of both ``<name>_low``, ``<name>_high``, a 95 %
+    percentile interval over resampled problems, the same resamples for all; ``ms``, milliseconds a problem to sample.
+
+    Args:
+        rows: the samplers, by name.
+        problems: on what.
+        sizes: vertices of a roadmap, at least 2.
+        bootstrap: number of resamples.
+        seed: of the resamples.
+
+    Raises:
+        ValueError: no sampler, problem, size or resample, or a size below 2.
+    """
+    if not rows or not len(problems) or not sizes or min(sizes) < 2 or bootstrap < 1:
+        raise ValueError("expected at least one sampler, problem and resample, and sizes of 2 or more")
+    dense = _lengths(_classical_halton, problems, DENSE)[0]
+    weights = _resamples(len(problems), bootstrap, np.random.default_rng(seed))
+    table: list[dict[str, object]] = []
+    for n in sizes:
+        for name, contender in rows.items():
+            lengths, ms = _lengths(contender, problems, n)
+            for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
+                row: dict[str, object] = {"sampler": name, "subset": subset, "n": n, "problems": int(mask.sum())}
+                row |= _metrics(lengths[mask], dense[mask], weights[:, mask])
+                table.append(row | {"ms": ms})
+    return pd.DataFrame(table)
+
+
+def _classical_halton(grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+    return _halton(grids, n, [seed + 10_000_019 for seed in seeds])
+
+
+def _lengths(contender: Contender, problems: Problems, n: int) -> tuple[Floats, float]:
+    """Return path lengths (N,), inf without a path, and the milliseconds a problem took to sample."""
+    found, seconds = [], 0.0
+    for k in range(0, len(problems), _BATCH):
+        part = slice(k, k + _BATCH)
+        given = problems.grids[part], problems.starts[part], problems.goals[part]
+        seeds = list(range(k, k + len(given[0])))
+        if k == 0:
+            contender(*given, n, seeds)  # kernels compile in the first call
+        began = time.perf_counter()
+        points = contender(*given, n, seeds)
+        seconds += time.perf_counter() - began
+        found.append(path_lengths(*given, points))
+    return np.concatenate(found), 1000 * seconds / len(problems)
+
+
+def _resamples(count: int, bootstrap: int, source: np.random.Generator) -> Floats:
+    """Return (bootstrap + 1, count) how often each problem is in each resample; the first has each once."""
+    drawn = [np.bincount(source.integers(count, size=count), minlength=count) for _ in range(bootstrap)]
+    return np.stack([np.ones(count), *drawn])
+
+
+def _metrics(lengths: Floats, dense: Floats, weights: Floats) -> dict[str, float]:
+    solved = np.isfinite(lengths)
+    both = solved & np.isfinite(dense)
+    ratios = np.divide(lengths, dense, out=np.zeros_like(lengths), where=both)
+    with np.errstate(invalid="ignore"):
+        success = (weights @ solved) / weights.sum(axis=1)
+        ratio = (weights @ ratios) / (weights @ both)
+    row: dict[str, float] = {}
+    for name, values in zip(METRICS, (success, ratio), strict=True):
+        row[name] = float(values[0])
+        resampled = values[1:][np.isfinite(values[1:])]
+        ends = np.quantile(resampled, [0.025, 0.975]) if len(resampled) else np.full(2, np.nan)
+        row[f"{name}_low"], row[f"{name}_high"] = ends.tolist()
+    return row
+
+
+def to_text(table: pd.DataFrame) -> str:
+    """Return the table for a terminal: a block a subset, a line a sampler, success and length ratio for each size."""
+    blocks = []
+    for subset, rows in table.groupby("subset", sort=False):
+        text = pd.DataFrame(index=pd.Index(rows["sampler"].unique(), name="sampler"))
+        for n, part in rows.groupby("n", sort=False):
+            of = part.set_index("sampler")
+            for metric in METRICS:
+                half = (of[f"{metric}_high"] - of[f"{metric}_low"]) / 2
+                values = [f"{value:.3f} ±{width:.3f}" for value, width in zip(of[metric], half, strict=True)]
+                text[f"{metric} n={n}"] = pd.Series(values, of.index)
+        which = f", hardness at least {HARD}" if subset == "hard" else ""
+        blocks.append(f"{subset}: {rows['problems'].iloc[0]} problems{which}\n{text.to_string()}")
+    return "\n\n".join(blocks)
+
+
+def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
+    """Draw success against the number of vertices, a line a sampler, with its interval."""
+    rows = table[table["subset"] == subset]
+    for k, (name, part) in enumerate(rows.groupby("sampler", sort=False)):
+        style = "-" if k >= len(SAMPLERS) else ":"
+        colour, marker = PALETTE[k % len(PALETTE)], MARKERS[k % len(MARKERS)]
+        axes.plot(part["n"], part["success"], style, marker=marker, color=colour, label=str(name))
+        axes.fill_between(part["n"], part["success_low"], part["success_high"], color=colour, alpha=0.12, linewidth=0)
+    axes.set(xlabel="vertices of the roadmap", ylabel="problems solved", title=f"{subset} problems", ylim=(None, 1.01))
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(sorted(rows["n"].unique()), [str(n) for n in sorted(rows["n"].unique())])
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+    return axes
+
+
+def plot_roadmaps(rows: Mapping[str, Contender], problems: Problems, n: int, figure: Figure, maps: int = 3) -> None:
+    """Draw the roadmaps of every sampler on the first hard problems, a line a problem, with the path found."""
+    chosen = [*np.flatnonzero(problems.hard), *np.flatnonzero(~problems.hard)][:maps]
+    grid_of_axes = figure.subplots(len(chosen), len(rows), squeeze=False)
+    for line, k in zip(grid_of_axes, chosen, strict=True):
+        grid, start, goal = problems.grids[k], problems.starts[k], problems.goals[k]
+        for axes, (name, contender) in zip(line, rows.items(), strict=True):
+            points = contender(grid[None], start[None], goal[None], n, [int(k)])[0]
+            roadmap = between(grid, start, goal, points)
+            length, path = roadmap.shortest_path()
+            # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
+            plot_roadmap(grid, roadmap.points - 0.5, roadmap.edges, axes, path=roadmap.points[path] - 0.5)
+            axes.plot(*(roadmap.points[:2, ::-1] - 0.5).T, "*", color="#009E73", markersize=12, zorder=4)
+            axes.set_title(f"{name}, {f'{length:.1f} cells' if len(path) else 'no path'}")
+            if legend := axes.get_legend():
+                legend.remove()

@@ -1,0 +1,84 @@
+"""Compare samplers of roadmaps in one table: python scripts/evaluate_sampler.py --preset dungeon --maps 1000 --seed 77.
+
+The trained samplers in models/weights come along: lego_*.pt and shortest_path_*.pt. Roadmaps have n vertices in all;
+of Gaussian, bridge and learned ones half are Halton's.
+"""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from mapdata.cli import Parser, run
+from mapdata.evaluate import Problems
+from mapdata.spec import PRESETS, MapSpec
+from models.lego_sampler import load
+from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
+
+WEIGHTS = Path(__file__).parent.parent / "models" / "weights"
+PICTURED = ("halton", "bridge", "lego_cvae", "lego_heatmap")
+
+
+def evaluate_command(
+    root: str | None,
+    preset: str | None,
+    seed: int | None,
+    maps: int | None,
+    sizes: list[int],
+    csv: str | None,
+    json: str | None,
+    figure: str | None,
+    pictures: str | None,
+    weights: str | None,
+) -> None:
+    """Compare samplers of roadmaps on one problem a map: maps made on the spot, or the test split of a dataset."""
+    for output in (csv, json, figure, pictures):
+        if output is not None and not Path(output).parent.is_dir():
+            raise ValueError(f"{output}: there is no folder {Path(output).parent}")
+    if weights is not None and not Path(weights).is_dir():
+        raise ValueError(f"weights: there is no folder {weights}")
+    files = [*Path(weights or WEIGHTS).glob("lego_*.pt"), *Path(weights or WEIGHTS).glob("shortest_path_*.pt")]
+    rows = contenders({file.stem: load(file) for file in sorted(files)})
+    if root is None:
+        problems = Problems.draw(MapSpec.preset(preset or "dungeon"), 77 if seed is None else seed, maps or 1000)
+    elif preset is None and seed is None:
+        problems = Problems.read(root, maps)
+    else:
+        raise ValueError("preset, seed: would do nothing beside the root of a dataset")
+    table = compare(rows, problems, sorted(set(sizes)))
+    print(f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by {problems.movement}\n")
+    print(to_text(table))
+    if csv is not None:
+        table.to_csv(csv, index=False)
+    if json is not None:
+        table.to_json(json, orient="records", indent=1)
+    if figure is not None:
+        canvas = Figure(figsize=(7, 6), layout="constrained")
+        plot_success(table, canvas.add_subplot(), "hard" if problems.hard.any() else "all")
+        canvas.savefig(figure, dpi=150)
+    if pictures is not None:
+        shown = {name: rows[name] for name in PICTURED if name in rows}
+        canvas = Figure(figsize=(5 * len(shown), 15), layout="constrained")
+        plot_roadmaps(shown, problems, 50, canvas)
+        canvas.savefig(pictures, dpi=90)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    parser = Parser(description=evaluate_command.__doc__)
+    parser.add_argument("root", metavar="ROOT", nargs="?", help="folder of a dataset, in place of --preset and --seed")
+    parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
+    parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
+    parser.add_argument("--maps", metavar="N", type=int, help="how many maps (default 1000; of a dataset, all)")
+    parser.add_argument(
+        "--sizes", metavar="N", type=int, nargs="+", default=list(SIZES), help="vertices (default: 24 50 100)"
+    )
+    parser.add_argument("--csv", metavar="FILE", help="write the table")
+    parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
+    parser.add_argument("--figure", metavar="FILE", help="draw success against the number of vertices")
+    parser.add_argument("--pictures", metavar="FILE", help="draw roadmaps of 50 vertices with their samples")
+    parser.add_argument("--weights", metavar="FOLDER", help="of the trained samplers (default: those that ship)")
+    run(evaluate_command, **vars(parser.parse_args(arguments)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""Neural A*: batches as its train.py has them; for Planner take NeuralAstar() of neural_astar.planner, and .histories.
+
+Its moves: 8 neighbours, any diagonal, each at cost 1. Source: https://github.com/omron-sinicx/neural-astar.
+"""
+
+import torch
+from torch.utils.data import DataLoader
+
+from mapdata import MapDataset, Movement
+
+
+class Planner(torch.nn.Conv2d):
+    def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
+        return super().forward(torch.cat(inputs, dim=1)).sigmoid()
+
+
+planner, moves = Planner(3, 1, 5, padding=2), Movement(8, corner_cutting=True, diagonal_cost=1)
+fields = ("free", "start_mask", "goal_mask", "path_mask")
+dataset = MapDataset("data/maps", "train", fields, problems="random", min_distance=10, movement=moves)
+optimizer = torch.optim.RMSprop(planner.parameters(), lr=0.001)
+for batch in DataLoader(dataset, 100, shuffle=True):
+    map_designs, start_maps, goal_maps, opt_trajs = (field.float() for field in batch)
+    loss = torch.nn.functional.l1_loss(planner(map_designs, start_maps, goal_maps), opt_trajs)
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+    print(f"loss {loss.item():.3f}")
