@@ -1,5 +1,7 @@
 """Labels on one core beside naive Python, and how they grow: python -m benchmarks labels.
 
+Run as a file, it prints the table of `paths` too.
+
 Everything is measured in one run. The naive implementation (naive.py) gives the same labels, which is checked first.
 """
 
@@ -120,3 +122,11 @@ def table(quick: bool, parent: str | None = None) -> str:
         "preset paper (64 x 64, Table 1), 4-connected; targets are ratios, for growth what linear would be",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)
+
+
+if __name__ == "__main__":
+    import sys
+
+    from benchmarks.__main__ import main
+
+    main(["labels", "paths", *sys.argv[1:]])

@@ -91,7 +91,7 @@ class LearnedPlanner:
 class GuidedSearch:
     """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
 
-    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + ``weight`` * h / ratio. A cell
+    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell
     is expanded once; it finds a path where there is one, and needs no fallback. The path is the shortest one over
     the moves that were looked at.
 
@@ -99,14 +99,12 @@ class GuidedSearch:
         name: its name in the table.
         model: what predicts the moves.
         trust: cells that a factor e of probability is worth.
-        weight: of the predicted cost to go.
         views: of the map, as in `PathPredictor.predict`.
     """
 
     name: str
     model: Predictor
     trust: float = 2.0
-    weight: float = 1.1
     views: int = 1
 
     def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
@@ -122,7 +120,7 @@ class GuidedSearch:
         grids, starts, goals = _problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals, self.views)
         movement, plans = self.model.movement, []
-        how = int(movement.corner_cutting), movement.diagonal_cost, self.trust, self.weight
+        how = int(movement.corner_cutting), movement.diagonal_cost, self.trust
         for k in range(len(grids)):
             plans.append(Plan(*_search(grids[k], scores[k], ratios[k], starts[k], goals[k], *how)))
         return plans
@@ -153,7 +151,6 @@ def _search(
     corners: Int,
     diagonal: float,
     trust: float,
-    weight: float,
 ) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, and how many cells were expanded."""
     moves, rows, columns = scores.shape
@@ -191,7 +188,7 @@ def _search(
                 high, wide = abs(i - goal[0]), abs(j - goal[1])
                 least = max(high, wide) + (diagonal - 1) * min(high, wide) if moves == 8 else high + wide
                 pushes += 1
-                f = cost + weight * least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
+                f = cost + least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
                 heapq.heappush(heap, (f, -pushes, i * columns + j))
     return _through(grid, best == -np.inf, start, goal, moves, corners, diagonal), taken
 
