@@ -13,9 +13,9 @@ moves of each cell is unique, and gives some 2,000 labelled cells a map. Followi
     path = model.predict_path(problems.grids[0], problems.starts[0], problems.goals[0])  # (k, 2) cells
     print(evaluate(planners(model), problems))
 
-The weights that ship were made by `python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`
-with OMP_NUM_THREADS=1: 9,500 steps of 40 maps, 25 minutes of one core of an AMD EPYC. A step takes 0.15 s on one core
-and 0.08 s on two.
+`python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` made the weights that ship, with
+OMP_NUM_THREADS=1: 9,500 steps of 40 maps, 25 minutes of one core of an AMD EPYC. A step takes 0.15 s on one core and
+0.08 s on two.
 """
 
 from __future__ import annotations
