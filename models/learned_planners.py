@@ -38,7 +38,7 @@ def planners(model: Predictor) -> list[BatchPlanner]:
     return [
         LearnedPlanner("path_predictor (walk)", model, fallback=False),
         LearnedPlanner("path_predictor (walk, else A*)", model),
-        GuidedSearch("path_predictor (search, 2 views)", model, views=2),
+        GuidedSearch("path_predictor (search)", model),
     ]
 
 
@@ -60,7 +60,7 @@ class LearnedPlanner:
     name: str
     model: Predictor
     fallback: bool = True
-    views: int = 1
+    views: int = 2
 
     def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
         """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
@@ -105,7 +105,7 @@ class GuidedSearch:
     name: str
     model: Predictor
     trust: float = 2.0
-    views: int = 1
+    views: int = 2
 
     def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
         """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""

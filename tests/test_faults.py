@@ -361,15 +361,21 @@ def test_a_read_only_disk(tmp_path: Path) -> None:
 
 def stopped(root: Path, shards: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Build, and press Ctrl-C when there are so many shards."""
-    program = [sys.executable, "-c", "from mapdata.cli import main; main()", "build", str(root), *map(str, arguments)]
+    # A background job of a shell, such as a CI's, ignores Ctrl-C unless it asks for it.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = f"{listen}; from mapdata.cli import main; main()"
+    program = [sys.executable, "-c", code, "build", str(root), *map(str, arguments)]
     builder = subprocess.Popen(program, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    while not (root / MANIFEST).exists() or len(stamps(root)) < shards:
-        assert builder.poll() is None
-        time.sleep(0.01)
-    if not shards:
-        time.sleep(0.5)  # so that some are begun
-    builder.send_signal(signal.SIGINT)
-    out, err = builder.communicate(timeout=60)
+    try:
+        while not (root / MANIFEST).exists() or len(stamps(root)) < shards:
+            assert builder.poll() is None
+            time.sleep(0.01)
+        if not shards:
+            time.sleep(0.5)  # so that some are begun
+        builder.send_signal(signal.SIGINT)
+        out, err = builder.communicate(timeout=60)
+    finally:
+        builder.kill()
     return subprocess.CompletedProcess(program, builder.returncode, out, err)
 
 
