@@ -335,13 +335,13 @@ def scratch(cells: Int, planner: Int, diagonals: Int) -> Scratch:
 def load(grid: Bytes, came: Bytes) -> Int:
     """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL; return whether all of it is 0 or 1."""
     rows, columns = grid.shape
-    seen = np.uint8(0)
+    flat, seen = grid.reshape(-1), np.uint8(0)
+    for k in range(len(flat)):  # a loop of its own: both become vector instructions
+        seen |= flat[np.uint64(k)]
     for row in range(rows):
-        base = np.uint64((row + 1) * (columns + 2) + 1)
+        base, first = np.uint64((row + 1) * (columns + 2) + 1), np.uint64(row * columns)
         for column in range(columns):
-            value = grid[row, column]
-            seen |= value
-            came[base + np.uint64(column)] = UNSEEN | value
+            came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]
     return seen <= 1
 
 
