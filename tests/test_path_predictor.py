@@ -243,12 +243,12 @@ def test_the_weights_that_ship() -> None:
     paper = scores(planners(model), problems("paper", 100))
     dungeon = scores(planners(model), problems("dungeon", 200))
     name, best = "path_predictor (walk, else A*)", "path_predictor (search)"
-    for table, opt, hmean in ((paper, 0.89, 0.80), (dungeon, 0.77, 0.70)):
+    for table, opt, hmean in ((paper, 0.92, 0.82), (dungeon, 0.84, 0.72)):
         assert table.opt[best] >= opt
         assert table.hmean[best] >= hmean
         assert table.hmean[name] >= hmean - 0.04
         assert table.success[name] == table.success[best] == 1
-    assert dungeon.success["path_predictor (walk)"] >= 0.93
+    assert dungeon.success["path_predictor (walk)"] >= 0.95
     wide = scores([*classical(), *planners(model)], problems("wide", 100))
     others = ("greedy best-first", "weighted A* (1.5)", "weighted A* (2)")
     assert wide.hmean[name] > max(wide.hmean[other] for other in others)
@@ -262,11 +262,10 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[st
     return main
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None:
     """Its file of arguments works; it leaves checkpoints, a CSV log, a figure an epoch, and weights."""
-    short = {"max_epochs": 2, "limit_train_batches": 2, "limit_val_batches": 1, "precision": 32, "log_every_n_steps": 1}
+    short = {"max_epochs": 2, "limit_train_batches": 2, "limit_val_batches": 2, "precision": 32, "log_every_n_steps": 1}
     flags = [f"--trainer.{name}={value}" for name, value in short.items()]
     script(["fit", *flags, "--model.widths=[8,8,8]", "--model.passes=1", "--weights=weights.pt"])
     (logs,) = (tmp_path / "runs" / "path_predictor").glob("version_0")
