@@ -4,6 +4,7 @@ The trained path predictor comes along where it moves as asked: 8-connected with
 names others.
 """
 
+import math
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -26,6 +27,7 @@ def evaluate_command(
     until_hard: int | None,
     connectivity: int,
     corner_cutting: bool,
+    diagonal_cost: float,
     csv: str | None,
     json: str | None,
     figure: str | None,
@@ -35,7 +37,7 @@ def evaluate_command(
     for output in (csv, json, figure):
         if output is not None and not Path(output).parent.is_dir():
             raise ValueError(f"{output}: there is no folder {Path(output).parent}")
-    movement = Movement(connectivity, corner_cutting)
+    movement = Movement(connectivity, corner_cutting, diagonal_cost)
     learned = learned_planners(weights, movement)
     if root is None:
         maps = 600 if maps is None and until_hard is None else maps
@@ -87,6 +89,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--until-hard", metavar="K", type=int, help="stop at the map with the K-th hard problem")
     parser.add_argument("--connectivity", type=int, choices=(4, 8), default=8, help="moves (default: %(default)s)")
     parser.add_argument("--corner-cutting", action="store_true", help="diagonal moves beside occupied cells too")
+    parser.add_argument(
+        "--diagonal-cost",
+        metavar="D",
+        type=float,
+        default=math.sqrt(2),
+        help="of diagonal moves: 1 or sqrt 2 (default)",
+    )
     parser.add_argument("--csv", metavar="FILE", help="write the table")
     parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
     parser.add_argument("--figure", metavar="FILE", help="draw cost ratio against expansions on the hard problems")
