@@ -14,8 +14,8 @@ moves of each cell is unique, and gives some 2,000 labelled cells a map. Followi
     print(evaluate(planners(model), problems))
 
 `python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` made the weights that ship, with
-OMP_NUM_THREADS=1: 9,500 steps of 40 maps, 25 minutes of one core of an AMD EPYC. On two cores it takes 17: a step 0.11 s
-instead of 0.15 s.
+OMP_NUM_THREADS=1: 9,500 steps of 40 maps, 25 minutes of one core of an AMD EPYC. On two cores it takes 17: a step takes
+0.11 s instead of 0.15 s.
 """
 
 from __future__ import annotations
