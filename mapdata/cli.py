@@ -83,14 +83,14 @@ def info_command(root: str, recipe: bool, card: str | None) -> None:
 def verify_command(root: str, repair: bool) -> None:
     """Check every file of a dataset; exit code 1 if one is damaged."""
     findings = inspect(root, progress=True)
-    for problem in findings.problems:
-        print(problem)
-    found = len(findings.problems)
+    for fault in findings.faults:
+        print(fault)
+    found = len(findings.faults)
     if found and not repair:
         raise _DisagreeError(f"{found} found; --repair makes them again from the recipe")
     left = mend(root, findings, progress=True) if found else []
-    for problem in left:
-        print(f"not mended: {problem}")
+    for fault in left:
+        print(f"not mended: {fault}")
     if left:
         raise _DisagreeError(f"{len(left)} of {found} not mended")
     print(f"{root}: {f'{found} mended' if found else 'all is well'}")

@@ -36,7 +36,7 @@ from mapdata.work import CORES, bar, finished, threads
 
 
 @dataclass(frozen=True)
-class Problem:
+class Fault:
     """One file that is not what it should be.
 
     Attributes:
@@ -60,11 +60,11 @@ class Findings:
 
     Attributes:
         manifest: what its manifest says, or, where that is damaged, what its sound shards say; None if there is none.
-        problems: in the order of the maps.
+        faults: in the order of the maps.
     """
 
     manifest: Manifest | None
-    problems: tuple[Problem, ...]
+    faults: tuple[Fault, ...]
 
 
 def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]:
@@ -75,7 +75,7 @@ def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    return [str(problem) for problem in inspect(root, progress=progress).problems]
+    return [str(fault) for fault in inspect(root, progress=progress).faults]
 
 
 def repair(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]:
@@ -87,7 +87,7 @@ def repair(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]
         DatasetNotFoundError: there is no dataset under ``root``.
         OSError: the disk is full or may not be written to.
     """
-    return [str(problem) for problem in mend(root, inspect(root, progress=progress), progress=progress)]
+    return [str(fault) for fault in mend(root, inspect(root, progress=progress), progress=progress)]
 
 
 def inspect(root: str | os.PathLike[str], *, progress: bool = False) -> Findings:
@@ -97,29 +97,29 @@ def inspect(root: str | os.PathLike[str], *, progress: bool = False) -> Findings
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     root = Path(root)
-    problems: list[Problem] = []
+    faults: list[Fault] = []
     listed = True
     try:
         manifest: Manifest | None = read_manifest(root)
         text = (root / MANIFEST).read_text(encoding="utf-8")
         if text != json.dumps(json.loads(text), indent=1) + "\n":
-            problems.append(Problem(root / MANIFEST, "damaged (its text is not as it was written)"))
+            faults.append(Fault(root / MANIFEST, "damaged (its text is not as it was written)"))
     except (ShardError, DatasetNotFoundError) as error:
         shards = [path for path in sorted(root.glob("maps-*.h5")) if is_shard_name(path.name)]
         if not shards and isinstance(error, DatasetNotFoundError):
             raise
-        problems.append(Problem(root / MANIFEST, "missing" if isinstance(error, DatasetNotFoundError) else str(error)))
+        faults.append(Fault(root / MANIFEST, "missing" if isinstance(error, DatasetNotFoundError) else str(error)))
         manifest, listed = _gather(root, shards), False
     if manifest is None:
-        problems += [Problem(path, "damaged, or its place is lost") for path in shards]
-        return Findings(None, tuple(problems))
+        faults += [Fault(path, "damaged, or its place is lost") for path in shards]
+        return Findings(None, tuple(faults))
     if manifest.spec is None:
-        problems += _provenance(root / PROVENANCE)
+        faults += _provenance(root / PROVENANCE)
     manifest, wrong = (_check_listed if listed else _check_unlisted)(root, manifest, progress)
-    return Findings(manifest, (*problems, *wrong))
+    return Findings(manifest, (*faults, *wrong))
 
 
-def mend(root: str | os.PathLike[str], findings: Findings, *, progress: bool = False) -> list[Problem]:
+def mend(root: str | os.PathLike[str], findings: Findings, *, progress: bool = False) -> list[Fault]:
     """Make again what can be; return what is wrong still.
 
     Raises:
@@ -128,14 +128,14 @@ def mend(root: str | os.PathLike[str], findings: Findings, *, progress: bool = F
     root, manifest, left = Path(root), findings.manifest, []
     if manifest is None:
         why = "no sound shard says what it was: delete it and run the same build again"
-        return [replace(problem, what=f"{problem.what}; {why}") for problem in findings.problems]
+        return [replace(fault, what=f"{fault.what}; {why}") for fault in findings.faults]
     again: list[Header] = []
-    for problem in findings.problems:
-        if problem.header is not None and problem.header.spec is not None:
-            again.append(problem.header)
-        elif problem.path.name != MANIFEST:
+    for fault in findings.faults:
+        if fault.header is not None and fault.header.spec is not None:
+            again.append(fault.header)
+        elif fault.path.name != MANIFEST:
             why = "imported maps have no recipe: delete it and import again" if manifest.spec is None else ""
-            left.append(replace(problem, what=f"{problem.what}; it cannot be made again{why and ', '}{why}"))
+            left.append(replace(fault, what=f"{fault.what}; it cannot be made again{why and ', '}{why}"))
     said = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
     with bar(progress, sum(header.stop - header.start for header in again)) as advance, threads() as pool:
@@ -143,10 +143,10 @@ def mend(root: str | os.PathLike[str], findings: Findings, *, progress: bool = F
             made.append(entry)
             if said.get(entry.name, entry.content_hash) != entry.content_hash:
                 what = f"made again with content hash {entry.content_hash}, the manifest said {said[entry.name]}"
-                left.append(Problem(root / entry.name, what, header))
+                left.append(Fault(root / entry.name, what, header))
             advance(header.stop - header.start)
     mended = replace(manifest, shards=(*manifest.shards, *made))
-    if findings.problems and findings.problems[0].path.name == MANIFEST:
+    if findings.faults and findings.faults[0].path.name == MANIFEST:
         shards = {entry.start: entry for entry in mended.shards}
         mended = replace(mended, shards=tuple(shards[start] for start in sorted(shards)))
         write_file(root / MANIFEST, mended.to_json().encode())
@@ -155,26 +155,26 @@ def mend(root: str | os.PathLike[str], findings: Findings, *, progress: bool = F
     return left
 
 
-def _check_listed(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Problem]]:
+def _check_listed(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Fault]]:
     """Check the shards that a manifest lists, and which it should list."""
     planned = {(header.start, header.stop): header for header in headers(manifest)}
     tasks: list[tuple[Entry, Header | None]] = []
     for entry in manifest.shards:
         header = planned.pop((entry.start, entry.stop), None) or _partial(entry, planned.values())
         tasks.append((entry, header))
-    problems = []
+    faults = []
     with bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance, threads() as pool:
-        for (entry, header), what in finished(pool, partial(_problem, root), tasks, 2 * CORES):
+        for (entry, header), what in finished(pool, partial(_fault, root), tasks, 2 * CORES):
             if what:
-                problems.append(Problem(root / entry.name, what, header))
+                faults.append(Fault(root / entry.name, what, header))
             advance(entry.stop - entry.start)
-    problems.sort(key=lambda problem: problem.path)
+    faults.sort(key=lambda fault: fault.path)
     for missing, header in planned.items():
-        problems.append(Problem(root / shard_name(*missing), "missing (the build did not finish)", header))
-    return manifest, problems
+        faults.append(Fault(root / shard_name(*missing), "missing (the build did not finish)", header))
+    return manifest, faults
 
 
-def _check_unlisted(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Problem]]:
+def _check_unlisted(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Fault]]:
     """Check shards by what they say of themselves, where the manifest is gone; list the sound ones."""
     found, wrong = [], []
     with bar(progress, manifest.maps) as advance, threads() as pool:
@@ -183,10 +183,10 @@ def _check_unlisted(root: Path, manifest: Manifest, progress: bool) -> tuple[Man
                 found.append(entry)
             else:
                 path = root / shard_name(header.start, header.stop)
-                wrong.append(Problem(path, "damaged" if path.exists() else "missing", header))
+                wrong.append(Fault(path, "damaged" if path.exists() else "missing", header))
             advance(header.stop - header.start)
     found.sort(key=lambda entry: entry.start)
-    wrong.sort(key=lambda problem: problem.path)
+    wrong.sort(key=lambda fault: fault.path)
     return replace(manifest, shards=tuple(found)), wrong
 
 
@@ -220,17 +220,17 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     )
 
 
-def _provenance(path: Path) -> list[Problem]:
+def _provenance(path: Path) -> list[Fault]:
     """Check the file that says where imported maps came from."""
     try:
         text = path.read_text(encoding="utf-8")
         values = json.loads(text)
         del values["hash"]
-        return [] if text == provenance_text(values) else [Problem(path, "damaged (its hash does not fit)")]
+        return [] if text == provenance_text(values) else [Fault(path, "damaged (its hash does not fit)")]
     except FileNotFoundError:
-        return [Problem(path, "missing")]
+        return [Fault(path, "missing")]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        return [Problem(path, f"damaged ({error})")]
+        return [Fault(path, f"damaged ({error})")]
 
 
 def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
@@ -241,7 +241,7 @@ def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
     return None
 
 
-def _problem(root: Path, task: tuple[Entry, Header | None]) -> str | None:
+def _fault(root: Path, task: tuple[Entry, Header | None]) -> str | None:
     """Return what is wrong with one shard file, or None."""
     entry, header = task
     path = root / entry.name

@@ -39,8 +39,8 @@ def classical(movement: Movement = Movement(8)) -> list[BatchPlanner]:
     ]
 
 
-class _Batched:
-    """A planner that solves one problem as a batch of one."""
+class Batched:
+    """A planner with `plan_batch`, which solves one problem as a batch of one."""
 
     def plan(self: BatchPlanner, grid: Bytes, start: Cell, goal: Cell) -> Plan:
         """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
@@ -48,7 +48,7 @@ class _Batched:
 
 
 @dataclass(frozen=True)
-class Search(_Batched):
+class Search(Batched):
     """mapdata's own search: ``planner`` is "bfs" (fewest moves) or "astar"."""
 
     name: str
@@ -62,7 +62,7 @@ class Search(_Batched):
 
 
 @dataclass(frozen=True)
-class Limit(_Batched):
+class Limit(Batched):
     """The path of mapdata's A*, with only its cells expanded: what perfect guidance would reach."""
 
     name: str
@@ -75,7 +75,7 @@ class Limit(_Batched):
 
 
 @dataclass(frozen=True)
-class BestFirst(_Batched):
+class BestFirst(Batched):
     """Best-first search by f = g + weight * h, or f = weight * h alone.
 
     The order is that of mapdata's A* (docs/format.md) with another f: least f, among equal f the most recently pushed;

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.evaluate import BatchPlanner, Bytes, Cell, Ints, Plan
+from mapdata.evaluate import BatchPlanner, Bytes, Ints, Plan
 from mapdata.jit import Int, kernel
 from mapdata.kernels import STEPS
+from mapdata.planners import Batched
 from mapdata.search import search_batch
 from mapdata.spec import Movement
 
@@ -43,73 +45,18 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedPlanner:
-    """Follows the most probable legal move to a cell not yet visited, until the goal.
-
-    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search. The
-    path is the shortest one over the moves that were looked at.
+class _Follower(Batched, ABC):
+    """What follows a model: predicts a batch, then plans each of its problems.
 
     Attributes:
         name: its name in the table.
         model: what predicts the moves.
-        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew from the start, and
-            its expansions add to those of the walk; False gives up.
         views: of the map, as in `PathPredictor.predict`.
     """
 
     name: str
     model: Predictor
-    fallback: bool = True
-    views: int = 2
-
-    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
-        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
-
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
-
-        Raises:
-            ValueError: a start or goal outside its map or on an occupied cell.
-        """
-        grids, starts, goals = _problems(grids, starts, goals)
-        scores, _ = self.model.predict(grids, goals, self.views)
-        movement, plans = self.model.movement, []
-        rule = int(movement.corner_cutting), movement.diagonal_cost
-        for k in range(len(grids)):
-            plans.append(Plan(*_walk(grids[k], scores[k], starts[k], goals[k], *rule)))
-        stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
-        if stuck and self.fallback:
-            found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], movement)
-            for n, k in enumerate(stuck):
-                path = found.cells[found.offsets[n] : found.offsets[n + 1]]
-                plans[k] = Plan(path, plans[k].expansions + int(found.iterations[n]))
-        return plans
-
-
-@dataclass(frozen=True, eq=False)
-class GuidedSearch:
-    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
-
-    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell
-    is expanded once; it finds a path where there is one, and needs no fallback. The path is the shortest one over
-    the moves that were looked at.
-
-    Attributes:
-        name: its name in the table.
-        model: what predicts the moves.
-        trust: cells that a factor e of probability is worth.
-        views: of the map, as in `PathPredictor.predict`.
-    """
-
-    name: str
-    model: Predictor
-    trust: float = 2.0
-    views: int = 2
-
-    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
-        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
+    views: int = field(default=2, kw_only=True)
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
@@ -119,11 +66,66 @@ class GuidedSearch:
         """
         grids, starts, goals = _problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals, self.views)
-        movement, plans = self.model.movement, []
-        how = int(movement.corner_cutting), movement.diagonal_cost, self.trust
-        for k in range(len(grids)):
-            plans.append(Plan(*_search(grids[k], scores[k], ratios[k], starts[k], goals[k], *how)))
+        plans = [self._follow(*each) for each in zip(grids, scores, ratios, starts, goals, strict=True)]
+        return self._mended(plans, grids, starts, goals)
+
+    @abstractmethod
+    def _follow(self, grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints) -> Plan:
+        """Return the plan for one problem, with an empty path where there is none."""
+
+    def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return the plans, those without a path replaced where the planner has another way."""
         return plans
+
+    @property
+    def _rule(self) -> tuple[int, float]:
+        """How one moves, as the kernels want it."""
+        return int(self.model.movement.corner_cutting), self.model.movement.diagonal_cost
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPlanner(_Follower):
+    """Follows the most probable legal move to a cell not yet visited, until the goal.
+
+    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search. The
+    path is the shortest one over the moves that were looked at.
+
+    Attributes:
+        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew from the start, and
+            its expansions add to those of the walk; False gives up.
+    """
+
+    fallback: bool = True
+
+    def _follow(self, grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints) -> Plan:
+        return Plan(*_walk(grid, scores, start, goal, *self._rule))
+
+    def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
+        if stuck and self.fallback:
+            found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], self.model.movement)
+            for n, k in enumerate(stuck):
+                path = found.cells[found.offsets[n] : found.offsets[n + 1]]
+                plans[k] = Plan(path, plans[k].expansions + int(found.iterations[n]))
+        return plans
+
+
+@dataclass(frozen=True, eq=False)
+class GuidedSearch(_Follower):
+    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
+
+    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell is expanded once; it
+    finds a path where there is one, and needs no fallback. The path is the shortest one over the moves that were looked
+    at.
+
+    Attributes:
+        trust: cells that a factor e of probability is worth.
+    """
+
+    trust: float = 2.0
+
+    def _follow(self, grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints) -> Plan:
+        return Plan(*_search(grid, scores, ratios, start, goal, *self._rule, self.trust))
 
 
 def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:

@@ -40,15 +40,12 @@ from mapdata.evaluate import Bytes, Ints
 from mapdata.kernels import STEPS
 from mapdata.sample import Sample
 from mapdata.spec import Movement
-from models.layers import Muon, Pass, Residual, bfloat16
+from models.layers import Muon, Trunk, bfloat16, padded, scheduled
 from models.learned_planners import LearnedPlanner
-from models.saved import load_model
+from models.saved import load_model, save_model
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """What a data module must serve."""
-
-STRIDE = 8
-"""Maps are padded with occupied cells to a multiple of this."""
 
 _TURNED = [2, 3, 0, 1, 6, 7, 4, 5]
 """Which move each move becomes when the map is turned by 180 degrees."""
@@ -60,11 +57,11 @@ Floats = npt.NDArray[np.float32]
 
 
 @lru_cache(maxsize=16)
-def _surroundings(rows: int, columns: int, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return planes about a goal in their middle, (6, 2 rows - 1, 2 columns - 1), and how much each move leads astray.
+def _surroundings(rows: int, columns: int, movement: Movement) -> Tensor:
+    """Return what lies about a goal in the middle, ((2 rows - 1) * (2 columns - 1), 8 + moves), a line a cell.
 
-    The window of a map with its goal at (i, j) begins at (rows - 1 - i, columns - 1 - j). A move leads astray by its
-    cost plus the change of the heuristic: 0 for the moves that would be optimal on an empty map.
+    Of each cell: a place for the map, the goal, six planes, and how much each move leads astray: its cost plus the
+    change of the heuristic, 0 for the moves that would be optimal on an empty map.
     """
     down = torch.arange(1 - rows, rows).float()[:, None].expand(-1, 2 * columns - 1)
     right = torch.arange(1 - columns, columns).float()[None].expand(2 * rows - 1, -1)
@@ -77,11 +74,12 @@ def _surroundings(rows: int, columns: int, movement: Movement) -> tuple[Tensor, 
 
     here = heuristic(down, right)
     near, side = [torch.clamp(each / 4, -1, 1) for each in (down, right)], (down.abs() - right.abs()) / 4
-    planes = torch.stack([here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)])
+    planes = [torch.zeros_like(here), (here == 0).float()]
+    planes += [here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)]
     steps = STEPS[: movement.connectivity].tolist()
     costs = [movement.diagonal_cost if row and column else 1.0 for row, column in steps]
     astray = [heuristic(down + r, right + c) - here + cost for (r, c), cost in zip(steps, costs, strict=True)]
-    return planes, torch.stack(astray)
+    return torch.stack([*planes, *astray], dim=-1).flatten(0, 1)
 
 
 def look(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
@@ -92,16 +90,16 @@ def look(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, T
         goals: (B, 2), cells.
         movement: how one moves; it has 4 or 8 moves.
     """
-    count, _, rows, columns = occupied.shape
-    planes, astray = (each.to(occupied.device) for each in _surroundings(rows, columns, movement))
-    seen = torch.zeros(count, 8, rows, columns, device=occupied.device)
-    prior = torch.empty(count, movement.connectivity, rows, columns, device=occupied.device)
-    seen[:, 0] = occupied[:, 0] == 0
-    for k, (i, j) in enumerate(goals.tolist()):
-        window = (slice(None), slice(rows - 1 - i, 2 * rows - 1 - i), slice(columns - 1 - j, 2 * columns - 1 - j))
-        seen[k, 1, i, j] = 1
-        seen[k, 2:], prior[k] = planes[window], astray[window]
-    return seen, prior
+    rows, columns = occupied.shape[2:]
+    lines = _surroundings(rows, columns, movement).to(occupied.device)
+    # a map with its goal at (i, j) is the window of the surroundings that begins at (rows - 1 - i, columns - 1 - j)
+    corner = torch.tensor([rows - 1, columns - 1]) - goals.cpu()  # (B, 2)
+    row = (torch.arange(rows) + corner[:, :1])[:, :, None]  # (B, H, 1)
+    column = (torch.arange(columns) + corner[:, 1:])[:, None]  # (B, 1, W)
+    seen = F.embedding((row * (2 * columns - 1) + column).to(occupied.device), lines)  # (B, H, W, 8 + moves)
+    seen[..., 0] = occupied[:, 0] == 0
+    seen = seen.permute(0, 3, 1, 2)  # channels last
+    return seen[:, :8], seen[:, 8:]
 
 
 def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
@@ -120,37 +118,7 @@ def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
     return torch.stack(legal, dim=1)
 
 
-# --- the network ----------------------------------------------------------------------------------------------------
-
-
-class Network(nn.Module):
-    """Scores of moves and the heuristic ratio of every cell; it knows no map size."""
-
-    def __init__(self, moves: int, widths: tuple[int, int, int], passes: int) -> None:
-        """Take the widths at strides 2, 4 and 8."""
-        super().__init__()
-        shallow, width, deep = widths
-        self.stem = nn.Sequential(nn.Conv2d(4 * 8, shallow, 3, padding=1), Residual(shallow))
-        self.down = nn.Conv2d(shallow, width, 2, stride=2)
-        self.passes = nn.ModuleList(Pass(width, deep) for _ in range(passes))
-        self.end = Residual(width)
-        self.up = nn.Conv2d(width, 4 * shallow, 1)
-        self.join = nn.Conv2d(2 * shallow, shallow, 3, padding=1)
-        self.head = nn.Conv2d(shallow, 4 * (moves + 1), 1)
-        nn.init.zeros_(self.head.weight)
-
-    def forward(self, seen: Tensor) -> Tensor:
-        """Return (B, moves + 1, H, W) for (B, 8, H, W), H and W multiples of 8."""
-        skip = F.relu(self.stem(F.pixel_unshuffle(seen, 2)))  # (B, shallow, H/2, W/2)
-        fine, coarse = self.down(skip), None  # (B, width, H/4, W/4)
-        for each in self.passes:
-            fine, coarse = each(fine, coarse)  # coarse: (B, deep, H/8, W/8)
-        up = F.pixel_shuffle(F.relu(self.up(F.relu(self.end(fine)))), 2)  # (B, shallow, H/2, W/2)
-        joined = F.relu(self.join(torch.cat([up, skip], dim=1)))
-        return F.pixel_shuffle(self.head(joined), 2)  # no convolution at full resolution: twice as fast
-
-
-# --- the model: what is learnt, and how -----------------------------------------------------------------------------
+# --- what is learnt, and how -----------------------------------------------------------------------------------------
 
 
 class PathPredictor(pl.LightningModule):
@@ -176,7 +144,7 @@ class PathPredictor(pl.LightningModule):
         diagonal_cost: float = math.sqrt(2),
         widths: tuple[int, int, int] = (32, 48, 48),
         passes: int = 3,
-        learning_rate: float = 0.012,
+        learning_rate: float = 0.004,
         ratio_weight: float = 5.0,
         detour_weight: float = 2.0,
     ) -> None:
@@ -184,8 +152,8 @@ class PathPredictor(pl.LightningModule):
         super().__init__()
         self.save_hyperparameters()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
-        network = Network(connectivity, widths, passes)
-        self.network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = Trunk(8, connectivity + 1, widths, passes)
+        nn.init.zeros_(self.network.head.weight)
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Return scores of the moves, (B, moves, H, W), and predicted heuristic ratios, (B, H, W) in [0, 1].
@@ -195,11 +163,10 @@ class PathPredictor(pl.LightningModule):
             goals: (B, 2), cells.
         """
         rows, columns = occupied.shape[2:]
-        padded = F.pad(occupied, (0, -columns % STRIDE, 0, -rows % STRIDE), value=1)
-        seen, astray = look(padded, goals, self.movement)
-        out = self.network(seen)[..., :rows, :columns]
+        seen, astray = look(padded(occupied), goals, self.movement)
+        out = self.network(seen)[0][..., :rows, :columns].float()
         scores = torch.sub(out[:, :-1], astray[..., :rows, :columns], alpha=3)
-        return scores, torch.sigmoid(out[:, -1].float())
+        return scores, torch.sigmoid(out[:, -1])
 
     def training_step(self, batch: Sample | Sequence[Sample], batch_idx: int) -> Tensor:
         """Return the loss of one step."""
@@ -225,7 +192,7 @@ class PathPredictor(pl.LightningModule):
         optimal = batch["optimal_moves"][:, 0]  # (B, H, W), bit sets
         cells = optimal.nonzero(as_tuple=True)  # n of them
         optimal, ratio = optimal[cells], batch["heuristic_ratio"][:, 0][cells]
-        scores = scores.permute(0, 2, 3, 1)[cells].float()  # (n, moves)
+        scores = scores.permute(0, 2, 3, 1)[cells]  # (n, moves)
         legal = legal_moves(batch["map"], self.movement).permute(0, 2, 3, 1)[cells]
         bits = 2 ** torch.arange(scores.shape[1], device=scores.device)
         good = (optimal[:, None] & bits) != 0
@@ -240,20 +207,11 @@ class PathPredictor(pl.LightningModule):
     def configure_optimizers(self) -> Any:  # noqa: ANN401  (Lightning's signature)
         """Return Muon with a rate that rises, then falls as a cosine."""
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
-        steps = float(self.trainer.estimated_stepping_batches)
-
-        def rate(step: int) -> float:
-            return min(1.0, (step + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * min(1.0, step / steps)))
-
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, rate)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        return scheduled(optimizer, float(self.trainer.estimated_stepping_batches))
 
     def save(self, file: str | PathLike[str]) -> None:
         """Write weights and arguments, as plain types and tensors."""
-        known = {k: v for k, v in self.hparams.items() if not k.startswith("_")}  # LightningCLI adds one of its own
-        arguments = {name: list(v) if isinstance(v, tuple) else v for name, v in known.items()}
-        weights = {name: v.detach().cpu().contiguous() for name, v in self.state_dict().items()}
-        torch.save({"arguments": arguments, "weights": weights}, file)
+        save_model(self, file, torch.float32)
 
     @staticmethod
     def load(file: str | PathLike[str]) -> PathPredictor:

@@ -1,4 +1,4 @@
-"""Weights that somebody else saved, read without trust: nothing in the file is run, and it takes what it weighs."""
+"""Weights in files, read without trust: nothing in the file is run, and it takes what it weighs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
+import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
@@ -16,11 +17,16 @@ MOST = 1024
 """Largest number among the arguments of a saved model: a layer's width, how many layers."""
 
 
-def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
-    """Return the model that a `save` wrote, ready to use.
+def save_model(model: pl.LightningModule, file: str | PathLike[str], dtype: torch.dtype) -> None:
+    """Write a model's class, arguments and weights, as plain types and tensors of ``dtype``."""
+    known = {k: v for k, v in model.hparams.items() if not k.startswith("_")}  # LightningCLI adds one of its own
+    arguments = {name: list(v) if isinstance(v, tuple) else v for name, v in known.items()}
+    weights = {name: v.detach().to("cpu", dtype).contiguous() for name, v in model.state_dict().items()}
+    torch.save({"class": type(model).__name__, "arguments": arguments, "weights": weights}, file)
 
-    The file holds a dict of ``arguments``, plain values that one of ``classes`` takes, of ``weights``, its tensors by
-    name, and where there are several classes of ``class``, its name.
+
+def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
+    """Return the model of one of ``classes`` that `save_model` wrote, ready to use.
 
     Raises:
         FileNotFoundError: no such file.
@@ -32,7 +38,7 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
     known = {each.__name__: each for each in classes}
     try:
         saved = _read(path)
-        kind = known[saved.get("class", classes[0].__name__ if len(classes) == 1 else "")]
+        kind = known[saved["class"]]
         with torch.device("meta"):  # its shapes alone take no memory
             shapes = {name: value.shape for name, value in kind(**saved["arguments"]).state_dict().items()}
         if shapes != {name: value.shape for name, value in saved["weights"].items()}:

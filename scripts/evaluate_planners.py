@@ -10,10 +10,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from mapdata.cli import Parser, run
-from mapdata.evaluate import BatchPlanner, Planner, Problems, evaluate, to_text
+from mapdata.cli_problems import add_problem_arguments, check_outputs, given_problems, write_table
+from mapdata.evaluate import BatchPlanner, Planner, evaluate, to_text
 from mapdata.planners import classical
 from mapdata.plot import plot_planners
-from mapdata.spec import PRESETS, MapSpec, Movement
+from mapdata.spec import Movement
 
 MODELS = Path(__file__).parent.parent / "models"
 WEIGHTS = MODELS / "weights" / "path_predictor.pt"
@@ -34,28 +35,15 @@ def evaluate_command(
     weights: str | None,
 ) -> None:
     """Compare planners on one problem a map: maps made on the spot, or the test split of a dataset."""
-    for output in (csv, json, figure):
-        if output is not None and not Path(output).parent.is_dir():
-            raise ValueError(f"{output}: there is no folder {Path(output).parent}")
+    check_outputs(csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
     learned = learned_planners(weights, movement)
-    if root is None:
-        maps = 600 if maps is None and until_hard is None else maps
-        seed = 77 if seed is None else seed
-        problems = Problems.draw(
-            MapSpec.preset(preset or "dungeon"), seed, maps, until_hard=until_hard, movement=movement
-        )
-    elif preset is None and seed is None:
-        problems = Problems.read(root, maps, until_hard=until_hard, movement=movement)
-    else:
-        raise ValueError("preset, seed: would do nothing beside the root of a dataset")
+    maps = 600 if root is None and maps is None and until_hard is None else maps
+    problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     planners: list[Planner] = [*classical(movement), *learned]
     table = evaluate(planners, problems)
     print(f"{problems.description}; {movement}\n\n{to_text(table)}")
-    if csv is not None:
-        table.to_csv(csv, index=False)
-    if json is not None:
-        table.to_json(json, orient="records", indent=1)
+    write_table(table, csv, json)
     if figure is not None:
         canvas = Figure(figsize=(7, 6), layout="constrained")
         plot_planners(table, canvas.add_subplot(), subset="hard" if problems.hard.any() else "all")
@@ -82,10 +70,7 @@ def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlann
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     parser = Parser(description=evaluate_command.__doc__)
-    parser.add_argument("root", metavar="ROOT", nargs="?", help="folder of a dataset, in place of --preset and --seed")
-    parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
-    parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
-    parser.add_argument("--maps", metavar="N", type=int, help="how many maps (default 600; of a dataset, all)")
+    add_problem_arguments(parser, maps=600)
     parser.add_argument("--until-hard", metavar="K", type=int, help="stop at the map with the K-th hard problem")
     parser.add_argument("--connectivity", type=int, choices=(4, 8), default=8, help="moves (default: %(default)s)")
     parser.add_argument("--corner-cutting", action="store_true", help="diagonal moves beside occupied cells too")
@@ -96,8 +81,6 @@ def main(arguments: list[str] | None = None) -> None:
         default=math.sqrt(2),
         help="of diagonal moves: 1 or sqrt 2 (default)",
     )
-    parser.add_argument("--csv", metavar="FILE", help="write the table")
-    parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
     parser.add_argument("--figure", metavar="FILE", help="draw cost ratio against expansions on the hard problems")
     parser.add_argument("--weights", metavar="FILE", help="of the path predictor (default: those that ship)")
     run(evaluate_command, **vars(parser.parse_args(arguments)))

@@ -9,8 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from mapdata.cli import Parser, run
-from mapdata.evaluate import Problems
-from mapdata.spec import PRESETS, MapSpec
+from mapdata.cli_problems import add_problem_arguments, check_outputs, given_problems, write_table
 from models.lego_sampler import load
 from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
 
@@ -31,26 +30,17 @@ def evaluate_command(
     weights: str | None,
 ) -> None:
     """Compare samplers of roadmaps on one problem a map: maps made on the spot, or the test split of a dataset."""
-    for output in (csv, json, figure, pictures):
-        if output is not None and not Path(output).parent.is_dir():
-            raise ValueError(f"{output}: there is no folder {Path(output).parent}")
+    check_outputs(csv, json, figure, pictures)
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
     files = [*Path(weights or WEIGHTS).glob("lego_*.pt"), *Path(weights or WEIGHTS).glob("shortest_path_*.pt")]
     rows = contenders({file.stem: load(file) for file in sorted(files)})
-    if root is None:
-        problems = Problems.draw(MapSpec.preset(preset or "dungeon"), 77 if seed is None else seed, maps or 1000)
-    elif preset is None and seed is None:
-        problems = Problems.read(root, maps)
-    else:
-        raise ValueError("preset, seed: would do nothing beside the root of a dataset")
+    maps = 1000 if root is None and maps is None else maps
+    problems = given_problems(root, preset, seed, maps)
     table = compare(rows, problems, sorted(set(sizes)))
     print(f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by {problems.movement}\n")
     print(to_text(table))
-    if csv is not None:
-        table.to_csv(csv, index=False)
-    if json is not None:
-        table.to_json(json, orient="records", indent=1)
+    write_table(table, csv, json)
     if figure is not None:
         canvas = Figure(figsize=(7, 6), layout="constrained")
         plot_success(table, canvas.add_subplot(), "hard" if problems.hard.any() else "all")
@@ -65,15 +55,10 @@ def evaluate_command(
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     parser = Parser(description=evaluate_command.__doc__)
-    parser.add_argument("root", metavar="ROOT", nargs="?", help="folder of a dataset, in place of --preset and --seed")
-    parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
-    parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
-    parser.add_argument("--maps", metavar="N", type=int, help="how many maps (default 1000; of a dataset, all)")
+    add_problem_arguments(parser, maps=1000)
     parser.add_argument(
         "--sizes", metavar="N", type=int, nargs="+", default=list(SIZES), help="vertices (default: 24 50 100)"
     )
-    parser.add_argument("--csv", metavar="FILE", help="write the table")
-    parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
     parser.add_argument("--figure", metavar="FILE", help="draw success against the number of vertices")
     parser.add_argument("--pictures", metavar="FILE", help="draw roadmaps of 50 vertices with their samples")
     parser.add_argument("--weights", metavar="FOLDER", help="of the trained samplers (default: those that ship)")

@@ -20,40 +20,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from pytorch_lightning import LightningDataModule
-from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
+from pytorch_lightning.cli import ArgsType
 
-from models.lego_sampler import Sampler
+import models.lego_sampler  # noqa: F401  (so that --model knows each sampler by its name)
+from models.sampler import Sampler
+from models.training import TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
 
 
-class Cli(LightningCLI):
-    """LightningCLI with the flags --weights and --threads."""
-
-    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Add the flags."""
-        parser.add_argument("--weights", type=str | None, default=None, help="file for the weights after the last step")
-        parser.add_argument("--threads", type=int, default=2, help="threads of torch")
-
-    def before_fit(self) -> None:
-        """Set the threads, and refuse a file that could not be written after the training."""
-        torch.set_num_threads(self.config["fit"]["threads"])
-        file = self.config["fit"]["weights"]
-        if file is not None and not Path(file).parent.is_dir():
-            raise SystemExit(f"weights: there is no folder {Path(file).parent}")
-
-    def after_fit(self) -> None:
-        """Write the weights."""
-        file = self.config["fit"]["weights"]
-        if file is not None and self.trainer.is_global_zero:
-            self.model.save(file)
-
-
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    Cli(
+    TrainingCli(
         Sampler,
         LightningDataModule,
         subclass_mode_model=True,

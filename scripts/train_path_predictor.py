@@ -16,12 +16,13 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pytorch_lightning import Callback, LightningDataModule, LightningModule, Trainer
-from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
+from pytorch_lightning.cli import ArgsType, LightningArgumentParser
 
 from mapdata import astar
 from mapdata.plot_models import plot_prediction
 from mapdata.sample import Sample, row
 from models.path_predictor import PathPredictor
+from models.training import TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
 
@@ -57,28 +58,26 @@ def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
     plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=ratios)
 
 
-class Cli(LightningCLI):
-    """LightningCLI with the flags --weights and --connectivity."""
+class Cli(TrainingCli):
+    """Its flags, and --connectivity; the data moves as the model does."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Add the flags."""
-        parser.add_argument("--weights", type=str | None, default=None, help="file for the weights after the last step")
+        super().add_arguments_to_parser(parser)
         parser.add_argument("--connectivity", type=int | None, default=None, help="short for --model.connectivity")
 
     def before_instantiate_classes(self) -> None:
-        """Let the data move as the model does."""
+        """Let the data move as the model does, and refuse data that was told otherwise."""
+        super().before_instantiate_classes()
         config = self.config[self.subcommand]
         model, data = config.model, config.data.init_args
         if config.connectivity is not None:
             model.connectivity = config.connectivity
+        movement = (model.connectivity, model.corner_cutting, model.diagonal_cost)
         for part in [each.init_args for each in data.parts] if "parts" in data else [data]:
-            part.movement = [model.connectivity, model.corner_cutting, model.diagonal_cost]
-
-    def after_fit(self) -> None:
-        """Write the weights."""
-        file = self.config["fit"]["weights"]
-        if file is not None and self.trainer.is_global_zero:
-            self.model.save(file)
+            if part.movement is not None and tuple(part.movement) != movement:
+                raise SystemExit(f"movement: got {tuple(part.movement)} for the data, {movement} for the model")
+            part.movement = list(movement)
 
 
 def main(arguments: ArgsType = None) -> None:

@@ -49,9 +49,9 @@ def copied(finished: Path, root: Path) -> Path:
 
 
 def named(root: Path) -> Iterator[str]:
-    """Yield the name of the file that each problem names."""
-    for problem in verify(root):
-        path, _, _ = problem.partition(": ")
+    """Yield the name of the file that each fault names."""
+    for fault in verify(root):
+        path, _, _ = fault.partition(": ")
         assert Path(path).parent == root
         yield Path(path).name
 
@@ -104,7 +104,7 @@ def test_verify_finds_a_shard_that_a_fitting_manifest_swaps(copied: Path) -> Non
 
     (copied / MANIFEST).write_text(restated((copied / MANIFEST).read_text(encoding="utf-8"), swap), encoding="utf-8")
     assert [name for name in named(copied) if name != MANIFEST] == [one.name, other.name]
-    assert all("holds other maps" in problem for problem in verify(copied) if "maps-" in problem)
+    assert all("holds other maps" in fault for fault in verify(copied) if "maps-" in fault)
 
 
 def test_verify_finds_a_missing_shard(copied: Path) -> None:
@@ -114,7 +114,7 @@ def test_verify_finds_a_missing_shard(copied: Path) -> None:
     manifest = read_manifest(copied)
     (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
     assert list(named(copied)) == [shard_name(4, 8), shard_name(8, 11)]
-    assert all("did not finish" in problem for problem in verify(copied))
+    assert all("did not finish" in fault for fault in verify(copied))
 
 
 def test_verify_finds_other_labels(copied: Path) -> None:

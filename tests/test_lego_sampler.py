@@ -20,9 +20,11 @@ import torch
 
 from mapdata import MapDataModule, MapSpec
 from mapdata.evaluate import Problems
+from models.cvae import CVAE, LocalCVAE
 from models.experience import KINDS, Bank, FixedProblems, Mining, bottlenecks, mine, near_optimal_paths
-from models.lego_sampler import CVAE, FIELDS, Heatmap, LocalCVAE, Sampler, _turned, choose, load, look
+from models.lego_sampler import Heatmap, choose, load
 from models.roadmap import build_roadmap, free_at, halton, radius, sees
+from models.sampler import FIELDS, Sampler, _turned, look
 from models.sampler_table import compare, contenders, plot_roadmaps, plot_success, to_text
 
 ROOT = Path(__file__).parent.parent

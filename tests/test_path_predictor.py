@@ -148,6 +148,7 @@ def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
         check_path(grid, plan.path, movement)
         assert np.array_equal(plan.path[[0, -1]], ends)
         assert 1 <= plan.expansions <= (grid == 0).sum()
+        assert len(plan.path) <= 2 * plan.expansions + 1  # of each two neighbours on it one was expanded
     stuck = [len(plan.path) == 0 for plan in walks]
     assert any(stuck)
     for k, (alone, plan) in enumerate(zip(walks, plans, strict=True)):
@@ -273,3 +274,20 @@ def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None
     assert {"train_loss", "val_accuracy/dataloader_idx_1"} <= set(pd.read_csv(logs / "metrics.csv"))
     assert (logs / "checkpoints" / "last.ckpt").exists()
     assert PathPredictor.load("weights.pt").hparams["passes"] == 1
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--weights=nowhere/weights.pt"], "there is no folder nowhere"),
+        (["--data=mapdata.MapDataModule", "--data.root=maps", "--data.movement=[4,false,1.4142135]"], "movement: got"),
+    ],
+)
+def test_the_script_refuses_before_it_trains(
+    script: Callable[[list[str]], None], flags: list[str], said: str, tmp_path: Path
+) -> None:
+    """Weights that could not be written; data that move otherwise than the model."""
+    with pytest.raises(SystemExit, match=said):
+        script(["fit", *flags])
+    assert not list(tmp_path.iterdir())
