@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -25,13 +25,12 @@ class Predictor(Protocol):
 
     movement: Movement
 
-    def predict(self, grids: Bytes, goals: Ints, views: int = 1) -> tuple[Floats, Floats]:
+    def predict(self, grids: Bytes, goals: Ints) -> tuple[Floats, Floats]:
         """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
-            views: how many ways of looking at each map are averaged.
         """
 
 
@@ -51,12 +50,10 @@ class _Follower(Batched, ABC):
     Attributes:
         name: its name in the table.
         model: what predicts the moves.
-        views: of the map, as in `PathPredictor.predict`.
     """
 
     name: str
     model: Predictor
-    views: int = field(default=2, kw_only=True)
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
@@ -65,7 +62,7 @@ class _Follower(Batched, ABC):
             ValueError: a start or goal outside its map or on an occupied cell.
         """
         grids, starts, goals = _problems(grids, starts, goals)
-        scores, ratios = self.model.predict(grids, goals, self.views)
+        scores, ratios = self.model.predict(grids, goals)
         plans = [self._follow(*each) for each in zip(grids, scores, ratios, starts, goals, strict=True)]
         return self._mended(plans, grids, starts, goals)
 
