@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from mapdata.dungeon import generate
 from mapdata.guard import open_shard
@@ -63,22 +64,15 @@ class Recipe:
     content_hash: str | None = None
 
     @staticmethod
-    def load(text: str) -> Recipe:
-        """Return the recipe that ``text`` names: a preset, a file of JSON, or JSON text.
+    def load(given: str | dict[str, Any]) -> Recipe:
+        """Return the recipe that is given: a preset's name, a file of JSON, JSON text, or what such text says.
 
         Raises:
             ValueError: none of these, or a recipe that states what cannot be.
         """
-        if text in PRESETS:
-            return Recipe(PRESETS[text])
-        if not text.lstrip().startswith("{"):
-            if not Path(text).is_file():
-                raise ValueError(f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text")
-            text = Path(text).read_text(encoding="utf-8")
-        try:
-            values = json.loads(text)
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise ValueError(f"recipe: not JSON ({error})") from None
+        if isinstance(given, str) and given in PRESETS:
+            return Recipe(PRESETS[given])
+        values: object = _parsed(given) if isinstance(given, str) else given
         known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
         if not isinstance(values, dict) or not set(values) <= known:
             raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
@@ -93,6 +87,18 @@ class Recipe:
         if values.get("identity") not in (None, identity(recipe.spec, recipe.seed)):
             raise ValueError(f"recipe: its identity {values['identity']} is not that of its spec and seed")
         return recipe
+
+
+def _parsed(text: str) -> object:
+    """Return what a file of JSON, or JSON text, says."""
+    if not text.lstrip().startswith("{"):
+        if not Path(text).is_file():
+            raise ValueError(f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text")
+        text = Path(text).read_text(encoding="utf-8")
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"recipe: not JSON ({error})") from None
 
 
 def build(

@@ -59,7 +59,8 @@ class MapDataModule(_Base):
 
     Args:
         root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without any disk.
-        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file, or its JSON text.
+        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file, its JSON text, or
+            what that says as a dict.
         batch_size: samples a batch (a rank).
         num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of torch's DataLoader.
         fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training split only.
@@ -73,7 +74,7 @@ class MapDataModule(_Base):
         self,
         root: str | os.PathLike[str] | Sequence[str] | None = "data/maps",
         *,
-        build: str | None = None,
+        build: str | dict[str, Any] | None = None,
         batch_size: int = 256,
         num_workers: int = 0,
         pin_memory: bool = False,
@@ -161,7 +162,8 @@ class MapDataModule(_Base):
         arguments = {**self.arguments, "augment": self.augment and split == "train"}
         if self.roots:
             return MapDataset(self.roots, split, **arguments)
-        recipe = Recipe.load(str(self.build))
+        assert self.build is not None  # there are roots or a recipe
+        recipe = Recipe.load(self.build)
         length = max(round(recipe.maps * recipe.spec.splits[SPLITS.index(split)]), 1)
         return OnlineMapDataset(recipe.spec, recipe.seed, length, split, **arguments)
 

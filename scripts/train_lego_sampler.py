@@ -4,7 +4,7 @@ The weights that ship, in models/weights, were made by these commands:
 
     S=scripts/train_lego_sampler.py
     python $S fit --weights lego_heatmap.pt
-    python $S fit --weights shortest_path_heatmap.pt --model.targets shortest_path --trainer.max_steps 3500
+    python $S fit --weights shortest_path_heatmap.pt --model.targets shortest_path
     python $S fit --weights lego_cvae.pt --model CVAE --model.learning_rate 1e-3 --trainer.max_steps 3000
     python $S fit --weights shortest_path_cvae.pt --model CVAE --model.targets shortest_path \
         --model.learning_rate 1e-3 --trainer.max_steps 3000

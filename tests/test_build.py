@@ -490,7 +490,8 @@ def test_recipes_come_from_presets_files_and_text(tmp_path: Path) -> None:
     text = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": 11})
     (tmp_path / "recipe.json").write_text(text, encoding="utf-8")
     assert Recipe.load("narrow") == Recipe(MapSpec.preset("narrow"))
-    assert Recipe.load("{}") == Recipe(MapSpec())
+    assert Recipe.load("{}") == Recipe.load({}) == Recipe(MapSpec())
+    assert Recipe.load(json.loads(text)) == Recipe.load(text)
     assert Recipe.load(text) == Recipe.load(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
 
 
