@@ -76,7 +76,7 @@ class Heatmap(Sampler):
         targets: str = "lego",
         widths: tuple[int, int, int] = (32, 48, 64),
         passes: int = 3,
-        learning_rate: float = 0.006,
+        learning_rate: float = 0.003,
         help_weight: float = 4.0,
         temperature: float = 0.0,
         spacing: float = 1.25,

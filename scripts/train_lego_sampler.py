@@ -13,7 +13,7 @@ The weights that ship, in models/weights, were made by these commands:
 All arguments are in scripts/train_lego_sampler.yaml, and each is a flag too (fit --help). A change of the model keeps
 the arguments that both have: say the learning rate. The first command mines the bank of experience into
 runs/experience, the others read it. Checkpoints and metrics.csv lie under runs/lego_sampler. A step of a heat map takes
-0.14 s of one core, so that 7,000 steps are 16 minutes, or 8 of two; of a CVAE 0.06 s, of the local one 0.15 s.
+0.14 s of one core, so that 7,000 steps are 16 minutes, or 10 of two; of a CVAE 0.06 s, of the local one 0.15 s.
 """
 
 from __future__ import annotations

@@ -461,3 +461,5 @@ def test_the_weights_that_ship() -> None:
     of = table.set_index(["sampler", "subset", "n"])
     assert of.success["lego_heatmap", "all", 50] > of.success["shortest_path_heatmap", "all", 50]
     assert of.success["lego_heatmap", "all", 50] > of.success["halton", "all", 100]
+    assert of.success["lego_heatmap", "all", 24] > 0.86
+    assert of.success["lego_heatmap", "hard", 50] > 0.94
