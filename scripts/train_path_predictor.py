@@ -10,6 +10,7 @@ and figures of predictions each epoch lie under runs/path_predictor. More flags 
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from matplotlib.figure import Figure
 from pytorch_lightning import Callback, LightningDataModule, LightningModule, Trainer
 from pytorch_lightning.cli import ArgsType, LightningArgumentParser
 
-from mapdata import astar
+from mapdata import Movement, astar
 from mapdata.plot_models import plot_prediction
 from mapdata.sample import Sample, row
 from models.path_predictor import PathPredictor
@@ -73,11 +74,16 @@ class Cli(TrainingCli):
         model, data = config.model, config.data.init_args
         if config.connectivity is not None:
             model.connectivity = config.connectivity
-        movement = (model.connectivity, model.corner_cutting, model.diagonal_cost)
+        movement = Movement(model.connectivity, model.corner_cutting, model.diagonal_cost)
         for part in [each.init_args for each in data.parts] if "parts" in data else [data]:
-            if part.movement is not None and tuple(part.movement) != movement:
-                raise SystemExit(f"movement: got {tuple(part.movement)} for the data, {movement} for the model")
-            part.movement = list(movement)
+            given = part.movement
+            if isinstance(given, (list, tuple)):
+                given = Movement(*given)
+            elif given is not None:  # what jsonargparse makes of a Movement's names and values
+                given = Movement(**given.as_dict())
+            if given not in (None, movement):
+                raise SystemExit(f"movement: got {given} for the data, {movement} for the model")
+            part.movement = list(astuple(movement))
 
 
 def main(arguments: ArgsType = None) -> None:

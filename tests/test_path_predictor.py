@@ -17,7 +17,7 @@ import pytorch_lightning as pl
 import torch
 from pytorch_lightning.callbacks import ModelCheckpoint
 
-from mapdata import MapDataModule, MapSpec, Movement, OnlineMapDataset, astar, check_path
+from mapdata import DatasetNotFoundError, MapDataModule, MapSpec, Movement, OnlineMapDataset, astar, check_path
 from mapdata.evaluate import BatchPlanner, Problems, evaluate
 from mapdata.kernels import STEPS
 from mapdata.planners import classical
@@ -291,3 +291,11 @@ def test_the_script_refuses_before_it_trains(
     with pytest.raises(SystemExit, match=said):
         script(["fit", *flags])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("movement", ["[8,false,1.4142136]", '{"connectivity":8}'])
+def test_the_script_takes_data_that_move_as_the_model(script: Callable[[list[str]], None], movement: str) -> None:
+    """A rounded sqrt(2) and names are the same movement: it goes on, to find that there are no data."""
+    with pytest.raises(DatasetNotFoundError):
+        script(["fit", "--data=mapdata.MapDataModule", "--data.root=maps", f"--data.movement={movement}"])
