@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.measure import Row, each, interleaved, median_ratio, seconds, to_text
 from mapdata import MapSpec, build, generate, label
-from mapdata.shard import write_file
+from mapdata.shards import write_file
 
 PACKAGES = ("mapdata", "numpy", "numba", "h5py")
 SCRIPT = Path(__file__).parent.parent / "scripts" / "build_shards.py"

@@ -34,7 +34,7 @@ def label_rows(count: int, rounds: int) -> list[Row]:
     if bad:
         raise SystemExit(f"mapdata and naive.py differ on maps {bad}: nothing was measured")
     drawings = [naive.drawing_of(maps, i) for i in range(count)]
-    work = [(maps.occupancy[i], naive.seeds_of(maps, i)) for i in range(count)]
+    work = [(maps.occupancy[i], naive.seed_points_of(maps, i)) for i in range(count)]
     segments, pairs = (problems_of(maps, every_pair=every) for every in (False, True))
     times = interleaved(
         {
@@ -45,7 +45,9 @@ def label_rows(count: int, rounds: int) -> list[Row]:
             "naive draw": lambda: [naive.carve(drawing) for drawing in drawings],
             "bfs": lambda: mapdata.search_batch("bfs", segments.grids, segments.starts, segments.goals),
             "naive bfs": lambda: [naive.bfs_route(*each_map) for each_map in work],
-            "fields": lambda: [mapdata.distance_field(grid, seed) for grid, seeds in work for seed in seeds],
+            "fields": lambda: [
+                mapdata.distance_field(grid, seed) for grid, seed_points in work for seed in seed_points
+            ],
             "naive fields": lambda: [naive.bfs_matrix(*each_map) for each_map in work],
             "astar": lambda: mapdata.search_batch("astar", segments.grids, segments.starts, segments.goals),
             "naive astar": lambda: [naive.astar_route(*each_map) for each_map in work],
@@ -76,7 +78,7 @@ def label_rows(count: int, rounds: int) -> list[Row]:
 
 
 def growth_rows(work: float, rounds: int) -> list[Row]:
-    """Return the rows of growing maps: rooms and tunnels as large a share of the side as in Table 1.
+    """Return the rows of growing maps: rooms and passages as large a share of the side as in Table 1.
 
     Args:
         work: how many cells times sources a batch has, about.

@@ -1,7 +1,7 @@
 """Making maps beside maze-dataset, the nearest maker of mazes to learn from: python -m benchmarks making.
 
 Not the same maps: its mazes are a random depth-first tree, one cell wide, with one path each; ours are rooms and
-tunnels with all labels. Both sides make grids of about the same side and solve them.
+passages with all labels. Both sides make grids of about the same side and solve them.
 """
 
 from __future__ import annotations

@@ -29,12 +29,12 @@ NEIGHBOURS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 class Drawing(NamedTuple):
     """What was drawn to make one map: Algorithm 1 before anything is carved.
 
-    ``seeds`` and ``sizes`` are (row, col) and (rows, columns) a room; ``horizontal_first`` is a tunnel's fair coin, or
-    None where no tunnel is.
+    ``seed_points`` and ``sizes`` are (row, col) and (rows, columns) a room; ``horizontal_first`` is a passage's fair
+    coin, or None where no passage is.
     """
 
     map_size: tuple[int, int]
-    seeds: list[Cell]
+    seed_points: list[Cell]
     sizes: list[tuple[int, int]]
     width: int
     horizontal_first: list[bool | None]
@@ -60,10 +60,10 @@ def carve(drawing: Drawing) -> Grid:
     """Return the grid of a drawing: 1 occupied, 0 free."""
     grid = np.ones(drawing.map_size, np.uint8)
     width, half = drawing.width, drawing.width // 2
-    for (row, column), (rows, columns) in zip(drawing.seeds, drawing.sizes, strict=True):
+    for (row, column), (rows, columns) in zip(drawing.seed_points, drawing.sizes, strict=True):
         top, left = row - rows // 2, column - columns // 2
         grid[max(top, 0) : top + rows, max(left, 0) : left + columns] = 0
-    for (a, b), horizontal_first in zip(pairwise(drawing.seeds), drawing.horizontal_first, strict=True):
+    for (a, b), horizontal_first in zip(pairwise(drawing.seed_points), drawing.horizontal_first, strict=True):
         if horizontal_first is None:
             continue
         row, column = (a[0], b[1]) if horizontal_first else (b[0], a[1])
@@ -74,37 +74,37 @@ def carve(drawing: Drawing) -> Grid:
     return grid
 
 
-def label(grid: Grid, seeds: list[Cell]) -> Labels:
+def label(grid: Grid, seed_points: list[Cell]) -> Labels:
     """Return all labels of one map."""
     return Labels(
-        bfs_route=bfs_route(grid, seeds),
-        bfs_matrix=bfs_matrix(grid, seeds),
-        astar_route=astar_route(grid, seeds),
-        astar_matrix=astar_matrix(grid, seeds),
+        bfs_route=bfs_route(grid, seed_points),
+        bfs_matrix=bfs_matrix(grid, seed_points),
+        astar_route=astar_route(grid, seed_points),
+        astar_matrix=astar_matrix(grid, seed_points),
     )
 
 
-def bfs_route(grid: Grid, seeds: list[Cell]) -> list[Found]:
+def bfs_route(grid: Grid, seed_points: list[Cell]) -> list[Found]:
     """Search the segments between consecutive seeds."""
-    return [bfs(grid, start, goal) for start, goal in pairwise(seeds)]
+    return [bfs(grid, start, goal) for start, goal in pairwise(seed_points)]
 
 
-def astar_route(grid: Grid, seeds: list[Cell]) -> list[Found]:
+def astar_route(grid: Grid, seed_points: list[Cell]) -> list[Found]:
     """Search the segments between consecutive seeds."""
-    return [astar(grid, start, goal) for start, goal in pairwise(seeds)]
+    return [astar(grid, start, goal) for start, goal in pairwise(seed_points)]
 
 
-def bfs_matrix(grid: Grid, seeds: list[Cell]) -> Matrix:
+def bfs_matrix(grid: Grid, seed_points: list[Cell]) -> Matrix:
     """Return the path cost between all seeds, -1 without a path: one search from each seed."""
-    rows = [distances(grid, seed) for seed in seeds]
-    return np.array([[row.get(seed, -1) for seed in seeds] for row in rows], np.float64)
+    rows = [distances(grid, seed) for seed in seed_points]
+    return np.array([[row.get(seed, -1) for seed in seed_points] for row in rows], np.float64)
 
 
-def astar_matrix(grid: Grid, seeds: list[Cell]) -> Matrix:
+def astar_matrix(grid: Grid, seed_points: list[Cell]) -> Matrix:
     """Return the path cost between all seeds, -1 without a path: one search for each pair."""
-    matrix = np.zeros((len(seeds), len(seeds)))
-    for i, j in combinations(range(len(seeds)), 2):
-        matrix[i, j] = matrix[j, i] = len(astar(grid, seeds[i], seeds[j]).path) - 1
+    matrix = np.zeros((len(seed_points), len(seed_points)))
+    for i, j in combinations(range(len(seed_points)), 2):
+        matrix[i, j] = matrix[j, i] = len(astar(grid, seed_points[i], seed_points[j]).path) - 1
     return matrix
 
 
@@ -188,16 +188,16 @@ def drawing_of(maps: Maps, i: int) -> Drawing:
     coins = maps.directions[i, : n - 1, 0].tolist()
     return Drawing(
         map_size=(maps.packed.shape[1], maps.columns),
-        seeds=seeds_of(maps, i),
+        seed_points=seed_points_of(maps, i),
         sizes=[(rows, columns) for rows, columns in maps.sizes[i, :n].tolist()],
         width=int(maps.passage_width[i]),
         horizontal_first=[None if coin < 0 else coin == 1 for coin in coins],
     )
 
 
-def seeds_of(maps: Maps, i: int) -> list[Cell]:
+def seed_points_of(maps: Maps, i: int) -> list[Cell]:
     """Return the seed points of map ``i`` of a batch."""
-    return [(row, column) for row, column in maps.seeds[i, : maps.rooms[i]].tolist()]
+    return [(row, column) for row, column in maps.seed_points[i, : maps.rooms[i]].tolist()]
 
 
 def differences(labels: mapdata.Labels, i: int) -> list[str]:
@@ -205,17 +205,17 @@ def differences(labels: mapdata.Labels, i: int) -> list[str]:
     well.
     """
     grid = carve(drawing_of(labels.maps, i))
-    mine = label(grid, seeds_of(labels.maps, i))
+    mine = label(grid, seed_points_of(labels.maps, i))
     found = [] if np.array_equal(grid, labels.maps.occupancy[i]) else ["occupancy"]
-    for planner, route, matrix in (
+    for search, route, matrix in (
         ("bfs", mine.bfs_route, mine.bfs_matrix),
         ("astar", mine.astar_route, mine.astar_matrix),
     ):
-        paths = [[(row, column) for row, column in path.tolist()] for path in labels.route(planner, i)]
+        paths = [[(row, column) for row, column in path.tolist()] for path in labels.route(search, i)]
         if [segment.path for segment in route] != paths:
-            found.append(f"{planner} route")
-        if [segment.iterations for segment in route] != labels.iterations(planner, i).tolist():
-            found.append(f"{planner} iterations")
-        if not np.array_equal(matrix, labels.matrix(planner, i)):
-            found.append(f"{planner} matrix")
+            found.append(f"{search} route")
+        if [segment.iterations for segment in route] != labels.iterations(search, i).tolist():
+            found.append(f"{search} iterations")
+        if not np.array_equal(matrix, labels.matrix(search, i)):
+            found.append(f"{search} matrix")
     return found

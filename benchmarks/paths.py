@@ -56,8 +56,8 @@ def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
     """Return the problems of a batch: between consecutive seeds, or between every pair of seeds of a map."""
     owners, starts, goals = [], [], []
     for i in range(len(maps)):
-        seeds = naive.seeds_of(maps, i)
-        for start, goal in combinations(seeds, 2) if every_pair else pairwise(seeds):
+        seed_points = naive.seed_points_of(maps, i)
+        for start, goal in combinations(seed_points, 2) if every_pair else pairwise(seed_points):
             owners.append(i)
             starts.append(start)
             goals.append(goal)
@@ -65,7 +65,7 @@ def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
 
 
 def table_1(size: int, rooms: tuple[int, int] = (2, 9)) -> MapSpec:
-    """Return Table 1 for maps of ``size`` x ``size``: rooms and tunnels as large a share of the side."""
+    """Return Table 1 for maps of ``size`` x ``size``: rooms and passages as large a share of the side."""
     scale = size // 64
     sides = 14 * scale, 33 * scale
     width = 7 * scale, 15 * scale

@@ -1,7 +1,6 @@
 """Dungeon-like 2D grid maps with shortest paths and room-to-room distances, for planners that learn by example.
 
-The public names stand here, one a line, and are imported on first use: ``import mapdata`` loads neither torch nor
-numba.
+The public names stand here and are imported on first use: ``import mapdata`` loads neither torch nor numba.
 """
 
 from __future__ import annotations
@@ -9,64 +8,50 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from mapdata._version import __version__
+
 if TYPE_CHECKING:
-    from mapdata.build import build as build
-    from mapdata.damage import repair as repair
-    from mapdata.damage import verify as verify
-    from mapdata.datamodule import MapDataModule as MapDataModule
-    from mapdata.dataset import MapDataset as MapDataset
-    from mapdata.dungeon import Maps as Maps
-    from mapdata.dungeon import generate as generate
-    from mapdata.evaluate import Plan as Plan
-    from mapdata.evaluate import evaluate as evaluate
-    from mapdata.guard import read_shard as read_shard
-    from mapdata.labels import Labels as Labels
-    from mapdata.labels import label as label
-    from mapdata.manifest import DatasetNotFoundError as DatasetNotFoundError
-    from mapdata.online import OnlineMapDataset as OnlineMapDataset
+    from mapdata.datasets import MapDataModule as MapDataModule
+    from mapdata.datasets import MapDataset as MapDataset
+    from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
+    from mapdata.datasets import Sample as Sample
+    from mapdata.evaluation import Plan as Plan
+    from mapdata.evaluation import evaluate as evaluate
+    from mapdata.generators import Generator as Generator
+    from mapdata.generators import Maps as Maps
+    from mapdata.generators import MapSpec as MapSpec
+    from mapdata.generators import Maze as Maze
+    from mapdata.generators import generate as generate
+    from mapdata.generators import identity as identity
     from mapdata.problems import Problems as Problems
-    from mapdata.sample import Sample as Sample
+    from mapdata.search import Labels as Labels
     from mapdata.search import SearchResult as SearchResult
     from mapdata.search import astar as astar
     from mapdata.search import bfs as bfs
     from mapdata.search import check_path as check_path
     from mapdata.search import distance_field as distance_field
+    from mapdata.search import label as label
     from mapdata.search import search_batch as search_batch
-    from mapdata.shard import ShardError as ShardError
-    from mapdata.spec import MapSpec as MapSpec
+    from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
+    from mapdata.shards import ShardError as ShardError
+    from mapdata.shards import build as build
+    from mapdata.shards import read_shard as read_shard
+    from mapdata.shards import repair as repair
+    from mapdata.shards import verify as verify
     from mapdata.spec import Movement as Movement
-    from mapdata.spec import identity as identity
 
-__version__ = "0.1.0"
-
-_HOME = {
-    "build": "build",
-    "repair": "damage",
-    "verify": "damage",
-    "MapDataset": "dataset",
-    "OnlineMapDataset": "online",
-    "MapDataModule": "datamodule",
-    "Maps": "dungeon",
-    "generate": "dungeon",
-    "Plan": "evaluate",
-    "evaluate": "evaluate",
-    "Labels": "labels",
-    "label": "labels",
-    "DatasetNotFoundError": "manifest",
-    "Problems": "problems",
-    "Sample": "sample",
-    "SearchResult": "search",
-    "astar": "search",
-    "bfs": "search",
-    "check_path": "search",
-    "distance_field": "search",
-    "search_batch": "search",
-    "ShardError": "shard",
-    "read_shard": "guard",
-    "MapSpec": "spec",
-    "Movement": "spec",
-    "identity": "spec",
+_FACES = {
+    "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
+    "evaluation": ("Plan", "evaluate"),
+    "generators": ("Generator", "MapSpec", "Maps", "Maze", "generate", "identity"),
+    "problems": ("Problems",),
+    "search": ("Labels", "SearchResult", "astar", "bfs", "check_path", "distance_field", "label", "search_batch"),
+    "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
+    "spec": ("Movement",),
 }
+"""Where each public name is imported from."""
+
+_HOME = {name: face for face, names in _FACES.items() for name in names}
 
 __all__ = [*_HOME, "__version__"]  # noqa: PLE0604  (a list of names)
 

@@ -25,10 +25,10 @@ def source_hash(package: Path) -> str:
     giving the old bytes after an edit there, so the name of the cache folder covers all of them.
     """
     digest = hashlib.sha256()
-    for file in sorted(package.glob("*.py")):
+    for file in sorted(package.rglob("*.py")):
         source = file.read_bytes()
         if b"@kernel" in source:
-            digest.update(file.name.encode() + b"\0" + source + b"\0")
+            digest.update(file.relative_to(package).as_posix().encode() + b"\0" + source + b"\0")
     return digest.hexdigest()[:16]
 
 

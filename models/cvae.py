@@ -18,9 +18,10 @@ import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 
+from mapdata.arrays import Bytes, Floats, Ints
 from models.layers import Trunk, padded
 from models.roadmap import free_at, uniform
-from models.sampler import CHANNELS, Bytes, Floats, Ints, Sampler, cell_numbers, look, tensors
+from models.sampler import CHANNELS, Sampler, cell_numbers, encode, tensors
 
 POINTS = 6
 """Points of each problem in a step of `LocalCVAE`."""
@@ -104,7 +105,7 @@ class CVAE(Sampler):
 
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         """Return the condition of each problem, (B, code + 4)."""
-        seen = F.pixel_unshuffle(look(padded(occupied), starts, goals), 2)
+        seen = F.pixel_unshuffle(encode(padded(occupied), starts, goals), 2)
         ends = torch.cat([starts, goals], dim=1) / torch.tensor(occupied.shape[2:]).repeat(2).to(starts.device)
         return torch.cat([self.condition(seen).float(), ends], dim=1)
 
@@ -175,7 +176,7 @@ class LocalCVAE(Sampler):
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Return keys of the cells, (B, H * W, keys), and a code of each problem."""
         rows, columns = occupied.shape[2:]
-        keys, code = self.trunk(look(padded(occupied), starts, goals))
+        keys, code = self.trunk(encode(padded(occupied), starts, goals))
         return keys[..., :rows, :columns].flatten(2).transpose(1, 2), code
 
     def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:

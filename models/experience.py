@@ -31,9 +31,9 @@ import numpy.typing as npt
 from torch.utils.data import Dataset
 from tqdm import tqdm
 
-from mapdata.datamodule import MapDataModule
-from mapdata.sample import Sample
-from mapdata.shard import write_file
+from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.datasets import MapDataModule, Sample
+from mapdata.shards import write_file
 from mapdata.spec import canonical_json
 from models.roadmap import Roadmap, between, build_roadmap, halton, radius
 
@@ -43,9 +43,6 @@ KINDS = ("lego", "shortest_path")
 VERSION = 1
 """Goes up whenever the same mining would give other bytes."""
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 _PIECE = 100
 
@@ -240,13 +237,13 @@ class Bank:
         """
         if kind not in KINDS:
             raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
-        numbers = np.asarray(problems, np.int64)
-        rows = np.minimum(np.searchsorted(self.problem, numbers), len(self.problem) - 1)
-        known = self.problem[rows] == numbers
+        indices = np.asarray(problems, np.int64)
+        rows = np.minimum(np.searchsorted(self.problem, indices), len(self.problem) - 1)
+        known = self.problem[rows] == indices
         if ends is not None:
             known &= (self.ends[rows] == np.asarray(ends)).all(axis=1)
         if not known.all():
-            wrong = numbers[np.argmin(known)]
+            wrong = indices[np.argmin(known)]
             raise ValueError(f"problem {wrong} is not in the bank, or another one: its dataset must keep its problems")
         first, counts = self.offsets[kind][rows], np.diff(self.offsets[kind])[rows]
         inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -142,9 +142,9 @@ class Muon(torch.optim.Optimizer):
             for shape, found in matrices.items():  # those of one shape at once: three times as fast
                 near = _orthogonal(torch.stack([wide for _, wide in found]))
                 for (parameter, _), x in zip(found, near, strict=True):
-                    turned = x.T if len(parameter) > parameter[0].numel() else x
+                    transformed = x.T if len(parameter) > parameter[0].numel() else x
                     parameter.mul_(1 - group["lr"] * group["weight_decay"])
-                    parameter.sub_(turned.reshape(parameter.shape), alpha=0.2 * group["lr"] * math.sqrt(shape[1]))
+                    parameter.sub_(transformed.reshape(parameter.shape), alpha=0.2 * group["lr"] * math.sqrt(shape[1]))
         return loss
 
 

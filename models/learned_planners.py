@@ -10,14 +10,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.evaluate import BatchPlanner, Bytes, Ints, Plan
+from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.evaluation import Batched, BatchPlanner, Plan
 from mapdata.jit import Int, kernel
-from mapdata.kernels import STEPS
-from mapdata.planners import Batched
-from mapdata.search import search_batch
+from mapdata.search import STEPS, search_batch
 from mapdata.spec import Movement
-
-Floats = npt.NDArray[np.float32]
 
 
 class Predictor(Protocol):
@@ -25,7 +22,7 @@ class Predictor(Protocol):
 
     movement: Movement
 
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Floats, Floats]:
+    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
         """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
 
         Args:
@@ -67,7 +64,7 @@ class _Follower(Batched, ABC):
         return self._mended(plans, grids, starts, goals)
 
     @abstractmethod
-    def _follow(self, grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints) -> Plan:
+    def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
         """Return the plan for one problem, with an empty path where there is none."""
 
     def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
@@ -94,7 +91,7 @@ class LearnedPlanner(_Follower):
 
     fallback: bool = True
 
-    def _follow(self, grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints) -> Plan:
+    def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
         return Plan(*_walk(grid, scores, start, goal, *self._rule))
 
     def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
@@ -121,7 +118,7 @@ class GuidedSearch(_Follower):
 
     trust: float = 2.0
 
-    def _follow(self, grid: Bytes, scores: Floats, ratios: Floats, start: Ints, goal: Ints) -> Plan:
+    def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
         return Plan(*_search(grid, scores, ratios, start, goal, *self._rule, self.trust))
 
 
@@ -143,8 +140,8 @@ def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Int
 @kernel
 def _search(
     grid: Bytes,
-    scores: Floats,
-    ratios: Floats,
+    scores: Float32s,
+    ratios: Float32s,
     start: Ints,
     goal: Ints,
     corners: Int,
@@ -156,7 +153,7 @@ def _search(
     best = np.full((rows, columns), np.inf)  # g and what the improbable moves cost; -inf once a cell is expanded
     way = np.zeros((rows, columns))
     best[start[0], start[1]] = 0.0
-    heap, pushes, taken = [(0.0, 0, start[0] * columns + start[1])], 0, 0
+    heap, pushes, expansions = [(0.0, 0, start[0] * columns + start[1])], 0, 0
     while heap:
         _, _, cell = heapq.heappop(heap)
         row, column = cell // columns, cell % columns
@@ -164,7 +161,7 @@ def _search(
         if so_far == -np.inf:
             continue
         best[row, column] = -np.inf
-        taken += 1
+        expansions += 1
         if row == goal[0] and column == goal[1]:
             break
         top, legal = -np.inf, 0
@@ -189,7 +186,7 @@ def _search(
                 pushes += 1
                 f = cost + least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
                 heapq.heappush(heap, (f, -pushes, i * columns + j))
-    return _through(grid, best == -np.inf, start, goal, moves, corners, diagonal), taken
+    return _through(grid, best == -np.inf, start, goal, moves, corners, diagonal), expansions
 
 
 @kernel
@@ -237,14 +234,14 @@ def _through(
 
 
 @kernel
-def _walk(grid: Bytes, scores: Floats, start: Ints, goal: Ints, corners: Int, diagonal: float) -> tuple[Ints, Int]:
+def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, corners: Int, diagonal: float) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells were expanded."""
     moves, rows, columns = scores.shape
     expanded = np.zeros((rows, columns), np.bool_)
-    row, column, move, taken = start[0], start[1], 0, 0
+    row, column, move, expansions = start[0], start[1], 0, 0
     while move >= 0:
         expanded[row, column] = True
-        taken += 1
+        expansions += 1
         move, best = -1, np.float32(-np.inf)
         if row == goal[0] and column == goal[1]:
             break
@@ -258,4 +255,4 @@ def _walk(grid: Bytes, scores: Floats, start: Ints, goal: Ints, corners: Int, di
                 move, best = k, scores[k, row, column]
         if move >= 0:
             row, column = row + STEPS[move, 0], column + STEPS[move, 1]
-    return _through(grid, expanded, start, goal, moves, corners, diagonal), taken
+    return _through(grid, expanded, start, goal, moves, corners, diagonal), expansions

@@ -24,26 +24,24 @@ import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 
+from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.jit import kernel
 from models.cvae import CVAE, LocalCVAE
 from models.layers import Trunk, bfloat16, padded
 from models.sampler import (
     CHANNELS,
-    Bytes,
-    Floats,
-    Ints,
     Sampler,
     cell_numbers,
-    look,
+    encode,
+    restore_plane,
     tensors,
-    turn_back,
-    turn_plane,
-    turn_points,
+    transform_plane,
+    transform_points,
 )
 from models.saved import load_model
 
 VIEWS = (0, 3, 4, 7, 1, 2, 5, 6)
-"""Symmetries of a map in the order in which a heat map adds them, as `turn_plane` numbers them."""
+"""Symmetries of a map in the order in which a heat map adds them, as `transform_plane` numbers them."""
 
 
 def load(file: str | PathLike[str]) -> Sampler:
@@ -92,60 +90,60 @@ class Heatmap(Sampler):
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         """Return (B, 2, H, W) scores: their softmax over free cells is the shares; and of lying on a path."""
         rows, columns = occupied.shape[2:]
-        scores: Tensor = self.trunk(look(padded(occupied), starts, goals))[0][..., :rows, :columns]
+        scores: Tensor = self.trunk(encode(padded(occupied), starts, goals))[0][..., :rows, :columns]
         return scores.float()
 
     def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
         """Return the cross entropy of the shares, over problems with a target, and of the second prediction."""
         scores = self(batch["map"], batch["start"], batch["goal"])
         occupied = batch["map"].flatten(1) != 0
-        shares = scores[:, 0].flatten(1).masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
-        each = -shares[owners, cell_numbers(points, batch["map"])]  # (M,)
-        counts = torch.bincount(owners, minlength=len(shares)).clamp(min=1)
+        heat_map = scores[:, 0].flatten(1).masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
+        each = -heat_map[owners, cell_numbers(points, batch["map"])]  # (M,)
+        counts = torch.bincount(owners, minlength=len(heat_map)).clamp(min=1)
         heat = (each / counts[owners]).sum() / (torch.bincount(owners) > 0).sum() if len(owners) else each.sum()
         path = F.binary_cross_entropy_with_logits(
             scores[:, 1].flatten(1)[~occupied], batch["optimal_mask"].flatten(1)[~occupied].float()
         )
         return {"loss": heat + self.hparams["help_weight"] * path, "heat": heat, "path": path}
 
-    def shares(self, grids: Bytes, starts: Ints, goals: Ints) -> Floats:
+    def heat_map(self, grids: Bytes, starts: Ints, goals: Ints) -> Floats:
         """Return (B, H, W) shares of the cells, 0 in occupied ones."""
         occupied, *ends = tensors(self, grids, starts, goals)
         size, total = torch.tensor(occupied.shape[2:], device=occupied.device), torch.zeros(grids.shape)
         with torch.inference_mode(), bfloat16(self.device):
             for k, code in enumerate(VIEWS[: self.hparams["views"]]):
-                cells = [turn_points(each + 0.5, code, size).floor().long() for each in ends[:: 1 - 2 * (k % 2)]]
-                turned = turn_plane(occupied, code)
-                scores = self(turned, *cells)[:, 0].masked_fill(turned[:, 0] != 0, -torch.inf)
-                shares = scores.flatten(1).double().softmax(1).view(scores.shape)
-                total = total + turn_back(shares, code).cpu()
+                cells = [transform_points(each + 0.5, code, size).floor().long() for each in ends[:: 1 - 2 * (k % 2)]]
+                transformed = transform_plane(occupied, code)
+                scores = self(transformed, *cells)[:, 0].masked_fill(transformed[:, 0] != 0, -torch.inf)
+                heat_map = scores.flatten(1).double().softmax(1).view(scores.shape)
+                total = total + restore_plane(heat_map, code).cpu()
         found: Floats = (total / self.hparams["views"]).contiguous().numpy()
         return found
 
     def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator) -> Floats:
         """Return points in cells drawn without replacement, each uniform inside its cell."""
-        shares = self.shares(grids, starts, goals)
-        noise = self.hparams["temperature"] * source.gumbel(size=shares.shape)
-        cells = choose(shares, noise, n, self.hparams["spacing"])
+        heat_map = self.heat_map(grids, starts, goals)
+        noise = self.hparams["temperature"] * source.gumbel(size=heat_map.shape)
+        cells = select(heat_map, noise, n, self.hparams["spacing"])
         return cells + source.random(cells.shape)
 
 
 @kernel
-def choose(shares: Floats, noise: Floats, n: int, spacing: float) -> Floats:
+def select(heat_map: Floats, noise: Floats, n: int, spacing: float) -> Floats:
     """Return (B, n, 2) cells: always the one with the highest log share + noise, (B, H, W) each.
 
     A chosen cell makes its neighbours less likely, by exp(-(distance / spacing)^2 / 2), and is itself not taken again
     before all others are.
     """
-    count, rows, columns = shares.shape
+    count, rows, columns = heat_map.shape
     chosen = np.empty((count, n, 2))
     reach = int(3 * spacing)
     for b in range(count):
         scores, taken = np.full((rows, columns), -np.inf), np.zeros((rows, columns), np.int64)
         for i in range(rows):
             for j in range(columns):
-                if shares[b, i, j] > 0:
-                    scores[i, j] = math.log(shares[b, i, j]) + noise[b, i, j]
+                if heat_map[b, i, j] > 0:
+                    scores[i, j] = math.log(heat_map[b, i, j]) + noise[b, i, j]
         for k in range(n):
             row, column, most = 0, 0, 1 << 60
             for i in range(rows):

@@ -4,7 +4,8 @@ One path as a target is ill-posed: between two cells of a room there are 10^5 eq
 moves of each cell is unique, and gives some 2,000 labelled cells a map. Following the most probable moves is a path.
 
     from mapdata import MapSpec, Movement
-    from mapdata.evaluate import Problems, evaluate
+    from mapdata.evaluation import evaluate
+    from mapdata.problems import Problems
     from models.learned_planners import planners
     from models.path_predictor import PathPredictor
 
@@ -35,10 +36,9 @@ from pytorch_lightning.utilities import CombinedLoader
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from mapdata.datamodule import MapDataModule
-from mapdata.evaluate import Bytes, Ints
-from mapdata.kernels import STEPS
-from mapdata.sample import Sample
+from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.datasets import MapDataModule, Sample
+from mapdata.search import STEPS
 from mapdata.spec import Movement
 from models.layers import Muon, Trunk, bfloat16, padded, scheduled
 from models.learned_planners import LearnedPlanner
@@ -46,8 +46,6 @@ from models.saved import load_model, save_model
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """What a data module must serve."""
-
-Floats = npt.NDArray[np.float32]
 
 
 # --- what the network sees ------------------------------------------------------------------------------------------
@@ -75,11 +73,11 @@ def _surroundings(rows: int, columns: int, movement: Movement) -> Tensor:
     planes += [here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)]
     steps = STEPS[: movement.connectivity].tolist()
     costs = [movement.diagonal_cost if row and column else 1.0 for row, column in steps]
-    astray = [heuristic(down + r, right + c) - here + cost for (r, c), cost in zip(steps, costs, strict=True)]
-    return torch.stack([*planes, *astray], dim=-1).flatten(0, 1)
+    detour = [heuristic(down + r, right + c) - here + cost for (r, c), cost in zip(steps, costs, strict=True)]
+    return torch.stack([*planes, *detour], dim=-1).flatten(0, 1)
 
 
-def look(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
+def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
     """Return what the network sees, (B, 8, H, W), and how much each move leads astray, (B, moves, H, W).
 
     Args:
@@ -160,9 +158,9 @@ class PathPredictor(pl.LightningModule):
             goals: (B, 2), cells.
         """
         rows, columns = occupied.shape[2:]
-        seen, astray = look(padded(occupied), goals, self.movement)
+        seen, detour = encode(padded(occupied), goals, self.movement)
         out = self.network(seen)[0][..., :rows, :columns].float()
-        scores = torch.sub(out[:, :-1], astray[..., :rows, :columns], alpha=3)
+        scores = torch.sub(out[:, :-1], detour[..., :rows, :columns], alpha=3)
         return scores, torch.sigmoid(out[:, -1])
 
     def training_step(self, batch: Sample | Sequence[Sample], batch_idx: int) -> Tensor:
@@ -220,7 +218,7 @@ class PathPredictor(pl.LightningModule):
         """
         return load_model(file, PathPredictor)
 
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Floats, Floats]:
+    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
         """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
 
         Args:
@@ -246,7 +244,7 @@ class PathPredictor(pl.LightningModule):
         return np.asarray(plan.path, np.int64)
 
 
-class Mixture(pl.LightningDataModule):
+class MixedBatches(pl.LightningDataModule):
     """Several data modules at once: a training step gets a list with a batch of each; validation sees them in turn."""
 
     def __init__(self, parts: list[MapDataModule]) -> None:

@@ -5,7 +5,7 @@ plus 0.5. Samplers are compared by the roadmap of their points: two vertices are
 where the segment between them meets no occupied cell. A path between cells is one between their centres.
 
     from mapdata import MapSpec
-    from mapdata.evaluate import Problems
+    from mapdata.problems import Problems
     from models.roadmap import between, halton
 
     drawn = Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=1)
@@ -28,15 +28,11 @@ import numpy.typing as npt
 from scipy.sparse import csgraph, csr_matrix
 from scipy.stats import qmc
 
+from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import Int, kernel
 
 REACH = 1.5
 """Vertices are joined within REACH * sqrt(log n / n) of the map's side."""
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
 
 
 # --- roadmaps -------------------------------------------------------------------------------------------------------

@@ -13,7 +13,8 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
-from mapdata.sample import Sample
+from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.datasets import Sample
 from models.experience import KINDS, Bank
 from models.layers import Muon, bfloat16, scheduled
 from models.roadmap import between, free_at, halton
@@ -25,12 +26,8 @@ FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 CHANNELS = 14
 """Planes of what a network sees."""
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
-
-def look(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
+def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     """Return what a network sees, (B, 14, H, W): free cells, both ends, and where each cell lies relative to them.
 
     Args:
@@ -122,7 +119,7 @@ class Sampler(pl.LightningModule, ABC):
         points, counts = self.bank.targets(self.targets, fields["problem"].cpu().numpy(), ends)
         places = torch.as_tensor(points, dtype=torch.float32, device=self.device)
         owners = torch.arange(len(counts)).repeat_interleave(torch.as_tensor(counts)).to(self.device)
-        values = self.loss(*_turned(fields, places), owners)
+        values = self.loss(*_transformed(fields, places), owners)
         self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
         return values["loss"]
 
@@ -150,34 +147,34 @@ class Sampler(pl.LightningModule, ABC):
         save_model(self, file, torch.float16)
 
 
-def _turned(fields: dict[str, Tensor], points: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+def _transformed(fields: dict[str, Tensor], points: Tensor) -> tuple[dict[str, Tensor], Tensor]:
     """Return a batch and its points after a random symmetry; start and goal may change places, too."""
     code, swap = int(torch.randint(8, ())), bool(torch.rand(()) < 0.5)
     size = torch.tensor(fields["map"].shape[2:], device=points.device)
     ends = [fields["goal"], fields["start"]] if swap else [fields["start"], fields["goal"]]
     names = ("map", "optimal_mask", "start", "goal")
-    planes = [turn_plane(fields[name], code) for name in names[:2]]
-    cells = [turn_points(each + 0.5, code, size).floor().long() for each in ends]
-    return dict(zip(names, [*planes, *cells], strict=True)), turn_points(points, code, size)
+    planes = [transform_plane(fields[name], code) for name in names[:2]]
+    cells = [transform_points(each + 0.5, code, size).floor().long() for each in ends]
+    return dict(zip(names, [*planes, *cells], strict=True)), transform_points(points, code, size)
 
 
-def turn_plane(plane: Tensor, code: int) -> Tensor:
+def transform_plane(plane: Tensor, code: int) -> Tensor:
     """Return (..., H, W) after a symmetry: bit 0 flips rows, bit 1 flips columns, bit 2 transposes at last."""
-    turned = plane.flip([axis - 2 for axis in range(2) if code >> axis & 1])
-    return turned.transpose(-2, -1) if code & 4 else turned
+    transformed = plane.flip([axis - 2 for axis in range(2) if code >> axis & 1])
+    return transformed.transpose(-2, -1) if code & 4 else transformed
 
 
-def turn_back(plane: Tensor, code: int) -> Tensor:
-    """Return what `turn_plane` turned."""
-    turned = plane.transpose(-2, -1) if code & 4 else plane
-    return turned.flip([axis - 2 for axis in range(2) if code >> axis & 1])
+def restore_plane(plane: Tensor, code: int) -> Tensor:
+    """Return what `transform_plane` turned."""
+    transformed = plane.transpose(-2, -1) if code & 4 else plane
+    return transformed.flip([axis - 2 for axis in range(2) if code >> axis & 1])
 
 
-def turn_points(points: Tensor, code: int, size: Tensor) -> Tensor:
+def transform_points(points: Tensor, code: int, size: Tensor) -> Tensor:
     """Return points (M, 2) on a map of ``size`` after a symmetry."""
     flips = torch.tensor([code & 1, code >> 1 & 1], device=points.device)
-    turned = points * (1 - 2 * flips) + size * flips
-    return turned.flip(1) if code & 4 else turned
+    transformed = points * (1 - 2 * flips) + size * flips
+    return transformed.flip(1) if code & 4 else transformed
 
 
 def tensors(model: nn.Module, grids: Bytes, starts: Ints, goals: Ints) -> list[Tensor]:

@@ -1,7 +1,7 @@
 """Samplers of roadmaps in one table: how often a roadmap of n vertices has a path, and how long the paths are.
 
 from mapdata import MapSpec
-from mapdata.evaluate import Problems
+from mapdata.problems import Problems
 from models.lego_sampler import load
 from models.sampler_table import compare, contenders, to_text
 
@@ -17,11 +17,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from mapdata.plot import MARKERS, PALETTE
-from mapdata.plot_models import plot_roadmap
+from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.plotting import MARKERS, PALETTE, plot_roadmap
 from mapdata.problems import HARD, Problems
 from models.roadmap import SAMPLERS, between, halton, path_lengths
 
@@ -38,9 +37,6 @@ DENSE = 2000
 METRICS = ("success", "length_ratio")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 _BATCH = 50
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import Parser, run
-from mapdata.cli_problems import add_problem_arguments, check_outputs, given_problems, write_table
-from mapdata.evaluate import BatchPlanner, Planner, evaluate, to_text
-from mapdata.planners import classical
-from mapdata.plot import plot_planners
+from mapdata.cli import add_problem_arguments, check_outputs, given_problems, write_table
+from mapdata.cli.common import Parser, run
+from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
+from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
 
 MODELS = Path(__file__).parent.parent / "models"

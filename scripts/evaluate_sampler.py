@@ -8,8 +8,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import Parser, run
-from mapdata.cli_problems import add_problem_arguments, check_outputs, given_problems, write_table
+from mapdata.cli import add_problem_arguments, check_outputs, given_problems, write_table
+from mapdata.cli.common import Parser, run
 from models.lego_sampler import load
 from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
 

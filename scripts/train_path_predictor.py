@@ -20,8 +20,8 @@ from pytorch_lightning import Callback, LightningDataModule, LightningModule, Tr
 from pytorch_lightning.cli import ArgsType, LightningArgumentParser
 
 from mapdata import Movement, astar
-from mapdata.plot_models import plot_prediction
-from mapdata.sample import Sample, row
+from mapdata.datasets import Sample, row
+from mapdata.plotting import plot_prediction
 from models.path_predictor import PathPredictor
 from models.training import TrainingCli
 

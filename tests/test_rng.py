@@ -8,7 +8,7 @@ from typing import SupportsInt
 
 import numpy as np
 import pytest
-import reference
+from helpers import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats

@@ -13,7 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, MapSpec, Movement, identity
+from mapdata.generators.generator import identity
+from mapdata.generators.rooms import MapSpec
+from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement
 
 SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=200)
 MOVEMENTS = [
@@ -166,8 +168,8 @@ def test_identity_differs_by_seed_and_by_every_field() -> None:
         dataclasses.replace(table, splits=(0.7, 0.2, 0.1)),
         *(dataclasses.replace(table, movement=movement) for movement in MOVEMENTS[1:]),
     ]
-    seeds = [0, 1, 2**32, 2**64 - 1]
-    found = [identity(table, seed) for seed in seeds] + [identity(spec, 0) for spec in changed]
+    seed_points = [0, 1, 2**32, 2**64 - 1]
+    found = [identity(table, seed) for seed in seed_points] + [identity(spec, 0) for spec in changed]
     assert len(set(found)) == len(found)
     assert all(re.fullmatch("[0-9a-f]{64}", text) for text in found)
 
@@ -239,7 +241,7 @@ def test_a_bad_value_is_refused_by_name(field: str, value: object) -> None:
     ],
 )
 def test_what_is_larger_than_the_map_is_refused(field: str, sizes: dict[str, Any]) -> None:
-    """Rooms are held against their own side of the map, tunnels against the map."""
+    """Rooms are held against their own side of the map, passages against the map."""
     with pytest.raises(ValueError, match=rf"\b{field}\b"):
         MapSpec(**sizes)
 

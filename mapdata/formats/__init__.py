@@ -11,11 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mapdata.formats import huggingface, images, movingai, paper, planning, ros
+from mapdata.formats.collection import Collection as Collection
+from mapdata.formats.collection import ForeignMap as ForeignMap
 from mapdata.formats.files import FormatError as FormatError
 from mapdata.formats.files import Limits as Limits
 from mapdata.formats.files import empty_target, walk
+from mapdata.formats.importing import import_maps as import_maps
 from mapdata.formats.stored import Stored
-from mapdata.imported import Collection
 
 READERS: dict[str, Callable[..., Collection]] = {
     "paper": paper.read,

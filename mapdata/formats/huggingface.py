@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from mapdata.formats.stored import Stored
-from mapdata.labels import Labels
+from mapdata.search.labels import Labels
 from mapdata.spec import SPLITS, canonical_json
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def _schema() -> pa.Schema:
     def lists(kind: pa.DataType, depth: int) -> pa.DataType:
         return lists(pa.list_(kind), depth - 1) if depth else kind
 
-    planner = {
+    search = {
         "path": lists(pa.int16(), 3),
         "iterations": lists(pa.int32(), 1),
         "connection_matrix": lists(pa.float32(), 2),
@@ -82,7 +82,7 @@ def _schema() -> pa.Schema:
         "connected": lists(pa.bool_(), 1),
         "reachable": lists(pa.bool_(), 1),
         "all_connected": pa.bool_(),
-        **{f"{name}_{key}": kind for name in ("bfs", "astar") for key, kind in planner.items()},
+        **{f"{name}_{key}": kind for name in ("bfs", "astar") for key, kind in search.items()},
     }
     features = {name: _feature(kind) for name, kind in types.items()}
     features["image"] = {"_type": "Image"}
@@ -108,17 +108,17 @@ def _row(labels: Labels, k: int) -> dict[str, object]:
         "item": int(maps.index[k]),
         "label": f"map{maps.index[k]}",
         "passage_width": int(maps.passage_width[k]),
-        "seeds": maps.seeds[k, :n].tolist(),
+        "seeds": maps.seed_points[k, :n].tolist(),
         "sizes": maps.sizes[k, :n].tolist(),
         "directions": maps.directions[k, : n - 1].tolist(),
         "connected": maps.connected[k, : n - 1].tolist(),
         "reachable": labels.reachable[first : first + n - 1].tolist(),
         "all_connected": bool(labels.all_connected[k]),
     }
-    for planner in ("bfs", "astar"):
-        row[f"{planner}_path"] = [segment.tolist() for segment in labels.route(planner, k)]
-        row[f"{planner}_iterations"] = labels.iterations(planner, k).tolist()
-        row[f"{planner}_connection_matrix"] = labels.matrix(planner, k).tolist()
+    for search in ("bfs", "astar"):
+        row[f"{search}_path"] = [segment.tolist() for segment in labels.route(search, k)]
+        row[f"{search}_iterations"] = labels.iterations(search, k).tolist()
+        row[f"{search}_connection_matrix"] = labels.matrix(search, k).tolist()
     return row
 
 
@@ -153,7 +153,7 @@ Splits: {", ".join(f"{_NAMES[split]} {count:,}" for split, count in counts.items
 - `map`: 1 occupied, 0 free; `image` shows free white. Cells are (row, col), origin upper left;
   {manifest.resolution} metres a cell.
 - `seeds`, `sizes`: seed point, and rows and columns, of each room (-1 unknown). `directions`: the two legs of each
-  tunnel, 1 horizontal, 0 vertical, -1 none; `connected`: it was drawn; `reachable`: a path to the next room exists.
+  passage, 1 horizontal, 0 vertical, -1 none; `connected`: it was drawn; `reachable`: a path to the next room exists.
 - `bfs_path`, `astar_path`: a list of cells for each pair of consecutive rooms, empty without a path; `iterations`:
   cells taken from the frontier; `connection_matrix`: cost between rooms, -1 no path.
 - Movement: `{canonical_json(asdict(manifest.movement))}`.

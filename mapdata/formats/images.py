@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
+from mapdata.arrays import Bytes
+from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
     Array,
@@ -26,10 +27,7 @@ from mapdata.formats.files import (
     read_npy,
     split_of,
 )
-from mapdata.imported import Collection, ForeignMap
 from mapdata.spec import MAX_SIDE
-
-Bytes = npt.NDArray[np.uint8]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 ARRAYS = (".npy", ".npz")

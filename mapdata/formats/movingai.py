@@ -24,19 +24,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from mapdata.arrays import Bytes
+from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.stored import Stored
-from mapdata.imported import Collection, ForeignMap
-from mapdata.kernels import MAX_CELLS
-from mapdata.search import search_batch
+from mapdata.search.api import search_batch
+from mapdata.search.lattice import MAX_CELLS
 from mapdata.spec import MAX_ROOMS, SPLITS, Movement
 
 MOVEMENT = Movement(8)
 """The benchmark's rule."""
 
 LAND, WATER, BLOCKED = ".GS", "W", "@OT"
-
-Bytes = npt.NDArray[np.uint8]
 
 
 class Problem(NamedTuple):
@@ -291,8 +290,8 @@ def read(
         water += int((terrain == ord(WATER)).sum())
         inside = [cell for cell in ends if cell[0] < grid.shape[0] and cell[1] < grid.shape[1] and not grid[cell]]
         split = split_of(path, folder) if path.is_relative_to(folder) else None
-        seeds = np.array(inside[:scen], np.int64).reshape(-1, 2)
-        found.maps.append(ForeignMap(str(path), grid, split, seeds=seeds, rooms_known=len(seeds) > 1))
+        seed_points = np.array(inside[:scen], np.int64).reshape(-1, 2)
+        found.maps.append(ForeignMap(str(path), grid, split, seed_points=seed_points, rooms_known=len(seed_points) > 1))
     if water:
         found.notes.append(f"{water} cells of water (W) are occupied: nothing leads there from land")
     return found
@@ -334,18 +333,18 @@ def write(target: Path, source: Stored) -> list[str]:
             lines = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
             body = "\n".join(line.tobytes().decode() for line in lines)
             (folder / name).write_text(f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n", newline="\n")
-            (folder / f"{name}.scen").write_text(_scen(name, grid, maps.seeds[k, : maps.rooms[k]]), newline="\n")
+            (folder / f"{name}.scen").write_text(_scen(name, grid, maps.seed_points[k, : maps.rooms[k]]), newline="\n")
     return ["lengths in the .scen files are 8-connected without corner cutting, the benchmark's rule"]
 
 
-def _scen(name: str, grid: Bytes, seeds: npt.NDArray[np.int64]) -> str:
-    """Return the text of a .scen with all pairs of ``seeds``, (n, 2)."""
-    first, second = np.triu_indices(len(seeds), 1)
+def _scen(name: str, grid: Bytes, seed_points: npt.NDArray[np.int64]) -> str:
+    """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
+    first, second = np.triu_indices(len(seed_points), 1)
     lines = ["version 1"]
     if len(first):
-        costs = search_batch("astar", grid, seeds[first], seeds[second], MOVEMENT).cost
+        costs = search_batch("astar", grid, seed_points[first], seed_points[second], MOVEMENT).cost
         for (row, column), (goal_row, goal_column), cost in zip(
-            seeds[first].tolist(), seeds[second].tolist(), costs.tolist(), strict=True
+            seed_points[first].tolist(), seed_points[second].tolist(), costs.tolist(), strict=True
         ):
             length = max(cost, 0.0)
             values = (math.floor(length / 4), name, grid.shape[1], grid.shape[0])

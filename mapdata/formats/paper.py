@@ -12,11 +12,11 @@ Pictures are black where free and white where occupied, as in the paper's Figure
 | item | number of the map, from 0 |
 | label | name of the picture without its ending: ``map<item>`` |
 | resolution | metres per cell |
-| passage_size | width of the tunnels, in cells |
+| passage_size | width of the passages, in cells |
 | seed_rows, seed_columns | a number a room |
 | size_rows, size_columns | a number a room |
-| direction_for_passages | two a tunnel, its legs at either room: 1 horizontal, 0 vertical, -1 none |
-| connected | one a tunnel: 1 if it was drawn |
+| direction_for_passages | two a passage, its legs at either room: 1 horizontal, 0 vertical, -1 none |
+| connected | one a passage: 1 if it was drawn |
 | path_exists | one a segment: 1 if a path leads to the next room |
 | bfs_row_path, bfs_column_path, astar_row_path, astar_column_path | the cells of the route in one line, joints once |
 | bfs_iterations, astar_iterations | one a segment |
@@ -35,20 +35,18 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from PIL import Image
 
+from mapdata.arrays import Ints
+from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, walk
 from mapdata.formats.images import PICTURES, brightness, read_pixels
 from mapdata.formats.stored import Stored
-from mapdata.imported import Collection, ForeignMap
-from mapdata.labels import Labels
+from mapdata.search.labels import Labels
 from mapdata.spec import SPLITS, Movement, canonical_json
 
-Ints = npt.NDArray[np.int64]
-
-PLANNERS = ("bfs", "astar")
+SEARCHES = ("bfs", "astar")
 
 ALIASES: dict[str, tuple[str, ...]] = {
     "item": ("item", "index", "id", "number"),
@@ -65,10 +63,10 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "split": ("split",),
     "movement": ("movement",),
     **{
-        f"{planner}_{name}": tuple(
+        f"{search}_{name}": tuple(
             f"{first}{core}{last}" for core in cores for tag in tags for first, last in ((tag, ""), ("", tag))
         )
-        for planner, tags in (("bfs", ("bfs", "bf")), ("astar", ("astar", "a")))
+        for search, tags in (("bfs", ("bfs", "bf")), ("astar", ("astar", "a")))
         for name, cores in (
             ("row_path", ("rowpath", "pathrow")),
             ("column_path", ("columnpath", "pathcolumn", "colpath")),
@@ -110,20 +108,20 @@ def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
         "label": f"map{maps.index[k]}",
         "resolution": resolution,
         "passage_size": int(maps.passage_width[k]),
-        "seed_rows": maps.seeds[k, :n, 0].tolist(),
-        "seed_columns": maps.seeds[k, :n, 1].tolist(),
+        "seed_rows": maps.seed_points[k, :n, 0].tolist(),
+        "seed_columns": maps.seed_points[k, :n, 1].tolist(),
         "size_rows": maps.sizes[k, :n, 0].tolist(),
         "size_columns": maps.sizes[k, :n, 1].tolist(),
         "direction_for_passages": maps.directions[k, : n - 1].reshape(-1).tolist(),
         "connected": maps.connected[k, : n - 1].astype(int).tolist(),
         "path_exists": labels.reachable[first : first + n - 1].astype(int).tolist(),
     }
-    for planner in PLANNERS:
-        line = joined(labels.route(planner, k))
-        matrix = labels.matrix(planner, k)
-        row[f"{planner}_row_path"], row[f"{planner}_column_path"] = line[:, 0].tolist(), line[:, 1].tolist()
-        row[f"{planner}_iterations"] = labels.iterations(planner, k).tolist()
-        row[f"{planner}_connection_matrix"] = [[int(c) if c == int(c) else c for c in line] for line in matrix.tolist()]
+    for search in SEARCHES:
+        line = joined(labels.route(search, k))
+        matrix = labels.matrix(search, k)
+        row[f"{search}_row_path"], row[f"{search}_column_path"] = line[:, 0].tolist(), line[:, 1].tolist()
+        row[f"{search}_iterations"] = labels.iterations(search, k).tolist()
+        row[f"{search}_connection_matrix"] = [[int(c) if c == int(c) else c for c in line] for line in matrix.tolist()]
     row["split"] = SPLITS[maps.split[k]]
     row["movement"] = canonical_json(asdict(maps.movement))
     return row
@@ -243,10 +241,10 @@ def _read_row(
         if picture is None:
             raise FormatError(f"its picture {stem}{PICTURES[0]} is missing")
         grid = np.asarray(brightness(read_pixels(picture, limits)) >= 128, np.uint8)
-        seeds = _pairs(row, "seed_rows", "seed_columns")
+        seed_points = _pairs(row, "seed_rows", "seed_columns")
         sizes = _pairs(row, "size_rows", "size_columns")
         directions = np.array(numbers(row.get("direction_for_passages", "")), np.int64)
-        n = len(seeds)
+        n = len(seed_points)
         if n == 0 or sizes.shape not in ((0, 2), (n, 2)) or len(directions) not in (0, 2 * (n - 1)):
             raise FormatError(f"{n} seed points, {len(sizes)} sizes and {len(directions)} directions do not fit")
         if (len(sizes) and (sizes.min() < -1 or sizes.max() > 2**15 - 1)) or not set(directions.tolist()) <= {-1, 0, 1}:
@@ -267,7 +265,7 @@ def _read_row(
             split=SPLIT_NAMES.get(row.get("split", "").strip().lower()),
             resolution=resolution,
             number=number,
-            seeds=seeds,
+            seed_points=seed_points,
             rooms_known=True,
             sizes=sizes if len(sizes) else None,
             directions=directions.reshape(-1, 2) if len(directions) else None,
@@ -330,7 +328,7 @@ class _Check:
 
 
 def _is_label(name: str) -> bool:
-    return name in ("connected", "path_exists") or name.startswith(PLANNERS)
+    return name in ("connected", "path_exists") or name.startswith(SEARCHES)
 
 
 def _same(text: str, ours: object) -> bool:

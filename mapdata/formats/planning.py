@@ -30,10 +30,11 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
+from mapdata.arrays import Bytes
+from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.stored import Stored
-from mapdata.imported import Collection, ForeignMap
-from mapdata.search import distance_field
+from mapdata.search.api import distance_field
 from mapdata.spec import SPLITS, Movement
 
 MOVEMENT = Movement(8, corner_cutting=True, diagonal_cost=1)
@@ -46,7 +47,6 @@ PERCENTILES = (0.55, 0.70, 0.85, 1.0)
 """Between these the loader draws a start."""
 
 Array = npt.NDArray[Any]
-Bytes = npt.NDArray[np.uint8]
 
 
 def is_planning(path: Path, limits: Limits = LIMITS) -> bool:
@@ -72,7 +72,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         try:
             for one, distances in _problems(path, limits, found):
                 found.maps.append(one)
-                same += np.array_equal(hops(one.grid, one.seeds[0]), distances)
+                same += np.array_equal(hops(one.grid, one.seed_points[0]), distances)
         except FormatError as error:
             if path == source:
                 raise
@@ -106,7 +106,7 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
             if len(cells) != 1 or np.count_nonzero(goals[k]) != 1 or grid[tuple(cells[0])]:
                 found.left_out.append((name, "its goal is not one free cell"))
                 continue
-            yield ForeignMap(name, grid, code, seeds=cells.astype(np.int64)), distances[k, 0]
+            yield ForeignMap(name, grid, code, seed_points=cells.astype(np.int64)), distances[k, 0]
 
 
 def hops(grid: Bytes, goal: object) -> npt.NDArray[np.float32]:
@@ -192,7 +192,7 @@ _ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...
 def _batches(source: Stored, bar: tqdm[Any]) -> Iterator[tuple[Bytes, Array, Bytes]]:
     """Yield grids, goals and splits of each shard."""
     for labels in source.batches():
-        yield labels.maps.occupancy, labels.maps.seeds[:, 0], labels.maps.split
+        yield labels.maps.occupancy, labels.maps.seed_points[:, 0], labels.maps.split
         bar.update()
 
 

@@ -24,10 +24,10 @@ import numpy.typing as npt
 import yaml
 from PIL import Image
 
+from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.stored import Stored
-from mapdata.imported import Collection, ForeignMap
 from mapdata.spec import SPLITS
 
 MODES = ("trinary", "scale", "raw")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from mapdata.guard import read_shard
-from mapdata.labels import Labels
-from mapdata.manifest import Manifest, read_manifest
-from mapdata.shard import ShardError
+from mapdata.search.labels import Labels
+from mapdata.shards.manifest import Manifest, read_manifest
+from mapdata.shards.reader import read_shard
+from mapdata.shards.shard import ShardError
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.wild import cli
 from PIL import Image
-from wild import cli
 
-from mapdata import cli_formats
-from mapdata.build import build
+from mapdata.cli import convert as cli_formats
 from mapdata.formats import READERS, WRITERS, export, paper, read_any, recognise
 from mapdata.formats.files import FormatError
 from mapdata.formats.stored import Stored
-from mapdata.manifest import DatasetNotFoundError
-from mapdata.shard import ShardError
-from mapdata.spec import MapSpec
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.manifest import DatasetNotFoundError
+from mapdata.shards.shard import ShardError
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 

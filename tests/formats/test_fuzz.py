@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.wild import SETTINGS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from wild import SETTINGS
 
 from mapdata.formats import read_any
 from mapdata.formats.files import FormatError, Limits
@@ -36,7 +36,7 @@ def saved(kind: str) -> bytes:
 
 
 @cache
-def seeds() -> dict[str, dict[str, bytes]]:
+def seed_points() -> dict[str, dict[str, bytes]]:
     """Return the files of a small good source of each kind; the first one is changed."""
     pgm = b"P5\n# c\n4 3\n255\n" + (255 * (1 - GRID)).tobytes()
     yaml = (
@@ -105,16 +105,16 @@ def attempt(read: Callable[[], object]) -> None:
     assert "\n" not in problem
 
 
-@pytest.mark.parametrize("kind", sorted(seeds()))
+@pytest.mark.parametrize("kind", sorted(seed_points()))
 @settings(SETTINGS, max_examples=120)
 @given(CHANGES)
 def test_changed_files(kind: str, changes: list[tuple[int, str, bytes]]) -> None:
     """A few bytes of a good file are changed."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for k, (file, data) in enumerate(seeds()[kind].items()):
+        for k, (file, data) in enumerate(seed_points()[kind].items()):
             (folder / file).write_bytes(data if k else changed(data, changes))
-        first = folder / next(iter(seeds()[kind]))
+        first = folder / next(iter(seed_points()[kind]))
         source = first if kind in ("planning", "scen") else folder
         attempt(lambda: read_any(source, FORMATS.get(kind, "images"), LIMITS))
         if kind == "scen":

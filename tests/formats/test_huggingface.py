@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wild import cli
+from helpers.wild import cli
 
-from mapdata.guard import read_shard
-from mapdata.manifest import read_manifest
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
 from mapdata.spec import SPLITS
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
@@ -37,13 +37,13 @@ def test_the_real_library_opens_it(root: Path, tmp_path: Path, capsys: pytest.Ca
             assert row["label"] == f"map{row['item']}"
             assert np.array_equal(row["map"], maps.occupancy[k])
             assert np.array_equal(np.asarray(row["image"]), maps.occupancy[k] == 0)
-            assert row["seeds"] == maps.seeds[k, :n].tolist()
+            assert row["seeds"] == maps.seed_points[k, :n].tolist()
             assert row["connected"] == maps.connected[k, : n - 1].tolist()
             assert row["all_connected"] == batch.all_connected[k]
-            for planner in ("bfs", "astar"):
-                assert row[f"{planner}_path"] == [segment.tolist() for segment in batch.route(planner, k)]
-                assert row[f"{planner}_iterations"] == batch.iterations(planner, k).tolist()
-                assert np.allclose(row[f"{planner}_connection_matrix"], batch.matrix(planner, k))
+            for search in ("bfs", "astar"):
+                assert row[f"{search}_path"] == [segment.tolist() for segment in batch.route(search, k)]
+                assert row[f"{search}_iterations"] == batch.iterations(search, k).tolist()
+                assert np.allclose(row[f"{search}_connection_matrix"], batch.matrix(search, k))
     assert seen == 24
     stacked = found["train"].with_format("numpy")[:3]["map"]
     assert np.stack(stacked).shape == (3, 20, 70)

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.wild import Bytes, cli, npy, npz, png
 from PIL import Image
-from wild import Bytes, cli, npy, npz, png
 
 from mapdata.formats import recognise
 from mapdata.formats.files import FormatError, Limits, natural, read_npy, walk
 from mapdata.formats.images import brightness, read, read_pixels
-from mapdata.guard import read_shard
-from mapdata.manifest import read_manifest
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
 
 GRID: Bytes = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
 DARK: Bytes = np.where(GRID, np.uint8(10), np.uint8(240)).astype(np.uint8)
@@ -215,7 +215,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     (tmp_path / "in" / "c.png").write_bytes(png(9400, 9400))
     Image.fromarray(np.zeros((3, 4), np.uint8)).save(tmp_path / "in" / "d.png")
     assert recognise(tmp_path / "in") == "images"
-    code, _, err = cli(capsys, "import", tmp_path / "in", tmp_path / "out", "--seeds", 3, "--resolution", 0.02)
+    code, _, err = cli(capsys, "import", tmp_path / "in", tmp_path / "out", "--seed-points", 3, "--resolution", 0.02)
     assert code == 0
     assert err.count("left out: ") == 2
     assert "d.png: has no two connected free cells (0 free in all)" in err

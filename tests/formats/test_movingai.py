@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths
 from hypothesis import given
 from hypothesis import strategies as st
-from wild import GRIDS, SETTINGS, Bytes, cli, lengths
 
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.movingai import Problem, agrees, check_scen, read_scen, read_terrain, world
-from mapdata.guard import read_shard
-from mapdata.manifest import read_manifest
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
 
 MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
 LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]
@@ -238,7 +238,7 @@ def test_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Land is the grid, the benchmark's rule the movement; the bad file is left out and named."""
     files(tmp_path)
     (tmp_path / "bad.map").write_text("nonsense")
-    code, out, err = cli(capsys, "import", tmp_path, tmp_path / "out", "--seeds", 4)
+    code, out, err = cli(capsys, "import", tmp_path, tmp_path / "out", "--seed-points", 4)
     assert code == 0
     assert "left out" in err
     assert "bad.map: line 1 is 'nonsense'" in err
@@ -253,9 +253,9 @@ def test_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_scen_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its map is imported with its first end points on land, as many as asked for."""
-    assert cli(capsys, "import", files(tmp_path), tmp_path / "out", "--seeds", 3)[0] == 0
+    assert cli(capsys, "import", files(tmp_path), tmp_path / "out", "--seed-points", 3)[0] == 0
     labels = read_shard(tmp_path / "out" / read_manifest(tmp_path / "out").shards[0].name)
-    assert labels.maps.seeds[0].tolist() == [[0, 0], [3, 0], [1, 1]]
+    assert labels.maps.seed_points[0].tolist() == [[0, 0], [3, 0], [1, 1]]
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -264,7 +264,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     scens = sorted((tmp_path / "out").rglob("*.scen"))
     assert len(scens) == 24
     assert cli(capsys, "check-scen", *scens)[0] == 0
-    assert cli(capsys, "import", tmp_path / "out", tmp_path / "back", "--scen", "--seeds", 99)[0] == 0
+    assert cli(capsys, "import", tmp_path / "out", tmp_path / "back", "--scen", "--seed-points", 99)[0] == 0
     assert cli(capsys, "verify", tmp_path / "back")[0] == 0
     before = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
     after = read_shard(tmp_path / "back" / read_manifest(tmp_path / "back").shards[0].name).maps
@@ -273,8 +273,8 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         for k, grid in enumerate(maps.occupancy):
             at = known[grid.tobytes()]
             assert maps.split[k] == after.split[at]
-            seeds = list(dict.fromkeys(map(tuple, maps.seeds[k, : maps.rooms[k]].tolist())))
-            assert list(map(tuple, after.seeds[at, : after.rooms[at]].tolist())) == seeds
+            seed_points = list(dict.fromkeys(map(tuple, maps.seed_points[k, : maps.rooms[k]].tolist())))
+            assert list(map(tuple, after.seed_points[at, : after.rooms[at]].tolist())) == seed_points
 
 
 def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,21 +10,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.wild import SETTINGS, cli, png
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from test_spec import specs
-from wild import SETTINGS, cli, png
 
-from mapdata.build import build
-from mapdata.damage import verify
 from mapdata.formats import export, read_any, recognise
 from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.importing import import_maps
 from mapdata.formats.paper import floats, joined, numbers, read
-from mapdata.guard import read_shard
-from mapdata.imported import import_maps
-from mapdata.manifest import read_manifest
-from mapdata.spec import MapSpec
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
 
 csv.field_size_limit(2**27)
 
@@ -75,7 +75,7 @@ def test_what_is_written(root: Path, release: Path) -> None:
     row = rows[7]
     n = int(labels.maps.rooms[7])
     assert (row["item"], row["label"], row["resolution"]) == ("7", "map7", "0.1")
-    assert row["seed_rows"] == str(labels.maps.seeds[7, :n, 0].tolist())
+    assert row["seed_rows"] == str(labels.maps.seed_points[7, :n, 0].tolist())
     route = labels.route("astar", 7)
     cells = list(zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True))
     assert len(cells) == sum(map(len, route)) - sum(1 for one, other in pairwise(route) if len(one) and len(other))

@@ -10,19 +10,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 from hypothesis import given
 from hypothesis import strategies as st
-from wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 
-from mapdata.datamodule import MapDataModule
-from mapdata.evaluate import Problems, evaluate
+from mapdata.datasets.datamodule import MapDataModule
+from mapdata.evaluation import evaluate
+from mapdata.evaluation.planners import classical
 from mapdata.formats import export, recognise
 from mapdata.formats.files import FormatError, Limits, Npz
+from mapdata.formats.importing import import_maps
 from mapdata.formats.planning import MOVEMENT, has_starts, hops, policy, read
-from mapdata.guard import read_shard
-from mapdata.imported import import_maps
-from mapdata.manifest import read_manifest
-from mapdata.planners import classical
+from mapdata.problems.problem_set import Problems
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
 from mapdata.spec import Movement
 
 Floats = npt.NDArray[np.float32]
@@ -87,7 +88,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     for name in ("a.npz", "b.npz"):
         assert cli(capsys, "export", root, tmp_path / name, "--format", "planning-datasets")[0] == 0
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-    code, out, _ = cli(capsys, "import", tmp_path / "a.npz", tmp_path / "back", "--seeds", 3)
+    code, out, _ = cli(capsys, "import", tmp_path / "a.npz", tmp_path / "back", "--seed-points", 3)
     assert code == 0
     assert "distances of 24 of 24 maps are what our search finds" in out
     manifest = read_manifest(tmp_path / "back")
@@ -98,8 +99,8 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     def key(split: int, seed: npt.NDArray[np.int64], grid: Bytes) -> tuple[int, list[int], bytes]:
         return int(split), seed.tolist(), grid.tobytes()
 
-    before = [key(*one) for m in truth for one in zip(m.split, m.seeds[:, 0], m.occupancy, strict=True)]
-    assert sorted(map(key, after.split, after.seeds[:, 0], after.occupancy)) == sorted(before)
+    before = [key(*one) for m in truth for one in zip(m.split, m.seed_points[:, 0], m.occupancy, strict=True)]
+    assert sorted(map(key, after.split, after.seed_points[:, 0], after.occupancy)) == sorted(before)
 
 
 @SETTINGS
@@ -169,7 +170,7 @@ def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | N
         arrays[f"arr_{4 * code}"][:, 1::2, ::2] = 0  # bars with gaps: the stated distances are wrong, and counted so
     np.savez(tmp_path / "mazes.npz", **arrays)  # type: ignore[arg-type]
     found = read(tmp_path / "mazes.npz")
-    import_maps(tmp_path / "mazes", found, seeds=4)
+    import_maps(tmp_path / "mazes", found, seed_points=4)
     loaders = MapDataModule(
         tmp_path / "mazes", movement=movement, batch_size=8, fields=("map", "goal", "optimal_moves")
     )
@@ -179,7 +180,7 @@ def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | N
         assert batches[0][2].shape == (8, 1, 9, 9)
     rule = movement or MOVEMENT
     table = evaluate(classical(rule), Problems.read(tmp_path / "mazes", movement=rule), bootstrap=10)
-    best = table[(table["planner"] == "A*") & (table["subset"] == "all")].iloc[0]
+    best = table[(table["search"] == "A*") & (table["subset"] == "all")].iloc[0]
     assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
 
 

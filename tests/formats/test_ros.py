@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.wild import SETTINGS, Bytes, cli, png
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
-from wild import SETTINGS, Bytes, cli, png
 
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.ros import _classify, read, read_map, to_grid
-from mapdata.guard import read_shard
-from mapdata.manifest import read_manifest
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
 
 YAML = """image: {image}
 resolution: 0.050000
@@ -139,7 +139,7 @@ def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert code == 2
     assert "16.7% of its cells are unknown: say --unknown occupied or --unknown free" in err
     for word, value in (("occupied", 1), ("free", 0)):
-        code, out, _ = cli(capsys, "import", path, tmp_path / word, "--unknown", word, "--seeds", 2)
+        code, out, _ = cli(capsys, "import", path, tmp_path / word, "--unknown", word, "--seed-points", 2)
         assert code == 0
         assert f"16.7% of the cells were unknown and are now {word}" in out
         manifest = read_manifest(tmp_path / word)

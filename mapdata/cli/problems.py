@@ -1,0 +1,62 @@
+"""What scripts that compare planners or samplers share: which problems, and where their table goes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mapdata.generators.generator import PRESETS, Generator
+from mapdata.problems.problem_set import Problems
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def add_problem_arguments(parser: argparse.ArgumentParser, maps: int) -> None:
+    """Add ROOT, --preset, --seed and --maps, of which there are ``maps`` by default; --csv and --json."""
+    parser.add_argument("root", metavar="ROOT", nargs="?", help="folder of a dataset, in place of --preset and --seed")
+    parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
+    parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
+    parser.add_argument("--maps", metavar="N", type=int, help=f"how many maps (default {maps}; of a dataset, all)")
+    parser.add_argument("--csv", metavar="FILE", help="write the table")
+    parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
+
+
+def given_problems(
+    root: str | None,
+    preset: str | None,
+    seed: int | None,
+    maps: int | None,
+    **how: Any,  # noqa: ANN401  (those of Problems.draw and Problems.read)
+) -> Problems:
+    """Return one problem a map: of maps made on the spot, or of the test split of the dataset under ``root``.
+
+    Raises:
+        ValueError: a preset or seed beside a root; what `Problems.draw` and `Problems.read` refuse.
+        DatasetNotFoundError: there is no dataset under ``root``.
+    """
+    if root is None:
+        return Problems.draw(Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how)
+    if preset is not None or seed is not None:
+        raise ValueError("preset, seed: would do nothing beside the root of a dataset")
+    return Problems.read(root, maps, **how)
+
+
+def check_outputs(*files: str | None) -> None:
+    """Refuse a file that could not be written after the work.
+
+    Raises:
+        ValueError: its folder does not exist.
+    """
+    for file in files:
+        if file is not None and not Path(file).parent.is_dir():
+            raise ValueError(f"{file}: there is no folder {Path(file).parent}")
+
+
+def write_table(table: pd.DataFrame, csv: str | None, json: str | None) -> None:
+    """Write a table to the files that were asked for."""
+    if csv is not None:
+        table.to_csv(csv, index=False)
+    if json is not None:
+        table.to_json(json, orient="records", indent=1)

@@ -1,0 +1,19 @@
+"""Serving maps to torch: `MapDataset`, `OnlineMapDataset`, `MapDataModule`, and the fields of a sample."""
+
+from mapdata.datasets.datamodule import MapDataModule
+from mapdata.datasets.dataset import MapDataset
+from mapdata.datasets.fields import FIELDS, Batch
+from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.sample import Sample, row
+from mapdata.datasets.sampler import EpochSampler
+
+__all__ = [
+    "FIELDS",
+    "Batch",
+    "EpochSampler",
+    "MapDataModule",
+    "MapDataset",
+    "OnlineMapDataset",
+    "Sample",
+    "row",
+]

@@ -1,0 +1,376 @@
+"""The shards behind a dataset: opened at first touch, read by one kernel a batch through a table of addresses.
+
+A kernel call for each shard would cost more than the work, so the kernels get the addresses of the arrays of all open
+shards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import llvmlite.ir
+import numba
+import numpy as np
+import numpy.typing as npt
+from numba import types
+from numba.extending import intrinsic
+
+from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.generators.maps import WORD, unpack
+from mapdata.jit import Int, inlined, kernel
+from mapdata.search.lattice import STEPS
+from mapdata.shards.manifest import Entry, Manifest, read_manifest
+from mapdata.shards.reader import head, open_shard
+from mapdata.shards.remote import local_file, local_root
+from mapdata.shards.shard import Shard, ShardError, bits_of
+from mapdata.spec import MAX_ROOMS, SPLITS
+
+ARRAYS = (
+    "maps",
+    "room_offsets",
+    "pair_offsets",
+    "seeds",
+    "bfs_offsets",
+    "bfs_moves",
+    "bfs_iterations",
+    "bfs_straight",
+    "astar_offsets",
+    "astar_moves",
+    "astar_iterations",
+    "astar_straight",
+    "astar_diagonal",
+)
+"""The arrays that batches are read from: the columns of the address table."""
+
+_MAPS, _ROOMS, _PAIRS, _SEEDS, _DIAGONAL = 0, 1, 2, 3, 12
+
+
+@intrinsic
+def _pointer(_context: Any, address: Any) -> Any:  # noqa: ANN401  (numba's own signature)
+    """Turn an address into a pointer."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:  # noqa: ANN401
+        return builder.inttoptr(arguments[0], llvmlite.ir.IntType(8).as_pointer())
+
+    return types.voidptr(types.int64), generate
+
+
+@inlined
+def _array(address: Int, shape: tuple[Int, ...], dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
+    """Return the array at an address, as a view."""
+    pointer: Any = _pointer
+    return numba.carray(pointer(address), shape, dtype)  # type: ignore[attr-defined]
+
+
+@kernel
+def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
+    """Unpack map ``maps[b]`` of shard ``shards[b]`` into ``grids[b]``, (B, H, W)."""
+    size = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD)
+    for b in range(len(shards)):
+        words = _array(table[shards[b], _MAPS], ((maps[b] + 1) * size,), np.uint64)
+        unpack(words, maps[b] * size, grids[b])
+
+
+@kernel
+def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
+    """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no such room."""
+    for b in range(len(shards)):
+        offsets = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
+        room = offsets[maps[b]] + rooms[b]
+        out[b, 0] = out[b, 1] = -1
+        if room < offsets[maps[b] + 1]:
+            seed_points = _array(table[shards[b], _SEEDS], (2 * room + 2,), np.int16)
+            out[b, 0], out[b, 1] = seed_points[2 * room], seed_points[2 * room + 1]
+
+
+@kernel
+def read_paths(
+    table: Ints, shards: Ints, maps: Ints, rooms: Ints, search: Int, bits: Int, size: tuple[Int, Int]
+) -> tuple[Ints, Ints, Ints, Int]:
+    """Return the stored path from room ``rooms[b]`` to the next one of each map.
+
+    Returns:
+        cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the first damaged path
+        or -1. A path that does not arrive has no cells; one that leaves the map is damaged.
+    """
+    count, two_bits = len(shards), bits == 2
+    places, within = np.uint64(2 if two_bits else 1), np.uint64(3 if two_bits else 1)  # moves of a byte: 4 or 2
+    offsets, iterations, first = np.zeros(count + 1, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    for b in range(count):
+        room_offsets = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)
+        segment = room_offsets[maps[b]] - maps[b] + rooms[b]
+        moves = _array(table[shards[b], search], (segment + 2,), np.int64)
+        taken = _array(table[shards[b], search + 2], (segment + 1,), np.int32)
+        iterations[b], first[b] = taken[segment], moves[segment]
+        offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
+    cells = np.empty((offsets[count], 2), np.int64)
+    height, width, mask, at = np.uint64(size[0]), np.uint64(size[1]), np.uint64(2**bits - 1), 0
+    for b in range(count):
+        length = offsets[b + 1] - offsets[b] - 1
+        room = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)[maps[b]] + rooms[b]
+        seed_points = _array(table[shards[b], _SEEDS], (2 * room + 4,), np.int16)
+        row, column = np.int64(seed_points[2 * room]), np.int64(seed_points[2 * room + 1])
+        goal_row, goal_column = np.int64(seed_points[2 * room + 2]), np.int64(seed_points[2 * room + 3])
+        packed = _array(table[shards[b], search + 1], ((first[b] + length) * bits // 8 + 1,), np.uint8)
+        offsets[b] = at
+        if length == 0 and (row != goal_row or column != goal_column):
+            continue
+        cells[at, 0], cells[at, 1] = row, column
+        for k in range(first[b], first[b] + length):
+            place = np.uint64(k)
+            move = np.uint64(packed[place >> places] >> np.uint8((place & within) * np.uint64(bits))) & mask
+            if move > 7:
+                return cells, offsets, iterations, b
+            row, column = row + STEPS[move, 0], column + STEPS[move, 1]
+            # As unsigned numbers, those below 0 are large.
+            if np.uint64(row) >= height or np.uint64(column) >= width:
+                return cells, offsets, iterations, b
+            at += 1
+            cells[np.uint64(at), 0], cells[np.uint64(at), 1] = row, column
+        at += 1
+        if row != goal_row or column != goal_column:
+            return cells, offsets, iterations, b
+    offsets[count] = at
+    return cells[:at], offsets, iterations, -1
+
+
+@kernel
+def read_rooms(
+    table: Ints,
+    shards: Ints,
+    maps: Ints,
+    straight: Int,
+    has_diagonals: Int,
+    diagonal_cost: float,
+    matrices: Float32s,
+    seed_points: Ints,
+) -> None:
+    """Fill connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding."""
+    for b in range(len(shards)):
+        rooms = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
+        first, last = rooms[maps[b]], rooms[maps[b] + 1]
+        pair = _array(table[shards[b], _PAIRS], (maps[b] + 1,), np.int64)[maps[b]]
+        pairs = pair + (last - first) * (last - first - 1) // 2
+        stored = _array(table[shards[b], _SEEDS], (2 * last,), np.int16)
+        moves = _array(table[shards[b], straight], (pairs,), np.int32)
+        diagonals = _array(table[shards[b], _DIAGONAL], (pairs,), np.int32)
+        matrices[b] = -2
+        seed_points[b] = -1
+        for i in range(last - first):
+            seed_points[b, i, 0] = stored[2 * (first + i)]
+            seed_points[b, i, 1] = stored[2 * (first + i) + 1]
+            matrices[b, i, i] = 0
+            for j in range(i + 1, last - first):
+                cost = float(moves[pair])
+                if has_diagonals and cost >= 0:
+                    cost += diagonals[pair] * diagonal_cost
+                matrices[b, i, j] = matrices[b, j, i] = cost
+                pair += 1
+
+
+class BatchReader:
+    """The shards of one or more roots, and the problems in them.
+
+    Attributes:
+        manifests: one a root.
+        map_size, movement: what all roots share.
+        most_rooms: R, the largest number of rooms a map can have.
+    """
+
+    def __init__(self, roots: Sequence[str], split: str | None, problems: str, unsolvable: bool) -> None:
+        """Read the manifests; no shard is opened yet.
+
+        Raises:
+            DatasetNotFoundError: a root without a dataset.
+            ShardError: a damaged manifest.
+            ValueError: roots that do not fit together.
+        """
+        self.roots = list(roots)
+        self.manifests = [read_manifest(local_root(root)) for root in roots]
+        first = self.manifests[0]
+        for root, manifest in zip(roots, self.manifests, strict=True):
+            for name in ("map_size", "movement"):
+                if getattr(manifest, name) != getattr(first, name):
+                    raise ValueError(
+                        f"root: {root} has {name} {getattr(manifest, name)}, {roots[0]} has {getattr(first, name)}; "
+                        f"the roots of one dataset must have one"
+                    )
+        self.map_size, self.movement = first.map_size, first.movement
+        self.most_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
+        if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
+            raise ShardError(
+                f"{roots}: the manifest says maps of {self.most_seed_points} rooms, expected up to {MAX_ROOMS}"
+            )
+        self.shards = [
+            (root, entry) for root, manifest in zip(roots, self.manifests, strict=True) for entry in manifest.shards
+        ]
+        self._split, self._problems, self._unsolvable = split, problems, unsolvable
+        self.offsets = np.concatenate(
+            ([0], np.cumsum([self._count(entry) for _, entry in self.shards], dtype=np.int64))
+        )
+        self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
+        self._open: dict[int, Shard] = {}
+        # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when it is opened.
+        try:
+            self._rows = np.empty((self.offsets[-1], 3), np.int32)
+        except (MemoryError, ValueError):
+            raise ShardError(
+                f"{roots}: the manifest says {self.offsets[-1]} problems, more than memory holds"
+            ) from None
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return int(self.offsets[-1])
+
+    def find(self, indices: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+        """Return (shard, map in the shard, room, room) of each problem; the shards are open afterwards."""
+        shards = np.searchsorted(self.offsets, indices, side="right") - 1
+        for k in np.unique(shards[self._table[shards, 0] == 0]).tolist():
+            self.open(k)
+        rows = self._rows[indices].astype(np.int64)
+        return (
+            shards,
+            np.ascontiguousarray(rows[:, 0]),
+            np.ascontiguousarray(rows[:, 1]),
+            np.ascontiguousarray(rows[:, 2]),
+        )
+
+    def open(self, k: int) -> Shard:
+        """Return shard ``k``, opened and guarded at its first touch.
+
+        Raises:
+            FileNotFoundError: the file is gone.
+            ShardError: the file is not what the manifest says.
+        """
+        if k in self._open:
+            return self._open[k]
+        root, entry = self.shards[k]
+        try:
+            shard = self._checked(root, entry)
+        except (FileNotFoundError, ShardError):
+            # It may have been replaced since the manifest was read, as by a larger one when the dataset grew.
+            now = _successor(self.manifests[self.roots.index(root)], read_manifest(local_root(root)), entry)
+            if now is None:
+                raise
+            shard = head(self._checked(root, now), entry.stop - entry.start)
+        if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points:  # kernels rely on it
+            raise ShardError(
+                f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_seed_points})"
+            )
+        rows = problem_rows(shard, self._split, self._problems, self._unsolvable)
+        first, last = self.offsets[k : k + 2].tolist()
+        if len(rows) != last - first:
+            raise ShardError(f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}")
+        self._rows[first:last] = rows
+        shard = self._open.setdefault(k, shard)  # of two threads, the first one's: its addresses may be in use
+        self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
+        return shard
+
+    def _checked(self, root: str, entry: Entry) -> Shard:
+        """Return the shard of an entry of the manifest."""
+        shard = open_shard(local_file(root, entry), entry.bytes)
+        header = shard.header
+        found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
+        if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
+            raise ShardError(f"{shard.path}: holds other maps than the manifest says")
+        return shard
+
+    def _count(self, entry: Entry) -> int:
+        names = ["maps"] if self._problems == "random" else [self._problems]
+        if self._unsolvable and self._problems != "random":
+            names.append(f"{self._problems}_unsolvable")
+        splits = [self._split] if self._split else SPLITS
+        count = sum(int(entry.counts[split][name]) for split in splits for name in names)
+        if count > entry.bytes:  # room is made for all, and each takes more than a byte
+            raise ShardError(f"{entry.name}: the manifest says {count} problems in {entry.bytes} bytes")
+        return count
+
+    def grids(self, shards: Ints, maps: Ints) -> Bytes:
+        """Return the maps, (B, H, W)."""
+        grids = np.empty((len(shards), *self.map_size), np.uint8)
+        read_maps(self._table, shards, maps, grids)
+        return grids
+
+    def seed_points(self, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
+        """Return the seed of one room of each map, (B, 2)."""
+        seed_points = np.empty((len(shards), 2), np.int64)
+        read_seed_points(self._table, shards, maps, rooms, seed_points)
+        return seed_points
+
+    def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> tuple[Ints, Ints, Ints]:
+        """Return the stored paths from each room to the next: cells, offsets, iterations.
+
+        Raises:
+            ShardError: a stored path leaves the map or does not end at its goal.
+        """
+        bits, column = bits_of(self.movement), ARRAYS.index(f"{search}_offsets")
+        cells, offsets, iterations, bad = read_paths(self._table, shards, maps, rooms, column, bits, self.map_size)
+        if bad >= 0:
+            raise self.damage(shards[bad], maps[bad], "a stored path of map {} is damaged")
+        return cells, offsets, iterations
+
+    def damage(self, shard: Int, number: Int, what: str) -> ShardError:
+        """Return the error that says what is wrong with a map of a shard; {} in it becomes the map's number."""
+        root, entry = self.shards[int(shard)]
+        return ShardError(f"{root}/{entry.name}: {what.format(entry.start + int(number))}")
+
+    def rooms(self, shards: Ints, maps: Ints, search: str) -> tuple[Float32s, Ints]:
+        """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
+        matrices = np.empty((len(shards), self.most_seed_points, self.most_seed_points), np.float32)
+        seed_points = np.empty((len(shards), self.most_seed_points, 2), np.int64)
+        read_rooms(
+            self._table,
+            shards,
+            maps,
+            ARRAYS.index(f"{search}_straight"),
+            search == "astar" and self.movement.connectivity == 8,
+            self.movement.diagonal_cost,
+            matrices,
+            seed_points,
+        )
+        return matrices, seed_points
+
+
+def _successor(before: Manifest, now: Manifest, entry: Entry) -> Entry | None:
+    """Return what holds the maps of ``entry`` now; None where it is the same, or they are others."""
+    drawn = before.identity is not None and before.identity == now.identity
+    for other in now.shards:
+        same = drawn or (other.stop, other.content_hash) == (entry.stop, entry.content_hash)
+        if same and other.start == entry.start and other.stop >= entry.stop and other != entry:
+            return other
+    return None
+
+
+def problem_rows(shard: Shard, split: str | None, problems: str, unsolvable: bool) -> npt.NDArray[np.int32]:
+    """Return (P, 3) of the problems in a shard: map, room, room (-1 where problems are drawn)."""
+    arrays = shard.arrays
+    rooms = np.diff(arrays["room_offsets"])
+    if problems == "random":
+        maps = np.arange(len(rooms))
+        first = second = np.full(len(rooms), -1)
+    else:
+        counts = rooms * (rooms - 1) // 2
+        maps = np.repeat(np.arange(len(rooms)), counts)
+        order = np.arange(len(maps)) - np.repeat(arrays["pair_offsets"][:-1], counts)
+        first, second = _pair_of(order, rooms[maps])
+        seed_points, base = arrays["seeds"], arrays["room_offsets"][maps]
+        solvable = arrays["astar_straight"] >= 0
+        same = (seed_points[base + first] == seed_points[base + second]).all(axis=1)
+        keep = (solvable & ~same) | (~solvable if unsolvable else False)
+        if problems == "route":
+            keep &= second == first + 1
+        maps, first, second = maps[keep], first[keep], second[keep]
+    if split is not None:
+        inside = arrays["split"][maps] == SPLITS.index(split)
+        maps, first, second = maps[inside], first[inside], second[inside]
+    return np.stack((maps, first, second), axis=1).astype(np.int32)
+
+
+def _pair_of(order: Ints, rooms: Ints) -> tuple[Ints, Ints]:
+    """Return rooms i < j of pair number ``order`` of a map with so many rooms (row-major)."""
+    most = int(rooms.max(initial=2))
+    first = np.zeros(len(order), np.int64)
+    for i in range(1, most):  # pairs of row i begin at i n - i (i + 1) / 2
+        first += (i < rooms - 1) & (order >= i * rooms - i * (i + 1) // 2)
+    return first, order - (first * rooms - first * (first + 1) // 2) + first + 1

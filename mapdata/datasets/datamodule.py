@@ -1,0 +1,198 @@
+"""`MapDataModule`: the datasets under a Lightning Trainer, a LightningCLI, or in a plain loop."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytorch_lightning as pl
+from torch.utils.data import DataLoader
+
+from mapdata.datasets.dataset import DEFAULT_FIELDS, MapDataset
+from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.sample import Sample
+from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.shards.builder import build
+from mapdata.shards.manifest import MANIFEST, read_manifest
+from mapdata.shards.recipe import Recipe
+from mapdata.shards.remote import is_url
+from mapdata.spec import SPLITS, Movement
+
+if TYPE_CHECKING:
+
+    class _Base(pl.LightningDataModule):
+        """What type checkers see."""
+
+elif (
+    find_spec("lightning") is not None
+):  # the same library under its other name, whose Trainer accepts only its own class
+    from lightning.pytorch import LightningDataModule as _OtherDataModule
+
+    class _Base(pl.LightningDataModule, _OtherDataModule):
+        """A data module of both packages."""
+
+else:
+    _Base = pl.LightningDataModule
+
+FLOATS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
+"""The uint8 fields that become float32 on the device; ``optimal_moves`` is a bit set and stays what it is."""
+
+Dataset = MapDataset | OnlineMapDataset
+
+
+class MapDataModule(_Base):
+    """Loaders for training, validation, test and prediction.
+
+    ``prepare_data`` only builds what is missing, ``setup`` only opens; without a Trainer the loaders call both
+    themselves. Loaders deliver uint8 fields; under a Trainer they become float32 on the device. ``num_workers=0`` is
+    the fast way: whole batches come from one kernel call, and workers only add the cost of sending them.
+
+    Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left out of an epoch),
+    and validation, test and prediction see every sample exactly once. So metrics of torchmetrics have the value of a
+    single process; Lightning's own ``self.log(..., sync_dist=True)`` averages over ranks, which may hold unequal
+    numbers of samples.
+
+    Args:
+        root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without any disk.
+        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file, its JSON text, or
+            what that says as a dict.
+        batch_size: samples a batch (a rank).
+        num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of torch's DataLoader.
+        fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training split only.
+        movement: a `Movement`, or (connectivity, corner_cutting, diagonal_cost).
+
+    Raises:
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike[str] | Sequence[str] | None = "data/maps",
+        *,
+        build: str | dict[str, Any] | None = None,
+        batch_size: int = 256,
+        num_workers: int = 0,
+        pin_memory: bool = False,
+        persistent_workers: bool = False,
+        prefetch_factor: int | None = None,
+        multiprocessing_context: str | None = None,
+        fields: Sequence[str | Callable[[Sample], Any]] = DEFAULT_FIELDS,
+        problems: str = "route",
+        search: str = "astar",
+        movement: Movement | tuple[int, bool, float] | None = None,
+        unsolvable: bool = False,
+        min_distance: float | None = None,
+        min_hardness: float | None = None,
+        augment: bool = False,
+        sampling_seed: int = 0,
+        max_length: int | None = None,
+    ) -> None:
+        """Keep the arguments; nothing is read or built yet."""
+        super().__init__()
+        roots = [] if root is None else [root] if isinstance(root, (str, os.PathLike)) else list(root)
+        self.roots = [os.fspath(each) for each in roots]
+        if not self.roots and build is None:
+            raise ValueError("root: got None, expected a dataset; or say with build= which maps to make online")
+        if build is not None and (len(self.roots) > 1 or any(is_url(each) for each in self.roots)):
+            raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
+        if batch_size < 1:
+            raise ValueError(f"batch_size: got {batch_size}, expected at least 1")
+        self.build = build
+        self.batch_size = batch_size
+        self.loading: dict[str, Any] = {
+            "num_workers": num_workers,
+            "pin_memory": pin_memory,
+            "persistent_workers": persistent_workers,
+            "prefetch_factor": prefetch_factor,
+            "multiprocessing_context": multiprocessing_context,
+        }
+        self.arguments: dict[str, Any] = {
+            "fields": tuple(fields),
+            "problems": problems,
+            "search": search,
+            "movement": Movement(*movement) if isinstance(movement, (tuple, list)) else movement,
+            "unsolvable": unsolvable,
+            "min_distance": min_distance,
+            "min_hardness": min_hardness,
+            "sampling_seed": sampling_seed,
+            "max_length": max_length,
+        }
+        self.augment = augment
+        self.datasets: dict[str, Dataset] = {}
+        self.save_hyperparameters(self._plain_arguments(), logger=False)
+
+    def _plain_arguments(self) -> dict[str, Any]:
+        """Return the arguments as plain values: a checkpoint with others could not be loaded safely.
+
+        Functions among the fields cannot be kept; a restored module then needs ``fields`` again.
+        """
+        plain = {**self.loading, **self.arguments, "build": self.build, "batch_size": self.batch_size}
+        plain["root"] = self.roots[0] if len(self.roots) == 1 else tuple(self.roots) or None
+        plain["augment"] = self.augment
+        if (movement := self.arguments["movement"]) is not None:
+            plain["movement"] = (movement.connectivity, movement.corner_cutting, movement.diagonal_cost)
+        if not all(isinstance(field, str) for field in self.arguments["fields"]):
+            del plain["fields"]
+        return plain
+
+    def prepare_data(self) -> None:
+        """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many processes at once."""
+        if self.build is None or not self.roots:
+            return
+        recipe = Recipe.load(self.build)
+        root = Path(self.roots[0])
+        shard_size = read_manifest(root).shard_size if (root / MANIFEST).exists() else 1000
+        build(root, recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=shard_size, progress=True)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Open the datasets of ``stage`` ("fit", "validate", "test", "predict" or None for all); again does nothing."""
+        if self.trainer is None:
+            self.prepare_data()
+        stages = {"fit": ("train", "val"), "validate": ("val",), "test": ("test",), "predict": ("test",)}
+        for split in SPLITS if stage is None else stages[stage]:
+            if split not in self.datasets:
+                self.datasets[split] = self._open(split)
+
+    def _open(self, split: str) -> Dataset:
+        arguments = {**self.arguments, "augment": self.augment and split == "train"}
+        if self.roots:
+            return MapDataset(self.roots, split, **arguments)
+        assert self.build is not None  # there are roots or a recipe
+        recipe = Recipe.load(self.build)
+        length = max(round(recipe.maps * recipe.spec.splits[SPLITS.index(split)]), 1)
+        return OnlineMapDataset(recipe.spec, recipe.seed, length, split, **arguments)
+
+    def train_dataloader(self) -> DataLoader[Sample]:
+        """Return the loader of the training split, in an order of its own each epoch."""
+        return self._loader("train", "fit")
+
+    def val_dataloader(self) -> DataLoader[Sample]:
+        """Return the loader of the validation split, in its order."""
+        return self._loader("val", "validate")
+
+    def test_dataloader(self) -> DataLoader[Sample]:
+        """Return the loader of the test split, in its order."""
+        return self._loader("test", "test")
+
+    def predict_dataloader(self) -> DataLoader[Sample]:
+        """Return the loader of the test split, in its order."""
+        return self._loader("test", "predict")
+
+    def _loader(self, split: str, stage: str) -> DataLoader[Sample]:
+        if split not in self.datasets:
+            self.setup(stage)
+        dataset = self.datasets[split]
+        sampler = EpochSampler(
+            dataset, self.batch_size, self.arguments["sampling_seed"] if split == "train" else None, self
+        )
+        return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
+
+    def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:  # noqa: ANN401  (Lightning's signature)
+        """Cast maps and masks to float32, on whatever device the batch is."""
+        if not isinstance(batch, Sample):
+            return batch
+        values = zip(batch._fields, batch, strict=True)
+        return type(batch)(*(value.float() if name in FLOATS else value for name, value in values))

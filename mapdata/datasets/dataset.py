@@ -1,0 +1,470 @@
+"""`MapDataset`, the problems of built datasets as torch samples, and what all such datasets share."""
+
+from __future__ import annotations
+
+import copy
+import operator
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch.utils.data import Dataset
+
+from mapdata.arrays import Bytes, Ints
+from mapdata.datasets.batches import BatchReader
+from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import hardness as problem_hardness
+from mapdata.datasets.fields import length as path_length_of
+from mapdata.datasets.sample import Rows, Sample, row, sample_class, stack
+from mapdata.problems.sampling import sample_problems
+from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
+from mapdata.search.api import search_batch
+from mapdata.search.lattice import rule_of
+from mapdata.spec import SPLITS, Movement, check_seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FieldFunction = Callable[[Sample], Any]
+
+DEFAULT_FIELDS = ("map", "start", "goal", "path")
+PROBLEMS = ("route", "rooms", "random")
+
+SUBSTITUTES = 100
+"""How many other maps are tried in place of one that has no problem of the kind asked for."""
+
+
+class ProblemDataset(Dataset[Sample], ABC):
+    """What both datasets share: indexing, fields, epochs, symmetries.
+
+    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader gets whole
+    batches made at once. A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a
+    function of (sampling_seed, epoch, index), never of worker state. A plain ``dataset[i]`` is epoch 0.
+    """
+
+    def __init__(
+        self,
+        *,
+        split: str | None,
+        fields: Sequence[str | FieldFunction],
+        problems: str,
+        search: str,
+        movement: Movement,
+        unsolvable: bool,
+        min_distance: float | None,
+        min_hardness: float | None,
+        augment: bool,
+        sampling_seed: int,
+        max_length: int | None,
+    ) -> None:
+        """Check and keep the arguments that `MapDataset` describes."""
+        check_choice("problems", problems, PROBLEMS)
+        check_choice("search", search, ("bfs", "astar"))
+        if problems != "random" and (min_distance is not None or min_hardness is not None):
+            raise ValueError(
+                "min_distance, min_hardness: conditions of problems='random' only; use filter() on stored ones"
+            )
+        if problems == "random" and unsolvable:
+            raise ValueError("unsolvable: random problems always have a path")
+        if augment and split in ("val", "test"):
+            raise ValueError(f"augment: would change the split {split!r}, expected the training split")
+        if max_length is not None and ("path" not in fields or max_length < 1):
+            raise ValueError(f"max_length: got {max_length!r}, expected at least 1 and 'path' among the fields")
+        rule_of(movement)  # refuses what is no movement
+        self.fields = _check_fields(fields)
+        self.split, self.problems, self.search, self.movement = split, problems, search, movement
+        self.unsolvable, self.min_distance, self.min_hardness = unsolvable, min_distance, min_hardness
+        self.augment, self.sampling_seed, self.max_length = augment, check_seed(sampling_seed), max_length
+        _keep_freed_memory()
+        names = tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
+        self._sample = sample_class(names, max_length)
+        self._wanted = frozenset(names)
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return the number of problems."""
+
+    @abstractmethod
+    def _batch(self, indices: Ints, epoch: int) -> Batch:
+        """Return problems ``indices`` of an epoch, before fields are made of them."""
+
+    def __getitem__(self, index: Any) -> Sample:  # noqa: ANN401  (int, slice or sequence of int, as of an array)
+        if isinstance(index, slice):
+            return self._make(np.arange(*index.indices(len(self))), 0)
+        if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)) and np.ndim(index):
+            return self.__getitems__(index).batch
+        i = operator.index(index)
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"index {i} is out of range for {len(self)} problems")
+        return row(self._make(np.array([i % len(self)]), 0), 0)
+
+    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Rows:
+        """Return a batch that looks like a list of samples; torch's DataLoader calls this."""
+        given, length = np.asarray(indices), len(self)
+        if given.size and given.dtype.kind not in "iu":
+            raise TypeError(f"indices: got {given.dtype}, expected integers")
+        wanted = given.astype(np.int64, copy=False).reshape(-1)
+        if len(wanted) and (length == 0 or wanted.min() < -length):
+            raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
+        epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
+        if len(wanted) == 0 or (epochs == epochs[0]).all():
+            return Rows(self._make(indices, int(epochs[0]) if len(wanted) else 0), len(wanted))
+        rows = [row(self._make(indices[k : k + 1], epoch), 0) for k, epoch in enumerate(epochs.tolist())]
+        return Rows(stack(rows), len(rows))
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[i] for i in range(len(self)))
+
+    def _arguments(self) -> dict[str, Any]:
+        """Return the arguments that both datasets take."""
+        return {
+            "split": self.split,
+            "fields": self.fields,
+            "problems": self.problems,
+            "search": self.search,
+            "movement": self.movement,
+            "unsolvable": self.unsolvable,
+            "min_distance": self.min_distance,
+            "min_hardness": self.min_hardness,
+            "augment": self.augment,
+            "sampling_seed": self.sampling_seed,
+            "max_length": self.max_length,
+        }
+
+    def _make(self, indices: Ints, epoch: int) -> Sample:
+        """Return the fields of problems ``indices``, batched."""
+        batch = self._batch(indices, epoch)
+        if self.augment:
+            batch = _transformed(batch, self.sampling_seed, epoch)
+        values: list[Any] = []
+        for field in self.fields:
+            if isinstance(field, str):
+                values.append(torch.from_numpy(np.ascontiguousarray(FIELDS[field](batch))))
+            else:
+                so_far = sample_class(self._sample._fields[: len(values)])(*values)
+                values.append(torch.as_tensor(field(so_far)))
+        sample: Sample = self._sample(*values)
+        return sample
+
+    def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
+        found = search_batch(self.search, grids, starts, goals, self.movement)
+        return Paths(found.cells, found.offsets, found.iterations)
+
+    def _draw(self, grids: Bytes, indices: Ints, epoch: int) -> tuple[Ints, Ints, npt.NDArray[np.bool_]]:
+        """Return drawn starts, goals, and whether each map has a problem under the conditions."""
+        starts, goals = np.zeros((2, len(indices), 2), np.int64)
+        found = np.zeros(len(indices), np.bool_)
+        sample_problems(
+            grids,
+            np.uint64(self.sampling_seed),
+            epoch,
+            indices,
+            float(self.min_distance or 0),
+            float(self.min_hardness or 0),
+            *rule_of(self.movement),
+            starts,
+            goals,
+            found,
+        )
+        return starts, goals, found
+
+    def _no_problem(self) -> ValueError:
+        conditions = f"min_distance={self.min_distance}, min_hardness={self.min_hardness}"
+        return ValueError(f"problems={self.problems!r}: none on {SUBSTITUTES} maps in a row ({conditions})")
+
+
+class MapDataset(ProblemDataset):
+    """The problems of one or more built datasets, as torch samples.
+
+    Args:
+        root: folder or fsspec URL of a dataset, or a list of them with one map size and movement.
+        split: "train", "val", "test" or None for all.
+        fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order of the sample.
+        problems: "route" (stored segments between consecutive rooms), "rooms" (all pairs of rooms i < j) or "random"
+            (one problem a map, drawn anew each epoch: a uniform free cell and a uniform one connected to it).
+            Problems of length 0 are left out.
+        search: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
+        movement: None for the stored one; under another, problems are solved on the fly.
+        unsolvable: keep route and rooms problems without a path, too.
+        min_distance: least cost of a random problem, in cells.
+        min_hardness: least hardness of a random problem.
+        augment: one of the 8 symmetries (4 when not square) a sample, drawn anew each epoch; not for val and test.
+        sampling_seed: seed of all that is drawn while loading; the maps have a seed of their own.
+        max_length: fixed number of rows of ``path``; a longer path is an error.
+
+    Raises:
+        DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
+        ShardError: a damaged or hostile file, found at its first touch.
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        split: str | None = None,
+        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
+        *,
+        problems: str = "route",
+        search: str = "astar",
+        movement: Movement | None = None,
+        unsolvable: bool = False,
+        min_distance: float | None = None,
+        min_hardness: float | None = None,
+        augment: bool = False,
+        sampling_seed: int = 0,
+        max_length: int | None = None,
+    ) -> None:
+        """Read the manifests; shards are opened at their first touch."""
+        if split is not None:
+            check_choice("split", split, SPLITS)
+        check_choice("problems", problems, PROBLEMS)
+        roots = [root] if isinstance(root, (str, os.PathLike)) else list(root)
+        if not roots:
+            raise ValueError("root: got an empty list, expected at least one dataset")
+        self.roots = [os.fspath(each) for each in roots]
+        self.store = BatchReader(self.roots, split, problems, unsolvable)
+        super().__init__(
+            split=split,
+            fields=fields,
+            problems=problems,
+            search=search,
+            movement=self.store.movement if movement is None else movement,
+            unsolvable=unsolvable,
+            min_distance=min_distance,
+            min_hardness=min_hardness,
+            augment=augment,
+            sampling_seed=sampling_seed,
+            max_length=max_length,
+        )
+        self.filters: tuple[dict[str, Any], ...] = ()
+        self._kept: Ints | None = None
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return len(self.store) if self._kept is None else len(self._kept)
+
+    def __repr__(self) -> str:
+        filters = "".join(f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters)
+        where = self.roots[0] if len(self.roots) == 1 else self.roots
+        return f"MapDataset({where!r}, split={self.split!r}, problems={self.problems!r}){filters}: {len(self)} problems"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as paths and arguments: no file handle, no data."""
+        content = [manifest.content_hash for manifest in self.store.manifests]
+        return _reopen, ({"root": self.roots, **self._arguments()}, self.filters, content)
+
+    @property
+    def map_size(self) -> tuple[int, int]:
+        """(rows, columns) of all maps."""
+        return self.store.map_size
+
+    def filter(
+        self,
+        *,
+        rooms: tuple[int, int] | None = None,
+        path_length: tuple[int, int] | None = None,
+        reachable: bool | None = None,
+        all_connected: bool | None = None,
+        hardness: tuple[float, float] | None = None,
+    ) -> MapDataset:
+        """Return a view on the stored problems that meet all conditions; ranges are (lowest, highest), both included.
+
+        Args:
+            rooms: number of rooms of the map.
+            path_length: number of cells of the path.
+            reachable: whether the problem has a path (problems without one need ``unsolvable=True``).
+            all_connected: whether all rooms of the map are connected.
+            hardness: optimal cost over heuristic.
+
+        Raises:
+            ValueError: random problems, which are not stored; no condition; a range that is not two numbers.
+        """
+        if self.problems == "random":
+            raise ValueError("filter: random problems are not stored; use min_distance and min_hardness")
+        given = {
+            "rooms": rooms,
+            "path_length": path_length,
+            "reachable": reachable,
+            "all_connected": all_connected,
+            "hardness": hardness,
+        }
+        conditions: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        if not conditions:
+            raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
+        for name in ("rooms", "path_length", "hardness"):
+            if name in conditions and len(conditions[name]) != 2:
+                raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
+        indices = np.arange(len(self.store)) if self._kept is None else self._kept
+        keep = [self._meets(indices[k : k + 4096], conditions) for k in range(0, len(indices), 4096)]
+        view = copy.copy(self)
+        view.filters = (*self.filters, conditions)
+        view._kept = indices[np.concatenate([np.zeros(0, np.bool_), *keep])]
+        return view
+
+    def _meets(self, indices: Ints, conditions: dict[str, Any]) -> npt.NDArray[np.bool_]:
+        """Return which problems meet the conditions of `filter`."""
+        keep = np.ones(len(indices), np.bool_)
+        if "rooms" in conditions or "all_connected" in conditions:
+            shards, maps, _, _ = self.store.find(indices)
+            matrices, seed_points = self.store.rooms(shards, maps, "astar")
+            counts = (seed_points[:, :, 0] >= 0).sum(axis=1)
+            if "rooms" in conditions:
+                keep &= _within(counts, conditions["rooms"])
+            if "all_connected" in conditions:
+                keep &= (matrices != -1).all(axis=(1, 2)) == conditions["all_connected"]
+        if {"path_length", "reachable", "hardness"} & set(conditions):
+            batch = replace(self._stored_batch(indices), wanted=frozenset())
+            lengths = path_length_of(batch)
+            if "path_length" in conditions:
+                keep &= _within(lengths, conditions["path_length"])
+            if "reachable" in conditions:
+                keep &= (lengths > 0) == conditions["reachable"]
+            if "hardness" in conditions:
+                keep &= _within(problem_hardness(batch), conditions["hardness"])
+        return keep
+
+    def table(self) -> pd.DataFrame:
+        """Return a row a map (of this split) with all items that the paper lists, under its names, and `split`."""
+        import pandas as pd
+
+        from mapdata.shards.table import map_rows
+
+        rows: list[dict[str, Any]] = []
+        for k in range(len(self.store.shards)):
+            rows += map_rows(self.store.open(k), self.split)
+        return pd.DataFrame(rows)
+
+    def _batch(self, indices: Ints, epoch: int) -> Batch:
+        if self._kept is not None:
+            indices = self._kept[indices]
+        return self._random_batch(indices, epoch) if self.problems == "random" else self._stored_batch(indices)
+
+    def _stored_batch(self, indices: Ints) -> Batch:
+        shards, maps, first, second = self.store.find(indices)
+        grids = self.store.grids(shards, maps)
+        starts, goals = (self.store.seed_points(shards, maps, rooms) for rooms in (first, second))
+
+        def paths() -> Paths:
+            if self.problems == "route" and self.movement == self.store.movement:
+                return Paths(*self.store.paths(shards, maps, first, self.search))
+            for cells in (starts, goals):
+                for k in np.flatnonzero(grids[np.arange(len(grids)), cells[:, 0], cells[:, 1]])[:1]:
+                    raise self.store.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
+            return self._solve(grids, starts, goals)
+
+        return self._as_batch(indices, shards, maps, grids, starts, goals, paths)
+
+    def _random_batch(self, indices: Ints, epoch: int) -> Batch:
+        chosen = indices.copy()
+        shards, maps, _, _ = self.store.find(chosen)
+        grids = self.store.grids(shards, maps)
+        starts, goals, found = self._draw(grids, indices, epoch)
+        for _ in range(SUBSTITUTES):
+            missing = np.flatnonzero(~found)
+            if len(missing) == 0:
+                break
+            chosen[missing] = (chosen[missing] + 1) % len(self.store)
+            shards[missing], maps[missing], _, _ = self.store.find(chosen[missing])
+            grids[missing] = self.store.grids(shards[missing], maps[missing])
+            starts[missing], goals[missing], found[missing] = self._draw(grids[missing], indices[missing], epoch)
+        if not found.all():
+            raise self._no_problem()
+        return self._as_batch(indices, shards, maps, grids, starts, goals, lambda: self._solve(grids, starts, goals))
+
+    def _as_batch(
+        self,
+        indices: Ints,
+        shards: Ints,
+        maps: Ints,
+        grids: Bytes,
+        starts: Ints,
+        goals: Ints,
+        paths: Callable[[], Paths],
+    ) -> Batch:
+        def rooms() -> Rooms:
+            matrices, seed_points = self.store.rooms(shards, maps, self.search)
+            if self.movement != self.store.movement:
+                matrices = room_matrices(self.search, grids, seed_points, self.movement)
+            return Rooms(matrices, seed_points)
+
+        return Batch(
+            self.movement, self.search, grids, starts, goals, indices, paths, rooms, self._wanted, self.max_length
+        )
+
+
+def _keep_freed_memory() -> None:
+    """Make malloc keep the memory of past batches for the next ones.
+
+    glibc hands freed blocks back to the system above a threshold that grows with the largest block that was ever
+    freed. Batches are below that size but above the threshold, so each would fault all its pages in again, which
+    costs more than filling them. The block is never touched, so this takes no memory.
+    """
+    np.empty(31 << 20, np.uint8)
+
+
+def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
+    """Return the batch after the symmetries drawn for its problems; everything moves along."""
+    rows, columns = batch.grids.shape[1:]
+    codes = sample_symmetries(np.uint64(seed), epoch, batch.problems, rows == columns)
+
+    def paths() -> Paths:
+        cells, offsets, iterations = batch.paths
+        return Paths(transform_cells(cells, np.repeat(codes, np.diff(offsets)), rows, columns), offsets, iterations)
+
+    def rooms() -> Rooms:
+        matrix, seed_points = batch.rooms
+        each = np.repeat(codes, seed_points.shape[1])
+        return Rooms(
+            matrix, transform_cells(seed_points.reshape(-1, 2), each, rows, columns).reshape(seed_points.shape)
+        )
+
+    return replace(
+        batch,
+        grids=transform_grids(batch.grids, codes),
+        starts=transform_cells(batch.starts, codes, rows, columns),
+        goals=transform_cells(batch.goals, codes, rows, columns),
+        find_paths=paths,
+        find_rooms=rooms,
+    )
+
+
+def _reopen(arguments: dict[str, Any], filters: tuple[dict[str, Any], ...], content: list[str]) -> MapDataset:
+    """Return the dataset that was pickled, if it still is: in another its problems would have other numbers."""
+    dataset = MapDataset(**arguments)
+    for root, manifest, expected in zip(dataset.roots, dataset.store.manifests, content, strict=True):
+        if manifest.content_hash != expected:
+            raise ValueError(f"root: {root} holds other maps than when this dataset was opened; open it again")
+    for conditions in filters:
+        dataset = dataset.filter(**conditions)
+    return dataset
+
+
+def _check_fields(fields: Sequence[str | FieldFunction]) -> tuple[str | FieldFunction, ...]:
+    if isinstance(fields, str) or not fields:
+        raise ValueError(f"fields: got {fields!r}, expected a sequence of names or functions")
+    for field in fields:
+        if isinstance(field, str) and field not in FIELDS:
+            raise ValueError(f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}")
+        if not isinstance(field, str) and not callable(field):
+            raise ValueError(f"fields: got {field!r}, expected a name or a function")
+    names = [field if isinstance(field, str) else field.__name__ for field in fields]
+    if len(set(names)) < len(names):
+        raise ValueError(f"fields: got {names}, expected each name once")
+    if any(not name.isidentifier() for name in names):
+        raise ValueError("fields: a function gives its name to the sample; use 'def', not 'lambda'")
+    return tuple(fields)
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Refuse a value that is not one of ``choices``."""
+    if value not in choices:
+        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")
+
+
+def _within(values: npt.NDArray[Any], limits: tuple[float, float]) -> npt.NDArray[np.bool_]:
+    return np.asarray((values >= limits[0]) & (values <= limits[1]))

@@ -1,0 +1,280 @@
+"""What a sample can hold: one function a field, each for a whole batch. All are listed in `FIELDS`.
+
+A new field is one function here: it takes a `Batch` and returns an array whose first axis is the batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.datasets.field_kernels import (
+    count_steps,
+    fill_goal_fields,
+    fill_room_matrices,
+    hardness_of,
+    mask_paths,
+    pad_paths,
+    path_probabilities,
+)
+from mapdata.datasets.sample import PATH_STEP
+from mapdata.search.api import search_batch
+from mapdata.search.lattice import UNIT, rule_of
+from mapdata.spec import Movement
+
+
+class Paths(NamedTuple):
+    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``, empty where there is none."""
+
+    cells: Ints
+    offsets: Ints
+    iterations: Ints
+
+
+class Rooms(NamedTuple):
+    """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 centres."""
+
+    matrix: Float32s
+    seed_points: Ints
+
+
+class GoalFields(NamedTuple):
+    """The fields that one search around the goal gives, (B, 1, H, W) each, or empty."""
+
+    cost_to_go: Float32s
+    optimal_moves: Bytes
+    heuristic_ratio: Float32s
+    optimal_mask: Bytes
+
+
+@dataclass
+class Batch:
+    """B problems, before any field is made of them. What only some fields need is found when it is first asked for.
+
+    Attributes:
+        movement: how paths move.
+        search: "bfs" or "astar", which found the paths.
+        grids: (B, H, W) uint8 occupancy.
+        starts: (B, 2) int64.
+        goals: (B, 2) int64.
+        problems: (B,) int64, numbers in the dataset.
+        find_paths: gives the paths.
+        find_rooms: gives connection matrices and centres.
+        wanted: names of the fields that will be asked for.
+        max_length: cells that ``path`` has room for; None for what the batch needs.
+    """
+
+    movement: Movement
+    search: str
+    grids: Bytes
+    starts: Ints
+    goals: Ints
+    problems: Ints
+    find_paths: Callable[[], Paths]
+    find_rooms: Callable[[], Rooms]
+    wanted: frozenset[str]
+    max_length: int | None = None
+
+    def __len__(self) -> int:
+        """Return B."""
+        return len(self.starts)
+
+    @cached_property
+    def paths(self) -> Paths:
+        """The paths, read or searched."""
+        return self.find_paths()
+
+    @cached_property
+    def rooms(self) -> Rooms:
+        """The rooms of the maps."""
+        return self.find_rooms()
+
+    @cached_property
+    def costs(self) -> npt.NDArray[np.float64]:
+        """(B,) cost of the paths, -1 without one; BFS counts moves."""
+        straight, diagonal = count_steps(self.paths.cells, self.paths.offsets)
+        step = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
+        return straight + diagonal * step
+
+    @cached_property
+    def goal_fields(self) -> GoalFields:
+        """The fields that come from the search around the goal; those that were not asked for are empty."""
+        shape, none = (len(self), 1, *self.grids.shape[1:]), (0, 1, 1, 1)
+        fields = GoalFields(
+            *(
+                np.empty(shape if name in self.wanted else none, np.uint8 if name.startswith("optimal") else np.float32)
+                for name in GoalFields._fields
+            )
+        )
+        fill_goal_fields(self.grids, self.starts, self.goals, *rule_of(self.movement), *fields)
+        return fields
+
+
+def map_(batch: Batch) -> Bytes:
+    """``map``: (B, 1, H, W) uint8, occupancy, 1 occupied."""
+    return batch.grids[:, None]
+
+
+def free(batch: Batch) -> Bytes:
+    """``free``: (B, 1, H, W) uint8, 1 free: the other polarity."""
+    return batch.grids[:, None] ^ np.uint8(1)
+
+
+def start(batch: Batch) -> Ints:
+    """``start``: (B, 2) int64, cell."""
+    return batch.starts
+
+
+def goal(batch: Batch) -> Ints:
+    """``goal``: (B, 2) int64, cell."""
+    return batch.goals
+
+
+def path(batch: Batch) -> Ints:
+    """``path``: (B, T, 2) int64, cells from start to goal, padded with -1; T a multiple of 16, or ``max_length``."""
+    cells, offsets, _ = batch.paths
+    longest = int(np.diff(offsets).max(initial=0))
+    capacity = -(-longest // PATH_STEP) * PATH_STEP if batch.max_length is None else batch.max_length
+    if longest > capacity:
+        raise ValueError(f"max_length: a path of {longest} cells does not fit into {capacity}")
+    return pad_paths(cells, offsets, capacity)
+
+
+def length(batch: Batch) -> Ints:
+    """``length``: (B,) int64, number of cells of the path, 0 without one."""
+    return np.diff(batch.paths.offsets)
+
+
+def cost(batch: Batch) -> Float32s:
+    """``cost``: (B,) float32, cost of the path in cells (BFS: moves), -1 without one."""
+    return batch.costs.astype(np.float32)
+
+
+def hardness(batch: Batch) -> Float32s:
+    """``hardness``: (B,) float32, optimal cost over heuristic; 1 when start = goal, -1 without a path."""
+    best = batch.costs
+    if batch.search == "bfs" and batch.movement.connectivity == 8:  # BFS counts moves, which are not its costs
+        best = search_batch("astar", batch.grids, batch.starts, batch.goals, batch.movement).cost
+    return hardness_of(best, batch.starts, batch.goals, *rule_of(batch.movement))
+
+
+def iterations(batch: Batch) -> Ints:
+    """``iterations``: (B,) int64, cells that the planner took from its frontier."""
+    return batch.paths.iterations
+
+
+def path_mask(batch: Batch) -> Bytes:
+    """``path_mask``: (B, 1, H, W) uint8, 1 on the cells of the path (Neural A*'s ``opt_trajs``, but with the goal)."""
+    return mask_paths(batch.paths.cells, batch.paths.offsets, batch.grids.shape[1], batch.grids.shape[2])[:, None]
+
+
+def start_mask(batch: Batch) -> Bytes:
+    """``start_mask``: (B, 1, H, W) uint8, 1 on the start."""
+    return _points(batch.starts, batch.grids)
+
+
+def goal_mask(batch: Batch) -> Bytes:
+    """``goal_mask``: (B, 1, H, W) uint8, 1 on the goal."""
+    return _points(batch.goals, batch.grids)
+
+
+def optimal_mask(batch: Batch) -> Bytes:
+    """``optimal_mask``: (B, 1, H, W) uint8, 1 on all cells of all shortest paths; 0 everywhere without a path."""
+    return batch.goal_fields.optimal_mask
+
+
+def cost_to_go(batch: Batch) -> Float32s:
+    """``cost_to_go``: (B, 1, H, W) float32, cost of the shortest path to the goal in cells, -1 unreachable."""
+    return batch.goal_fields.cost_to_go
+
+
+def optimal_moves(batch: Batch) -> Bytes:
+    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k (`kernels.STEPS`) starts a shortest path to the
+    goal.
+
+    0 at the goal, in walls and where the goal cannot be reached.
+    """
+    return batch.goal_fields.optimal_moves
+
+
+def heuristic_ratio(batch: Batch) -> Float32s:
+    """``heuristic_ratio``: (B, 1, H, W) float32, heuristic over cost to go: 1 at the goal, 0 where unreachable.
+
+    TransPath's correction factor "CF" (Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730).
+    """
+    return batch.goal_fields.heuristic_ratio
+
+
+def path_probability(batch: Batch) -> Float32s:
+    """``path_probability``: (B, 1, H, W) float32, L / (d(start, n) + d(n, goal) + d(n, path)), below 0.95 set to 0.
+
+    TransPath's path probability map "PPM" (https://arxiv.org/abs/2212.11730); 0 everywhere without a path.
+    """
+    cells, offsets, _ = batch.paths
+    return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, *rule_of(batch.movement))
+
+
+def connection_matrix(batch: Batch) -> Float32s:
+    """``connection_matrix``: (B, R, R) float32, costs between rooms; -1 no connection, -2 padding."""
+    return batch.rooms.matrix
+
+
+def seed_points(batch: Batch) -> Ints:
+    """``seed_points``: (B, R, 2) int64, seed cells of the rooms, padded with -1."""
+    return batch.rooms.seed_points
+
+
+def problem(batch: Batch) -> Ints:
+    """``problem``: (B,) int64, the problem's number in the dataset."""
+    return batch.problems
+
+
+Field = Callable[[Batch], npt.NDArray[np.generic]]
+
+FIELDS: dict[str, Field] = {
+    field.__name__.rstrip("_"): field
+    for field in (
+        map_,
+        free,
+        start,
+        goal,
+        path,
+        length,
+        cost,
+        hardness,
+        iterations,
+        path_mask,
+        start_mask,
+        goal_mask,
+        optimal_mask,
+        cost_to_go,
+        optimal_moves,
+        heuristic_ratio,
+        path_probability,
+        connection_matrix,
+        seed_points,
+        problem,
+    )
+}
+"""All fields by name."""
+
+
+def _points(cells: Ints, grids: Bytes) -> Bytes:
+    mask = np.zeros((len(grids), 1, *grids.shape[1:]), np.uint8)
+    mask[(np.arange(len(cells)), 0, *cells.T)] = 1
+    return mask
+
+
+def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
+    """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2), found by searching each grid.
+
+    -1 no connection, -2 where a centre is (-1, -1). "bfs" counts moves.
+    """
+    diagonals, step = rule_of(movement)
+    return fill_room_matrices(grids, seed_points, diagonals, UNIT if search == "bfs" else step)

@@ -1,0 +1,149 @@
+"""`OnlineMapDataset`: maps made and solved as they are asked for, with the interface of `MapDataset` and no disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mapdata.arrays import Ints
+from mapdata.datasets.dataset import DEFAULT_FIELDS, SUBSTITUTES, FieldFunction, ProblemDataset, check_choice
+from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
+from mapdata.generators.generator import Generator, generate
+from mapdata.generators.maps import Maps
+from mapdata.generators.splits import maps_of_split
+from mapdata.problems.sampling import replace_paths, solve_pairs
+from mapdata.search.lattice import ASTAR, BFS, rule_of
+from mapdata.spec import SPLITS, Movement, check_seed
+
+
+class OnlineMapDataset(ProblemDataset):
+    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would
+    hold.
+
+    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and rooms
+    problems are one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is
+    replaced by one from beyond ``length``.
+
+    Args:
+        spec: the distribution of maps.
+        seed: their seed.
+        length: how many problems.
+        split: as in `MapDataset`, like all further arguments.
+
+    Raises:
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    def __init__(
+        self,
+        spec: Generator,
+        seed: int = 0,
+        length: int = 10_000,
+        split: str | None = None,
+        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
+        *,
+        problems: str = "route",
+        search: str = "astar",
+        movement: Movement | None = None,
+        unsolvable: bool = False,
+        min_distance: float | None = None,
+        min_hardness: float | None = None,
+        augment: bool = False,
+        sampling_seed: int = 0,
+        max_length: int | None = None,
+    ) -> None:
+        """Check the arguments; no map is made yet."""
+        if split is not None:
+            check_choice("split", split, SPLITS)
+        if length < 1:
+            raise ValueError(f"length: got {length}, expected at least 1")
+        self.spec, self.seed, self.length = spec, check_seed(seed), length
+        super().__init__(
+            split=split,
+            fields=fields,
+            problems=problems,
+            search=search,
+            movement=spec.movement if movement is None else movement,
+            unsolvable=unsolvable,
+            min_distance=min_distance,
+            min_hardness=min_hardness,
+            augment=augment,
+            sampling_seed=sampling_seed,
+            max_length=max_length,
+        )
+        self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return self.length
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as arguments: no maps, no class made at run time."""
+        return partial(OnlineMapDataset, self.spec, self.seed, self.length, **self._arguments()), ()
+
+    def __repr__(self) -> str:
+        return f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}): {self.length} problems"
+
+    @property
+    def map_size(self) -> tuple[int, int]:
+        """(rows, columns) of all maps."""
+        return self.spec.map_size
+
+    def _batch(self, indices: Ints, epoch: int) -> Batch:
+        maps = self._maps(indices)
+        grids, seed_points = maps.occupancy, maps.seed_points
+        ends, paths = self._problem(maps, indices, epoch)
+        for attempt in range(SUBSTITUTES):
+            missing = np.flatnonzero(ends[:, 0] < 0)
+            if len(missing) == 0:
+                break
+            others = self._maps(self.length + (indices[missing] + attempt) % self.length)
+            grids[missing], seed_points[missing] = others.occupancy, others.seed_points
+            ends[missing], new = self._problem(others, indices[missing], epoch)
+            cells, offsets = replace_paths(paths.cells, paths.offsets, new.cells, new.offsets, missing)
+            paths.iterations[missing] = new.iterations
+            paths = Paths(cells, offsets, paths.iterations)
+        else:
+            raise self._no_problem()
+        starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
+        return Batch(
+            self.movement,
+            self.search,
+            grids,
+            starts,
+            goals,
+            indices,
+            lambda: paths,
+            lambda: Rooms(room_matrices(self.search, grids, seed_points, self.movement), seed_points),
+            self._wanted,
+            self.max_length,
+        )
+
+    def _maps(self, positions: Ints) -> Maps:
+        return generate(self.spec, self.seed, positions if self._numbers is None else self._numbers[positions])
+
+    def _problem(self, maps: Maps, indices: Ints, epoch: int) -> tuple[Ints, Paths]:
+        """Return start and goal on each map, (B, 4), -1 where it has no such problem, and the paths."""
+        if self.problems != "random":
+            ends, *found = solve_pairs(
+                maps.occupancy,
+                maps.seed_points,
+                maps.rooms,
+                np.uint64(self.sampling_seed),
+                epoch,
+                indices,
+                self.problems == "route",
+                self.unsolvable,
+                ASTAR if self.search == "astar" else BFS,
+                *rule_of(self.movement),
+            )
+            return ends, Paths(*found)
+        starts, goals, there = self._draw(maps.occupancy, indices, epoch)
+        ends = np.where(there[:, None], np.concatenate((starts, goals), axis=1), -1)
+        offsets, iterations = np.zeros(len(ends) + 1, np.int64), np.zeros(len(ends), np.int64)
+        solved = self._solve(maps.occupancy[there], starts[there], goals[there])
+        offsets[1:][there], iterations[there] = np.diff(solved.offsets), solved.iterations
+        return ends, Paths(solved.cells, np.cumsum(offsets), iterations)

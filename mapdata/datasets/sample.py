@@ -1,0 +1,113 @@
+"""What a dataset yields: a NamedTuple of the fields asked for, and how samples become batches under any DataLoader."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch.utils.data._utils.collate import collate, default_collate_fn_map
+
+from mapdata.datasets.field_kernels import PADDING
+
+PATH_STEP = 16
+"""Batches pad paths to a multiple of this, so that their shapes are few."""
+
+
+class Sample(tuple[Any, ...]):
+    """Base class of all samples and batches: a NamedTuple with exactly the fields asked for, in that order.
+
+    It is registered with torch's default collate function, so that a plain ``DataLoader(dataset, 256)`` gives padded
+    batches.
+    """
+
+    __slots__ = ()
+    _fields: tuple[str, ...]
+    _capacity: int | None
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+            """Fields are tensors."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as field names and values: the class is made at run time, and loader workers must find it again."""
+        return _restore, (self._fields, self._capacity, tuple(self))
+
+
+@cache
+def sample_class(names: tuple[str, ...], capacity: int | None = None) -> type[Any]:
+    """Return the class of samples with these fields, whose ``path`` has room for so many cells (None: as many as it
+    needs).
+    """
+    return type("Sample", (Sample, namedtuple("Sample", names)), {"__slots__": (), "_capacity": capacity})
+
+
+def _restore(names: tuple[str, ...], capacity: int | None, values: tuple[Any, ...]) -> Sample:
+    sample: Sample = sample_class(names, capacity)(*values)
+    return sample
+
+
+class Rows(Sequence[Sample]):
+    """A batch that looks like a list of samples: collating it gives the batch itself, at no cost."""
+
+    def __init__(self, batch: Sample, length: int) -> None:
+        """Wrap ``batch`` of ``length`` samples."""
+        self.batch = batch
+        self._length = length
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, i: Any) -> Any:  # noqa: ANN401  (int or slice, as of a list)
+        if isinstance(i, slice):
+            return [self[k] for k in range(*i.indices(len(self)))]
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"row {i} of {len(self)}")
+        return row(self.batch, i)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (row(self.batch, k) for k in range(len(self)))
+
+
+def row(batch: Sample, i: int) -> Sample:
+    """Return sample ``i`` of a batch; its path without padding, unless the dataset has a ``max_length``."""
+    values = [value[i] for value in batch]
+    if batch._capacity is None and "path" in batch._fields:
+        k = batch._fields.index("path")
+        values[k] = values[k][: int((values[k][:, 0] != PADDING).sum())]
+    return type(batch)(*values)
+
+
+def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:  # noqa: ANN401
+    """Stack samples into a batch; paths are padded with -1 to a multiple of 16 cells, or to the dataset's
+    ``max_length``.
+    """
+    kind = type(samples[0])
+    columns = dict(zip(kind._fields, zip(*samples, strict=True), strict=True))
+    return kind(
+        *(
+            _stack_paths(values, kind._capacity)
+            if name == "path"
+            else collate(list(values), collate_fn_map=collate_fn_map)
+            for name, values in columns.items()
+        )
+    )
+
+
+def _stack_paths(paths: Sequence[torch.Tensor], capacity: int | None) -> torch.Tensor:
+    longest = max((len(path) for path in paths), default=0)
+    capacity = -(-longest // PATH_STEP) * PATH_STEP if capacity is None else capacity
+    stacked = paths[0].new_full((len(paths), capacity, 2), PADDING)
+    for k, path in enumerate(paths):
+        stacked[k, : len(path)] = path
+    return stacked
+
+
+def _collate(samples: Any, *, collate_fn_map: Any = None) -> Sample:  # noqa: ANN401  (torch's own signature)
+    return samples.batch if isinstance(samples, Rows) else stack(samples, collate_fn_map)
+
+
+default_collate_fn_map[Sample] = _collate

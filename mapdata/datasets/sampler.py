@@ -1,0 +1,92 @@
+"""The order of a data loader: a function of (sampling seed, epoch), which a resumed training takes up again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytorch_lightning as pl
+import torch
+from torch.utils.data import DataLoader, Dataset
+from torch.utils.data.distributed import DistributedSampler
+
+from mapdata.datasets.sample import Sample
+from mapdata.problems.sampling import permutation
+
+
+class LateLoader(DataLoader[Sample]):
+    """A DataLoader that starts when its first batch is asked for, not when it is iterated over.
+
+    Lightning makes the iterator before it has restored where a checkpoint stopped, and workers fetch ahead at once.
+    """
+
+    def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
+        yield from super().__iter__()
+
+
+class EpochSampler(DistributedSampler[Any]):
+    """Yields ``index + epoch * len(dataset)``, each rank its share, from where the Trainer is.
+
+    Training: a permutation that is a function of (order seed, epoch); all ranks get equally many, at most ranks - 1
+    samples are left out. Else: the order of the dataset, epoch 0, every sample on exactly one rank. It asks for
+    epoch, rank and position when it is first iterated over, so that a resumed epoch goes on where it stopped. Without
+    a Trainer each pass is the next epoch, unless `set_epoch` says which.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset[Sample],
+        batch_size: int,
+        sampling_seed: int | None,
+        module: pl.LightningDataModule | None = None,
+    ) -> None:
+        """Sample ``dataset``; ``sampling_seed`` None keeps its order."""
+        super().__init__(dataset, num_replicas=1, rank=0, shuffle=sampling_seed is not None)
+        self.batch_size = batch_size
+        self.sampling_seed = sampling_seed
+        self.module = module
+        self._passes = 0
+        self._epoch: int | None = None
+
+    def set_epoch(self, epoch: int) -> None:
+        """Say which epoch the next pass is."""
+        self._epoch = epoch
+
+    def __len__(self) -> int:
+        """Return how many samples this rank gets."""
+        rank, world = self._share()
+        total = len(self.dataset)  # type: ignore[arg-type]
+        return total // world if self.sampling_seed is not None else len(range(rank, total, world))
+
+    def __iter__(self) -> Iterator[int]:
+        rank, world = self._share()
+        total = len(self.dataset)  # type: ignore[arg-type]
+        if self.sampling_seed is None:
+            yield from range(rank, total, world)
+            return
+        epoch, done = self._position()
+        order = permutation(np.uint64(self.sampling_seed), epoch, total)[: total - total % world][rank::world]
+        yield from (order[done * self.batch_size :] + epoch * total).tolist()
+
+    def _share(self) -> tuple[int, int]:
+        """Return (rank, number of ranks)."""
+        trainer = None if self.module is None else self.module.trainer
+        if trainer is not None:
+            return trainer.global_rank, trainer.world_size
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            return torch.distributed.get_rank(), torch.distributed.get_world_size()
+        return 0, 1
+
+    def _position(self) -> tuple[int, int]:
+        """Return the epoch and how many of its batches are done."""
+        trainer = None if self.module is None else self.module.trainer
+        if trainer is not None and trainer.training:
+            # Not a public attribute, but the only place that knows: tests/datasets/test_datamodule.py watches it.
+            done = int(trainer.fit_loop.epoch_loop.batch_progress.current.ready)
+            batches = -(-len(self) // self.batch_size)
+            return trainer.current_epoch, done if done < batches else 0
+        if self._epoch is not None:
+            return self._epoch, 0
+        self._passes += 1
+        return self._passes - 1, 0

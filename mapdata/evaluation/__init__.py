@@ -1,0 +1,18 @@
+"""Comparing planners: one table for anything that plans, and the classical rows."""
+
+from mapdata.evaluation.metrics import METRICS, BatchPlanner, Plan, Planner, evaluate, to_text
+from mapdata.evaluation.planners import Batched, BestFirst, Limit, Search, classical
+
+__all__ = [
+    "METRICS",
+    "BatchPlanner",
+    "Batched",
+    "BestFirst",
+    "Limit",
+    "Plan",
+    "Planner",
+    "Search",
+    "classical",
+    "evaluate",
+    "to_text",
+]

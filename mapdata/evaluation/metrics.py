@@ -1,0 +1,205 @@
+"""Compare planners: the metrics of Neural A* and TransPath for anything that plans, in one table.
+
+Neural A*: Yonetani et al., ICML 2021, https://arxiv.org/abs/2009.07476. TransPath: Kirilenko et al., AAAI 2023,
+https://arxiv.org/abs/2212.11730.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.problems.problem_set import HARD, Problems
+from mapdata.search.api import check_path
+
+METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
+"""Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
+
+_BATCH = 64
+
+Cell = tuple[int, int]
+
+
+class Plan(NamedTuple):
+    """What a planner answers.
+
+    Attributes:
+        path: (k, 2) integer cells from start to goal, both included; (0, 2) when it found none.
+        expansions: number of cells that it took from its frontier, the goal included.
+    """
+
+    path: npt.NDArray[np.integer[Any]]
+    expansions: int
+
+
+class Planner(Protocol):
+    """Anything that plans a path on a grid."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the table."""
+
+    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
+        """Return a path on ``grid``, (H, W) of 0 free and 1 occupied."""
+
+
+@runtime_checkable
+class BatchPlanner(Planner, Protocol):
+    """A planner that takes many problems in one call too."""
+
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return a plan for each of the B problems: grids (B, H, W), starts and goals (B, 2)."""
+
+
+def evaluate(planners: Sequence[Planner], problems: Problems, *, bootstrap: int = 1000, seed: int = 0) -> pd.DataFrame:
+    """Return the table of ``planners`` on ``problems``: two rows a planner, all problems and the hard ones.
+
+    L is the cost of a path, E the number of expansions, L* and E* are those of mapdata's A* (docs/format.md fixes its
+    order) under the same movement. A planner succeeds where its path starts and ends as asked and `check_path` accepts
+    it. Columns:
+
+    - ``planner``; ``subset``, "all" or "hard" (hardness at least ``HARD``); ``n``, the number of problems in it.
+    - ``success``: share of problems solved.
+    - ``opt``: share of problems solved with L = L* (Neural A*'s Opt).
+    - ``cost_ratio``: mean L / L* over the problems solved (TransPath), NaN where none is.
+    - ``expansion_ratio``: mean E / E* (TransPath), over all problems: what a failure expanded counts.
+    - ``p_exp``: mean max(0, 1 - E / E*) (Neural A*'s Exp), likewise.
+    - ``hmean``: harmonic mean of ``opt`` and ``p_exp`` (Neural A*'s Hmean), 0 where both are 0.
+    - ``<name>_low``, ``<name>_high`` of these six: 95 % percentile interval over resampled problems, the same
+      resamples for all planners.
+    - ``ms``: milliseconds a problem, one at a time; ``ms_batched``: in batches of 64 over all problems, for a planner
+      that has `plan_batch`, else NaN. The first call of each is not timed. All other columns are of `plan`.
+
+    A subset without problems has n = 0 and NaN elsewhere.
+
+    Args:
+        planners: what to compare; `mapdata.evaluation.planners.classical` gives the usual rows.
+        problems: on what.
+        bootstrap: number of resamples.
+        seed: of the resamples.
+
+    Raises:
+        ValueError: no planner, two of one name, no problem, no resample, or a ``plan_batch`` with too few plans.
+        Exception: whatever a planner raises.
+    """
+    names = [planner.name for planner in planners]
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"planners: got the names {names}, expected at least one and each once")
+    if not len(problems) or bootstrap < 1:
+        raise ValueError(f"got {len(problems)} problems and {bootstrap} resamples, expected at least one of each")
+    runs = [_run(planner, problems) for planner in planners]
+    outcomes = np.stack([run.outcomes for run in runs], axis=1)
+    rows: list[dict[str, object]] = []
+    for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
+        statistics = _statistics(outcomes[mask], bootstrap, np.random.default_rng(seed))
+        for run, name, values in zip(runs, names, statistics, strict=True):
+            row: dict[str, object] = {"planner": name, "subset": subset, "n": int(mask.sum())}
+            row |= dict(zip(METRICS, values[0].tolist(), strict=True))
+            row |= {"ms": run.ms[mask].mean() if mask.any() else np.nan, "ms_batched": run.ms_batched}
+            for metric, low, high in zip(METRICS, *values[1:].tolist(), strict=True):
+                row |= {f"{metric}_low": low, f"{metric}_high": high}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def to_text(table: pd.DataFrame) -> str:
+    """Return the table of `evaluate` for a terminal: a block a subset, each metric with half its interval's width."""
+    blocks = []
+    for subset, rows in table.groupby("subset", sort=False):
+        text = pd.DataFrame({"planner": rows["planner"]})
+        for metric in METRICS:
+            half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
+            text[metric] = [f"{value:.3f} ±{width:.3f}" for value, width in zip(rows[metric], half, strict=True)]
+        for name in ("ms", "ms_batched"):
+            text[name] = [f"{value:.3f}" for value in rows[name]]
+        which = f", hardness at least {HARD}" if subset == "hard" else ""
+        blocks.append(f"{subset}: {rows['n'].iloc[0]} problems{which}\n{text.to_string(index=False)}")
+    return "\n\n".join(blocks)
+
+
+class _Run(NamedTuple):
+    """A planner's outcomes (N, 5): success, opt, L / L* (0 in a failure), E / E*, max(0, 1 - E / E*); its times."""
+
+    outcomes: Floats
+    ms: Floats
+    ms_batched: float
+
+
+def _run(planner: Planner, problems: Problems) -> _Run:
+    """Plan and check every problem."""
+    outcomes, ms = np.zeros((len(problems), 5)), np.empty(len(problems))
+    best, effort = problems.optimal.cost, problems.optimal.iterations
+    _timed(planner, problems, 0)  # kernels compile and caches fill in the first call
+    for k in range(len(problems)):
+        plan, ms[k] = _timed(planner, problems, k)
+        cost, expansions = _cost(plan, problems, k), int(plan.expansions)
+        if cost is not None:
+            outcomes[k, :3] = 1, cost == best[k], cost / best[k]
+        outcomes[k, 3:] = expansions / effort[k], max(0.0, (effort[k] - expansions) / effort[k])
+    return _Run(outcomes, ms, _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan)
+
+
+def _timed(planner: Planner, problems: Problems, k: int) -> tuple[Plan, float]:
+    """Return the plan for problem k and the milliseconds it took."""
+    (start_row, start_column), (goal_row, goal_column) = problems.starts[k].tolist(), problems.goals[k].tolist()
+    grid = problems.grids[k].copy()
+    began = time.perf_counter()
+    plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
+    return plan, 1000 * (time.perf_counter() - began)
+
+
+def _batched(planner: BatchPlanner, problems: Problems) -> float:
+    """Return the milliseconds a problem in batches."""
+    seconds = [_timed_batch(planner, problems, k) for k in [0, *range(0, len(problems), _BATCH)]]
+    return 1000 * sum(seconds[1:]) / len(problems)
+
+
+def _timed_batch(planner: BatchPlanner, problems: Problems, first: int) -> float:
+    """Return the seconds for one batch."""
+    batch = slice(first, first + _BATCH)
+    grids, starts, goals = problems.grids[batch].copy(), problems.starts[batch].copy(), problems.goals[batch].copy()
+    began = time.perf_counter()
+    plans = planner.plan_batch(grids, starts, goals)
+    seconds = time.perf_counter() - began
+    if len(plans) != len(starts):
+        raise ValueError(f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems")
+    return seconds
+
+
+def _cost(plan: Plan, problems: Problems, k: int) -> float | None:
+    """Return the cost of a path that solves problem k, None of one that does not."""
+    path = np.asarray(plan.path)
+    try:
+        cost = check_path(problems.grids[k], path, problems.movement)
+    except ValueError:
+        return None
+    ends = np.array([problems.starts[k], problems.goals[k]])
+    return cost if np.array_equal(path[[0, -1]], ends) else None
+
+
+def _statistics(outcomes: Floats, bootstrap: int, source: np.random.Generator) -> Floats:
+    """Return (P, 3, 6): per planner the metrics, and both ends of their intervals. Outcomes: (n, P, 5)."""
+    n, planners, columns = outcomes.shape
+    if n == 0:
+        return np.full((planners, 3, len(METRICS)), np.nan)
+    flat = outcomes.reshape(n, -1)
+    sums = [np.bincount(source.integers(n, size=n), minlength=n) @ flat for _ in range(bootstrap)]
+    resampled = _metrics(np.reshape(sums, (bootstrap, planners, columns)) / n)
+    ends = pd.DataFrame(resampled.reshape(bootstrap, -1)).quantile([0.025, 0.975]).to_numpy()  # leaves NaN out
+    point = _metrics(outcomes.sum(axis=0) / n)
+    return np.concatenate([point[:, None], ends.reshape(2, planners, -1).swapaxes(0, 1)], axis=1)
+
+
+def _metrics(means: Floats) -> Floats:
+    """Return the metrics (..., 6) of mean outcomes (..., 5)."""
+    success, opt, cost, expansions, saved = np.moveaxis(means, -1, 0)
+    with np.errstate(invalid="ignore"):
+        cost_ratio = cost / success
+        hmean = np.where(opt + saved > 0, 2 * opt * saved / (opt + saved), 0.0)
+    return np.stack([success, opt, cost_ratio, expansions, saved, hmean], axis=-1)

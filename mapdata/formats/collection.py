@@ -1,0 +1,81 @@
+"""What a format reads: a `Collection` of maps from elsewhere, before they become a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import InitVar, dataclass, field
+
+import numpy as np
+
+from mapdata.arrays import Bytes, Ints
+from mapdata.search.labels import Labels
+from mapdata.spec import Movement
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignMap:
+    """One grid as a format gives it, kept as bits: an import holds all its maps in memory.
+
+    Attributes:
+        name: where it came from, for reports.
+        cells: (H, W) uint8, 0 free and 1 occupied; afterwards it is `grid`.
+        split: 0 train, 1 val, 2 test; None to draw it.
+        resolution: metres per cell; None if the source does not say.
+        number: its number in the source's own count; kept when the numbers of all maps are 0 to N - 1.
+        seed_points: (k, 2) int64, seed points that the source has; the others are drawn.
+        rooms_known: ``seed_points`` are all there are: none is drawn.
+        sizes: (k, 2) int64, rows and columns of the rooms, -1 unknown.
+        directions: (k - 1, 2) int64, the legs of the passages, -1 none or unknown.
+        passage_width: in cells, -1 unknown.
+        check: called with the labels and the number of this map in them; returns the names of what the source says
+            otherwise.
+        shape: (H, W).
+    """
+
+    name: str
+    cells: InitVar[Bytes]
+    split: int | None = None
+    resolution: float | None = None
+    number: int | None = None
+    seed_points: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    rooms_known: bool = False
+    sizes: Ints | None = None
+    directions: Ints | None = None
+    passage_width: int = -1
+    check: Callable[[Labels, int], list[str]] | None = None
+    shape: tuple[int, int] = field(init=False)
+    _bits: Bytes = field(init=False, repr=False)
+
+    def __post_init__(self, cells: Bytes) -> None:
+        """Pack the cells.
+
+        Raises:
+            ValueError: not two-dimensional, or another value.
+        """
+        if cells.ndim != 2 or cells.max(initial=0) > 1:
+            what = f"values up to {cells.max(initial=0)} in shape {cells.shape}"
+            raise ValueError(f"cells: {self.name}: got {what}, expected 0 free and 1 occupied in shape (H, W)")
+        object.__setattr__(self, "shape", cells.shape)
+        object.__setattr__(self, "_bits", np.packbits(cells, axis=1))
+
+    @property
+    def grid(self) -> Bytes:
+        """The cells, (H, W) uint8, 0 free and 1 occupied."""
+        return np.unpackbits(self._bits, axis=1, count=self.shape[1])
+
+
+@dataclass
+class Collection:
+    """What a format read.
+
+    Attributes:
+        maps: the grids, in order.
+        movement: the rule of the format, None if it has none.
+        left_out: (name, why) of each file or map that could not be used.
+        notes: what the user should know of how it was read.
+    """
+
+    maps: list[ForeignMap] = field(default_factory=list)
+    movement: Movement | None = None
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)

@@ -1,0 +1,285 @@
+"""Grids from elsewhere become a dataset: seed points are drawn, everything is labelled, shards are written.
+
+The bytes are a function of (grids, seed, seed points a map, movement) alone: docs/format.md lists the draws of stream
+5. An imported dataset has no recipe, so its identity is its content hash.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mapdata.arrays import Ints
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.generators.maps import Maps, pack
+from mapdata.generators.points import draw_points, largest_component
+from mapdata.generators.splits import draw_splits, split_thresholds
+from mapdata.search.labels import label
+from mapdata.search.lattice import rule_of
+from mapdata.shards.builder import headers
+from mapdata.shards.manifest import (
+    LOCK,
+    MANIFEST,
+    PROVENANCE,
+    Manifest,
+    entry_of,
+    is_shard_name,
+    merge,
+    provenance_text,
+    read_manifest,
+    shard_name,
+)
+from mapdata.shards.shard import Header, Shard, shard_image, write_file
+from mapdata.shards.workers import bar, threads
+from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_seed
+
+RESOLUTION = 0.1
+"""Metres per cell where the source does not say."""
+
+_CELLS_A_SHARD = 2**24
+
+
+@dataclass(frozen=True)
+class Imported:
+    """One dataset that an import made.
+
+    Attributes:
+        root: its folder.
+        manifest: its manifest.
+        checked: how many maps came with labels, which were compared with ours.
+        disagreements: by label, how many of those maps say otherwise.
+    """
+
+    root: Path
+    manifest: Manifest
+    checked: int
+    disagreements: dict[str, int]
+
+
+def import_maps(
+    root: str | os.PathLike[str],
+    source: Collection,
+    *,
+    seed_points: int = 5,
+    seed: int = 0,
+    movement: Movement | None = None,
+    resolution: float | None = None,
+    splits: tuple[float, float, float] = (0.8, 0.1, 0.1),
+    tile: tuple[int, int] | None = None,
+    shard_size: int | None = None,
+    progress: bool = False,
+) -> list[Imported]:
+    """Make datasets of the grids of ``source``: one under ``root``, or, when the grids differ in size or resolution,
+    one for each below it (``root/64x64``, ...). What cannot be used is added to ``source.left_out``.
+
+    Args:
+        root: folder, made if missing; empty, or made by the same import before (then only what is missing is made).
+        source: what a format read.
+        seed_points: how many each map has, drawn without repetition in its largest free component; less where that
+            has fewer cells.
+        seed: 64-bit seed of these draws and of the splits.
+        movement: how the stored paths move; default the rule of the format, else 4-connected.
+        resolution: metres per cell, over what the source says; default the source's, else 0.1.
+        splits: fractions of train, val and test, for maps whose split the source does not say.
+        tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the edges is dropped.
+        shard_size: maps a shard; default 1000, less for large maps.
+        progress: show a progress bar.
+
+    Raises:
+        ValueError: bad arguments, no usable map, or a root that holds something else.
+        OSError: the disk is full or may not be written to.
+    """
+    root = Path(root)
+    check_seed(seed)
+    split_thresholds(splits)
+    if isinstance(seed_points, bool) or not isinstance(seed_points, int) or not 2 <= seed_points <= MAX_ROOMS:
+        raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
+    if shard_size is not None and shard_size < 1:
+        raise ValueError(f"shard_size: got {shard_size}, expected at least 1")
+    if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
+        raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
+    movement = movement or source.movement or Movement()
+    groups: dict[tuple[int, int, float], list[ForeignMap]] = {}
+    for one in _tiles(source, tile):
+        if why := _unusable(one, movement):
+            source.left_out.append((one.name, why))
+            continue
+        metres = resolution or one.resolution or RESOLUTION
+        groups.setdefault((*one.shape, metres), []).append(one)
+    if not groups:
+        why = f": {source.left_out[0][0]}: {source.left_out[0][1]}" if source.left_out else ""
+        raise ValueError(f"no map to import{why}")
+    folders = _folders(root, list(groups))
+    with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
+        made = []
+        for (rows, columns, metres), maps in groups.items():
+            wanted = Manifest(
+                spec=None,
+                seed=None,
+                maps=len(maps),
+                shard_size=shard_size or max(1, min(1000, _CELLS_A_SHARD // (rows * columns))),
+                map_size=(rows, columns),
+                movement=movement,
+                resolution=metres,
+            )
+            ordered = _ordered(maps, source)
+            folder = folders[rows, columns, metres]
+            made.append(_write(folder, wanted, ordered, seed_points, seed, splits, advance, pool))
+    return made
+
+
+def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[ForeignMap]:
+    """Yield the maps, or their tiles."""
+    if tile is None:
+        yield from source.maps
+        return
+    rows, columns = tile
+    if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
+        raise ValueError(f"tile: got {rows}x{columns}, expected 1 to {MAX_SIDE} rows and columns")
+    for one in source.maps:
+        grid, (height, width) = one.grid, one.shape
+        if height < rows or width < columns:
+            source.left_out.append((one.name, f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"))
+        for row in range(0, height - rows + 1, rows):
+            for column in range(0, width - columns + 1, columns):
+                name = f"{one.name} rows {row}.. columns {column}.."
+                part = grid[row : row + rows, column : column + columns]
+                yield ForeignMap(name, part, one.split, one.resolution)
+
+
+def _unusable(one: ForeignMap, movement: Movement) -> str | None:
+    """Return why a map cannot be in a dataset, or None."""
+    grid, (rows, columns) = one.grid, one.shape
+    if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
+        return f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
+    for row, column in one.seed_points.tolist():
+        if not (0 <= row < rows and 0 <= column < columns):
+            return f"seed point {(row, column)} is outside the map of {rows} x {columns} cells"
+        if grid[row, column]:
+            return f"seed point {(row, column)} is on an occupied cell"
+    if one.rooms_known:
+        return (
+            None
+            if 1 <= len(one.seed_points) <= MAX_ROOMS
+            else f"{len(one.seed_points)} rooms, expected 1 to {MAX_ROOMS}"
+        )
+    count = len(largest_component(grid, rule_of(movement)[0]))
+    return None if count >= 2 else f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
+
+
+def _folders(root: Path, keys: Sequence[tuple[int, int, float]]) -> dict[tuple[int, int, float], Path]:
+    """Return the folder of each dataset, after a look at what stands under ``root``."""
+    folders = dict.fromkeys(keys, root)
+    if len(keys) > 1:
+        sizes = Counter(key[:2] for key in keys)
+        for key in keys:
+            rows, columns, metres = key
+            folders[key] = root / (f"{rows}x{columns}" + (f"-{metres:g}m" if sizes[rows, columns] > 1 else ""))
+    if root.exists() and not root.is_dir():
+        raise ValueError(f"root: {root} is a file, expected a folder")
+    expected = {folder.name for folder in folders.values() if folder != root}
+    for folder in {root, *folders.values()}:
+        for path in folder.iterdir() if folder.is_dir() and not (folder / MANIFEST).exists() else ():
+            name = path.name
+            ours = is_shard_name(name) or name in (LOCK, MANIFEST, PROVENANCE) or name.endswith(".tmp")
+            if not (name in expected if folder == root and expected else ours):
+                raise ValueError(f"root: {folder} holds something else ({name!r}), expected an empty folder")
+    return folders
+
+
+def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
+    """Return the maps in the order of their own numbers if those are 0 to N - 1, else as they came."""
+    numbers = [one.number for one in maps if one.number is not None]
+    if sorted(numbers) == list(range(len(maps))):
+        return sorted(maps, key=lambda one: one.number or 0)
+    if numbers:
+        source.notes.append("maps are numbered anew: the source's own numbers are not 0 to N - 1")
+    return maps
+
+
+def _write(
+    folder: Path,
+    wanted: Manifest,
+    maps: list[ForeignMap],
+    seed_points: int,
+    seed: int,
+    splits: tuple[float, float, float],
+    advance: Callable[[int], object],
+    pool: Executor,
+) -> Imported:
+    """Write one dataset, shard by shard; keep the shards that are there already."""
+    folder.mkdir(parents=True, exist_ok=True)
+    have = {}
+    if (folder / MANIFEST).exists():
+        found = read_manifest(folder)
+        if replace(found, shards=()) != wanted:
+            raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
+        have = {(entry.start, entry.stop): entry for entry in found.shards}
+    manifest = merge(folder, wanted)
+    disagreements: Counter[str] = Counter()
+    for header in headers(wanted):
+        batch = maps[header.start : header.stop]
+        labels = pool.submit(label, to_maps(batch, header, seed_points, seed, splits)).result()
+        for k, one in enumerate(batch):
+            disagreements.update(one.check(labels, k) if one.check else [])
+        image, content = shard_image(labels, header)
+        path = folder / shard_name(header.start, header.stop)
+        old = have.get((header.start, header.stop))
+        if old is not None and old.content_hash != content:
+            raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
+        if old is None or not path.exists() or path.stat().st_size != old.bytes:
+            write_file(path, image)
+            entry = entry_of(Shard(path, header, content, {}), labels, image)
+            manifest = merge(folder, replace(wanted, shards=(*manifest.shards, entry)))
+        advance(len(batch))
+    origin = {"seeds": seed_points, "seed": seed, "sources": [one.name for one in maps]}
+    write_file(folder / PROVENANCE, provenance_text(origin).encode())
+    return Imported(folder, manifest, sum(one.check is not None for one in maps), dict(disagreements))
+
+
+def to_maps(
+    batch: Sequence[ForeignMap], header: Header, seed_points: int, seed: int, splits: tuple[float, float, float]
+) -> Maps:
+    """Return foreign maps of one size as `Maps` with the numbers of ``header``; draw what they lack.
+
+    Args:
+        batch: the maps ``header.start`` to ``header.stop`` - 1.
+        header: size and movement.
+        seed_points: seed points of a map.
+        seed: 64-bit seed.
+        splits: fractions of train, val and test, for maps whose split the source does not say.
+    """
+    points = [_seed_points(one, header, seed_points, seed, header.start + k) for k, one in enumerate(batch)]
+    most = max(2, *map(len, points))
+    indices = np.arange(header.start, header.stop)
+    maps = Maps.empty(header.movement, header.map_size, indices, most)
+    maps.packed[:] = pack(np.stack([one.grid for one in batch]))
+    maps.split[:] = draw_splits(np.uint64(seed), indices, split_thresholds(splits))
+    for k, (one, cells) in enumerate(zip(batch, points, strict=True)):
+        maps.rooms[k] = len(cells)
+        maps.passage_width[k] = one.passage_width
+        maps.seed_points[k, : len(cells)] = cells
+        if one.sizes is not None:
+            maps.sizes[k, : len(one.sizes)] = one.sizes
+        if one.directions is not None:
+            maps.directions[k, : len(one.directions)] = one.directions
+        if one.split is not None:
+            maps.split[k] = one.split
+    return maps
+
+
+def _seed_points(one: ForeignMap, header: Header, seed_points: int, seed: int, index: int) -> Ints:
+    if one.rooms_known or len(one.seed_points) >= seed_points:
+        return one.seed_points
+    cells = largest_component(one.grid, rule_of(header.movement)[0])
+    given = one.seed_points[:, 0] * one.shape[1] + one.seed_points[:, 1]
+    cells = cells[~np.isin(cells, given)]
+    drawn = draw_points(cells, np.uint64(seed), np.uint64(index), min(seed_points - len(given), len(cells)))
+    return np.stack(np.divmod(np.concatenate((given, drawn)), one.shape[1]), axis=1)

@@ -1,0 +1,31 @@
+"""Where maps come from: families of maps, each a `Generator` in a file of its own, and the `Maps` that they draw."""
+
+from mapdata.generators import mazes, rooms
+from mapdata.generators.generator import GENERATORS, PRESETS, Generator, generate, identity, register
+from mapdata.generators.maps import WORD, Maps, pack
+from mapdata.generators.mazes import Maze
+from mapdata.generators.points import draw_points, largest_component
+from mapdata.generators.rooms import MapSpec
+from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
+
+register(MapSpec, rooms.PRESETS)
+register(Maze, mazes.PRESETS)
+
+__all__ = [
+    "GENERATORS",
+    "PRESETS",
+    "WORD",
+    "Generator",
+    "MapSpec",
+    "Maps",
+    "Maze",
+    "draw_points",
+    "draw_splits",
+    "generate",
+    "identity",
+    "largest_component",
+    "maps_of_split",
+    "pack",
+    "register",
+    "split_thresholds",
+]

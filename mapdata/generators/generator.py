@@ -1,0 +1,194 @@
+"""What a family of maps is: a `Generator`, known by its name, and the identity of a dataset that it draws."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, is_dataclass
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from mapdata.arrays import Ints
+from mapdata.generators.maps import Maps
+from mapdata.spec import (
+    MAX_SIDE,
+    Movement,
+    Range,
+    canonical_json,
+    check_fractions,
+    check_integers,
+    check_number,
+    check_seed,
+    known_values,
+)
+
+G = TypeVar("G", bound="Generator")
+
+_FIRST = "rooms"
+"""The generator that version 1 of the format knows: its specs say no name."""
+
+
+class Generator(ABC):
+    """A distribution of maps: a frozen dataclass of plain values that can be written as JSON.
+
+    A family of maps is a subclass in a file of its own, which `register` makes known; `mapdata/generators/mazes.py` is
+    the shortest example.
+
+    Attributes:
+        name: what JSON calls the family.
+        description: what its maps are, in words that go on as "... made by mapdata".
+        map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
+        resolution: metres per cell.
+        movement: how paths move.
+        splits: fractions of maps in train, val and test; they add up to 1.
+    """
+
+    name: ClassVar[str]
+    description: ClassVar[str]
+    map_size: Range
+    resolution: float
+    movement: Movement
+    splits: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Check what all families share, and bring it to tuples of int and float, so that equal specs have equal JSON.
+
+        Raises:
+            ValueError: a value outside these limits.
+        """
+        object.__setattr__(self, "map_size", check_integers("map_size", self.map_size))
+        object.__setattr__(self, "resolution", check_number("resolution", self.resolution))
+        object.__setattr__(self, "splits", check_fractions(self.splits))
+        if not isinstance(self.movement, Movement):
+            raise ValueError(f"movement: got {self.movement!r}, expected a Movement")
+        rows, columns = self.map_size
+        if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
+            raise ValueError(f"map_size: got {self.map_size}, expected 1 to {MAX_SIDE} rows and columns")
+        if not (self.resolution > 0 and math.isfinite(self.resolution)):
+            raise ValueError(f"resolution: got {self.resolution}, expected metres per cell above 0")
+
+    @property
+    @abstractmethod
+    def most_seed_points(self) -> int:
+        """The largest number of seed points that a map can have."""
+
+    @abstractmethod
+    def draw(self, seed: int, indices: Ints) -> Maps:
+        """Return the maps ``indices``, (N,) int64 from 0; each is a function of (self, seed, index) alone."""
+
+    @property
+    def format_version(self) -> int:
+        """The least version of the format that can say this distribution."""
+        return 1 if self.name == _FIRST else 2
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the spec as plain values for JSON."""
+        values: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
+        return values if self.name == _FIRST else {"generator": self.name, **values}
+
+    def to_json(self) -> str:
+        """Return the spec as canonical JSON: sorted keys, no white space."""
+        return canonical_json(self.to_dict())
+
+    @classmethod
+    def preset(cls: type[G], name: str) -> G:
+        """Return the preset ``name`` of this family, or, as `Generator.preset`, of any.
+
+        Raises:
+            ValueError: no such preset.
+        """
+        known = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
+        if name not in known:
+            raise ValueError(f"preset: got {name!r}, expected one of {', '.join(known)}")
+        return known[name]
+
+    @classmethod
+    def from_dict(cls: type[G], values: object) -> G:
+        """Return the spec with these values, which `to_dict` gave; missing ones take their defaults.
+
+        The name of a preset stands for its values.
+
+        Raises:
+            ValueError: an unknown name, or a value that a spec refuses.
+        """
+        if isinstance(values, str):
+            return cls.preset(values)
+        given = dict(values) if isinstance(values, dict) else {}
+        name = given.pop("generator", _FIRST)
+        if not isinstance(name, str) or name not in GENERATORS:
+            raise ValueError(f"generator: got {name!r}, expected one of {', '.join(GENERATORS)}")
+        kind = GENERATORS[name]
+        if not issubclass(kind, cls):
+            raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
+        known = known_values("spec", given if isinstance(values, dict) else values, kind)
+        if "movement" in known:
+            known["movement"] = Movement(**known_values("movement", known["movement"], Movement))
+        return kind(**known)
+
+    @classmethod
+    def from_json(cls: type[G], text: str) -> G:
+        """Return the spec that JSON text states.
+
+        Raises:
+            ValueError: not JSON, or no spec.
+        """
+        try:
+            values = json.loads(text)
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise ValueError(f"spec: not JSON ({error})") from None
+        return cls.from_dict(values)
+
+
+GENERATORS: dict[str, type[Generator]] = {}
+"""All families, by the name that JSON calls them."""
+
+PRESETS: dict[str, Generator] = {}
+"""Specs with a name, of all families."""
+
+
+def register(family: type[Generator], presets: Mapping[str, Generator] | None = None) -> None:
+    """Make a family known by its name, and its presets, so that recipes, manifests and shards can say them.
+
+    Raises:
+        ValueError: it is no frozen dataclass, or a name is taken.
+    """
+    if not (is_dataclass(family) and family.__dataclass_params__.frozen):
+        raise ValueError(f"{family.__name__}: expected a frozen dataclass")
+    if GENERATORS.setdefault(family.name, family).__qualname__ != family.__qualname__:
+        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {GENERATORS[family.name].__name__}")
+    for name, spec in (presets or {}).items():
+        if PRESETS.setdefault(name, spec) != spec:
+            raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
+
+
+def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
+    """Return the maps ``indices`` of (spec, seed).
+
+    Map i is a pure function of (format version, spec, seed, i): the batch, its order and the machine do not matter.
+
+    Raises:
+        ValueError: a seed or an index that is not a non-negative integer of 64 (63) bits.
+
+    >>> from mapdata import MapSpec
+    >>> maps = generate(MapSpec(), seed=0, indices=range(3))
+    >>> maps.occupancy.shape, maps.rooms.tolist()
+    ((3, 64, 64), [5, 9, 2])
+    """
+    listed = isinstance(indices, Iterable) and not isinstance(indices, np.ndarray)
+    index = np.asarray(list(indices) if listed else indices)
+    if index.ndim != 1 or (index.size and not (index.dtype.kind in "iu" and index.min() >= 0 and index.max() < 2**63)):
+        raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
+    return spec.draw(check_seed(seed), np.ascontiguousarray(index, np.int64))
+
+
+def identity(spec: Generator, seed: int) -> str:
+    """Return the identity of a dataset: SHA-256 (hex) of the canonical JSON of format version, spec and seed.
+
+    The number of maps is not in it, so that a dataset can grow.
+    """
+    recipe = {"format_version": spec.format_version, "spec": spec.to_dict(), "seed": check_seed(seed)}
+    return hashlib.sha256(canonical_json(recipe).encode()).hexdigest()

@@ -1,0 +1,128 @@
+"""`Maps`: a batch of bit-packed grids with what was drawn to make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mapdata.arrays import Bytes, Flags, Ints, Words
+from mapdata.jit import Int, kernel
+from mapdata.spec import Movement
+
+WORD = 64
+"""Columns of a map in one packed word."""
+
+_EIGHT = np.uint64(8)
+
+
+@dataclass(frozen=True)
+class Maps:
+    """A batch of N maps of one size, with what was drawn to make them.
+
+    R is the largest number of rooms; rows beyond a map's own rooms hold -1.
+
+    Attributes:
+        movement: how paths move on these maps.
+        columns: W, columns of a map.
+        index: (N,) int64, number of each map.
+        packed: (N, H, ceil(W / 64)) uint64, occupancy, one bit a cell: bit k of word j is column 64 j + k, 1 occupied.
+        rooms: (N,) int64, number of rooms n; of maps without rooms that of seed points.
+        passage_width: (N,) int64, width of the passages, in cells; -1 unknown.
+        seed_points: (N, R, 2) int64, seed point (row, col) of each room.
+        sizes: (N, R, 2) int64, rows and columns of each room as drawn, before clipping; -1 unknown.
+        directions: (N, R - 1, 2) int64, per passage the leg at A and the leg at B: 1 horizontal, 0 vertical, -1 no
+            passage.
+        split: (N,) uint8, 0 train, 1 val, 2 test.
+    """
+
+    movement: Movement
+    columns: int
+    index: Ints
+    packed: Words
+    rooms: Ints
+    passage_width: Ints
+    seed_points: Ints
+    sizes: Ints
+    directions: Ints
+    split: Bytes
+
+    @staticmethod
+    def empty(movement: Movement, map_size: tuple[int, int], index: Ints, most: int) -> Maps:
+        """Return maps to be filled in, each with room for ``most`` rooms; what is not filled in is -1, unknown."""
+        rows, columns = map_size
+        count = len(index)
+        return Maps(
+            movement=movement,
+            columns=columns,
+            index=index,
+            packed=np.empty((count, rows, -(-columns // WORD)), np.uint64),
+            rooms=np.zeros(count, np.int64),
+            passage_width=np.full(count, -1, np.int64),
+            seed_points=np.full((count, most, 2), -1, np.int64),
+            sizes=np.full((count, most, 2), -1, np.int64),
+            directions=np.full((count, most - 1, 2), -1, np.int64),
+            split=np.zeros(count, np.uint8),
+        )
+
+    def __len__(self) -> int:
+        """Return N, the number of maps."""
+        return len(self.index)
+
+    @cached_property
+    def occupancy(self) -> Bytes:
+        """The maps as (N, H, W) uint8: 1 occupied, 0 free."""
+        grids = np.empty((*self.packed.shape[:2], self.columns), np.uint8)
+        unpack_all(self.packed, grids)
+        return grids
+
+    @property
+    def connected(self) -> Flags:
+        """(N, R - 1) bool: a passage was drawn between rooms q and q + 1 (the paper's word; see `Labels.reachable`)."""
+        return self.directions[:, :, 0] >= 0
+
+    @cached_property
+    def segment_offsets(self) -> Ints:
+        """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map, all maps in order."""
+        return np.concatenate(([0], np.cumsum(self.rooms - 1)))
+
+    @cached_property
+    def pair_offsets(self) -> Ints:
+        """(N + 1,) int64: number of the first pair of rooms i < j of each map, n (n - 1) / 2 pairs a map."""
+        return np.concatenate(([0], np.cumsum(self.rooms * (self.rooms - 1) // 2)))
+
+
+@kernel
+def unpack(words: Words, first: Int, grid: Bytes) -> None:
+    """Write the packed map at ``words[first:]`` into ``grid``, (H, W)."""
+    rows, columns = grid.shape
+    count = (columns + WORD - 1) // WORD
+    packed, out = words.view(np.uint8), grid.reshape(-1)  # bit k of a little-endian word is bit k % 8 of byte k // 8
+    for row in range(rows if columns % WORD else 1):
+        cells = np.uint64(columns if columns % WORD else rows * columns)
+        byte, cell = np.uint64(8 * (first + row * count)), np.uint64(row * columns)
+        for k in range(cells >> np.uint64(3)):
+            value = packed[byte + np.uint64(k)]
+            for bit in range(8):  # becomes vector instructions
+                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = (value >> np.uint8(bit)) & np.uint8(1)
+        for k in range(cells & ~np.uint64(7), cells):
+            out[cell + np.uint64(k)] = (packed[byte + (np.uint64(k) >> np.uint64(3))] >> np.uint8(k & 7)) & np.uint8(1)
+
+
+@kernel
+def unpack_all(packed: Words, grids: Bytes) -> None:
+    """Write packed maps, (N, H, words), into ``grids``, (N, H, W)."""
+    words = packed.reshape(-1)
+    for m in range(len(packed)):
+        unpack(words, m * packed.shape[1] * packed.shape[2], grids[m])
+
+
+def pack(grids: Bytes) -> Words:
+    """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`: (N, H, ceil(W / 64)) uint64, column c in bit c % 64."""
+    count, rows, columns = grids.shape
+    words = -(-columns // WORD)
+    packed = np.zeros((count, rows, 8 * words), np.uint8)
+    bits = np.packbits(grids, axis=2, bitorder="little")
+    packed[:, :, : bits.shape[2]] = bits
+    return np.ascontiguousarray(packed.view("<u8").astype(np.uint64, copy=False))

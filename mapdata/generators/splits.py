@@ -1,0 +1,59 @@
+"""Which split a map belongs to: a draw of stream 2 of docs/format.md, the same for drawn and imported maps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapdata.arrays import Bytes, Ints, Words
+from mapdata.generators.generator import Generator
+from mapdata.jit import Int, kernel
+from mapdata.rng import SPLIT, block, threshold
+from mapdata.spec import SPLITS, check_fractions, check_seed
+
+
+def split_thresholds(splits: object) -> Words:
+    """Return the two integers below which a 32-bit word means train, and train or val.
+
+    Raises:
+        ValueError: not three fractions that add up to 1.
+    """
+    train, val, _ = check_fractions(splits)
+    return np.array([threshold(train), threshold(train + val)], np.uint64)
+
+
+@kernel
+def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
+    """Return (N,) the codes of the splits of maps ``indices``."""
+    codes = np.empty(len(indices), np.uint8)
+    for k in range(len(indices)):
+        codes[k] = _split_of(seed, np.uint64(indices[k]), thresholds)
+    return codes
+
+
+@kernel
+def _split_of(seed: np.uint64, index: np.uint64, thresholds: Words) -> Int:
+    word, _, _, _ = block(seed, index, 0, SPLIT, 0)
+    if word < thresholds[0]:
+        return 0
+    return 1 if word < thresholds[1] else 2
+
+
+def maps_of_split(spec: Generator, seed: int, split: str, count: int) -> Ints:
+    """Return the indices of the first ``count`` maps of (spec, seed) that belong to ``split``."""
+    code = SPLITS.index(split)
+    if spec.splits[code] <= 0:
+        raise ValueError(f"split: the spec gives no map to {split!r} (splits {spec.splits})")
+    return _maps_of_split(np.uint64(check_seed(seed)), code, split_thresholds(spec.splits), count)
+
+
+@kernel
+def _maps_of_split(seed: np.uint64, code: Int, thresholds: Words, count: Int) -> Ints:
+    indices = np.empty(count, np.int64)
+    found = 0
+    index = 0
+    while found < count:
+        if _split_of(seed, np.uint64(index), thresholds) == code:
+            indices[found] = index
+            found += 1
+        index += 1
+    return indices

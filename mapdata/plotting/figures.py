@@ -1,0 +1,213 @@
+"""Figures of a whole dataset: the gallery of the paper's Figure 2, distributions, and what ``mapdata show`` draws."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.plotting.plot import COLOURS, plot_grid, plot_map, plot_matrix, plot_path
+from mapdata.shards.root import read_map
+from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from mapdata.search.labels import Labels
+
+LOGARITHMIC = ("hardness of a segment",)
+"""Distributions with a peak and a long tail: drawn with a logarithmic count."""
+
+_NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+
+
+def pick_examples(of: DatasetStatistics) -> dict[str, int]:
+    """Return examples as the paper's Figure 2 has them: a caption and the number of a map each.
+
+    They are maps with few to many rooms, one that is not connected (some rooms do not reach each other), one that is
+    redundant (all rooms reach each other though a passage was not drawn: others or overlapping rooms stand in), one
+    with the most rooms (nine in the paper) and the one with the hardest segment. Each is the first such map of the
+    dataset that is not shown yet; a kind that does not occur is left out. Where all maps have equally many rooms, as
+    many imported ones, they go from easy to hard instead.
+    """
+    kinds = np.unique(of.rooms)
+    most = int(kinds[-1]) if len(kinds) else 0
+    few = kinds[:-1][np.unique(np.linspace(0, len(kinds) - 2, 4).round().astype(int))] if len(kinds) > 1 else []
+    wanted: list[tuple[str, npt.NDArray[np.bool_]]] = [
+        *((_in_words(int(n), of.rooms_known), of.all_connected & (of.rooms == n)) for n in few),
+        ("not connected", ~of.all_connected),
+        ("redundant", of.redundant),
+        (_in_words(most, of.rooms_known), of.rooms == most),
+    ]
+    if len(kinds) == 1:
+        marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest").tolist()
+        wanted += [(f"hardness {mark:.2f}", of.hardest == mark) for mark in marks]
+    if len(of) and of.hardest.max() > 1:
+        wanted.append((f"hardness {of.hardest.max():.2f}", of.hardest == of.hardest.max()))
+    examples: dict[str, int] = {}
+    for caption, which in wanted:
+        for index in of.index[which].tolist() if caption not in examples else ():
+            if index not in examples.values():
+                examples[caption] = index
+                break
+    return examples
+
+
+def plot_gallery(
+    of: DatasetStatistics, axes: Sequence[Axes] | None = None, *, paper_colours: bool = False
+) -> list[Axes]:
+    """Draw the examples of `pick_examples` with their seeds: the paper's Figure 2.
+
+    Args:
+        of: what `dataset_statistics` returns.
+        axes: where to draw, one an example; a new figure without. Those left over are switched off.
+        paper_colours: free black, occupied white.
+    """
+    examples = pick_examples(of)
+    columns = min(4, len(examples)) or 1
+    rows = -(-len(examples) // columns) or 1
+    size = (2.6 * columns, 2.85 * rows * of.manifest.map_size[0] / of.manifest.map_size[1] + 0.5)
+    axes = _new_axes(rows, columns, size) if axes is None else list(axes)
+    for ax in axes:
+        ax.set_axis_off()
+    for ax, (caption, index) in zip(axes, examples.items(), strict=False):
+        labels, i = read_map(of.root, index)
+        ax.set_axis_on()
+        plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
+        seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
+        ax.scatter(
+            seed_points[:, 1],
+            seed_points[:, 0],
+            s=22,
+            color=COLOURS["seed"],
+            edgecolor="white",
+            linewidth=0.8,
+            zorder=3,
+        )
+        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+        ax.set_title(f"{caption}\nmap{index}", fontsize="medium")
+    return list(axes)
+
+
+def plot_distributions(of: DatasetStatistics, axes: Sequence[Axes] | None = None) -> list[Axes]:
+    """Draw the distributions of rooms, free share, path length and hardness.
+
+    Args:
+        of: what `dataset_statistics` returns.
+        axes: where to draw, four of them; a new figure without.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    axes = _new_axes(2, 2, (9, 6)) if axes is None else list(axes)
+    for ax, (name, values) in zip(axes, of.distributions().items(), strict=False):
+        edges, counts = histogram(values)
+        ax.bar(
+            edges[:-1], counts, np.diff(edges), align="edge", color=COLOURS["astar"], edgecolor="white", linewidth=0.5
+        )
+        if (values == np.rint(values)).all():
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        logarithmic = name in LOGARITHMIC
+        if logarithmic:
+            ax.set_yscale("log")
+        ax.set(xlabel=name, ylabel=("segments" if "segment" in name else "maps") + " (log)" * logarithmic)
+        if len(values):
+            mean = float(values.mean())
+            ax.axvline(mean, color="black", linewidth=1, linestyle=(0, (4, 2)))
+            ax.set_title(f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}", fontsize="medium")
+    return list(axes)
+
+
+def plot_figure(root: str | os.PathLike[str], kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:
+    """Return one of `FIGURES` of a dataset: what ``mapdata show`` writes.
+
+    Args:
+        root: folder of the dataset.
+        kind: "map", "gallery", "path", "matrix" or "distributions".
+        index: number of the map, for those of one map.
+        paper_colours: free black, occupied white, where a map is drawn.
+
+    Raises:
+        ValueError: no such figure, or no such map.
+    """
+    if kind not in FIGURES:
+        raise ValueError(f"figure: got {kind!r}, expected one of {', '.join(FIGURES)}")
+    return FIGURES[kind](root, index, paper_colours)
+
+
+def _figure_map(root: str | os.PathLike[str], index: int, paper_colours: bool) -> Figure:
+    labels, i = read_map(root, index)
+    (ax,) = _new_axes(1, 1, (6, _height(labels, 5.4) + 1.1))
+    plot_map(labels, i, ax, paper_colours=paper_colours)
+    return _figure_of(ax)
+
+
+def _figure_path(root: str | os.PathLike[str], index: int, paper_colours: bool) -> Figure:
+    labels, i = read_map(root, index)
+    lines = min(int(labels.maps.rooms[i]) - 1, 16)
+    axes = _new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2))))
+    for search, ax in zip(("bfs", "astar"), axes, strict=True):
+        plot_path(labels, i, search, ax, paper_colours=paper_colours)
+    return _figure_of(axes[0])
+
+
+def _figure_matrix(root: str | os.PathLike[str], index: int, _: bool) -> Figure:
+    labels, i = read_map(root, index)
+    axes = _new_axes(1, 2, (12, 5.8))
+    for search, ax in zip(("bfs", "astar"), axes, strict=True):
+        plot_matrix(labels, i, search, ax)
+    return _figure_of(axes[0])
+
+
+def _figure_gallery(root: str | os.PathLike[str], _: int, paper_colours: bool) -> Figure:
+    return _figure_of(plot_gallery(dataset_statistics(root), paper_colours=paper_colours)[0])
+
+
+def _figure_distributions(root: str | os.PathLike[str], _: int, __: bool) -> Figure:
+    return _figure_of(plot_distributions(dataset_statistics(root))[0])
+
+
+FIGURES: dict[str, Callable[[str | os.PathLike[str], int, bool], Figure]] = {
+    "map": _figure_map,
+    "gallery": _figure_gallery,
+    "path": _figure_path,
+    "matrix": _figure_matrix,
+    "distributions": _figure_distributions,
+}
+"""What ``mapdata show --figure`` draws."""
+
+OF_ONE_MAP = ("map", "path", "matrix")
+"""Those of `FIGURES` that show the map ``--index``."""
+
+WITH_GRID = ("map", "path", "gallery")
+"""Those of `FIGURES` that show a grid, which ``--paper-colours`` turns over."""
+
+
+def _new_axes(rows: int, columns: int, size: tuple[float, float]) -> list[Axes]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    return list(figure.subplots(rows, columns, squeeze=False).flat)
+
+
+def _height(labels: Labels, width: float) -> float:
+    """Return the height of a picture of a map of this width, in inches."""
+    rows, columns = labels.maps.occupancy.shape[1:]
+    return float(min(max(width * rows / columns, 1.2), 3 * width))
+
+
+def _figure_of(axes: Axes) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = axes.figure
+    if not isinstance(figure, Figure):
+        raise TypeError("axes of a subfigure")
+    return figure
+
+
+def _in_words(number: int, rooms: bool) -> str:
+    word = _NUMBERS[number] if number < len(_NUMBERS) else str(number)
+    return f"{word} {'room' if rooms else 'seed point'}{'s' * (number != 1)}"

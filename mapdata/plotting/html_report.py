@@ -1,0 +1,227 @@
+"""The report: one page to look at a dataset, without a server and without a network.
+
+`report.html` is the template. The maps travel in it as one block: tables of numbers, compressed, in base64; its script
+lists them under ``data``. The page allows no script but its own, whatever text the dataset holds.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import re
+import zlib
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Floats, Ints
+from mapdata.plotting.figures import LOGARITHMIC
+from mapdata.search.labels import Labels
+from mapdata.shards.dataset_card import Section, sections, title
+from mapdata.shards.reader import open_shard
+from mapdata.shards.shard import bits_of, decode, pack_moves
+from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
+
+MAPS = 500
+"""Maps in the browser of a report."""
+
+_TYPES = {"u1": np.uint8, "i1": np.int8, "i4": np.int32, "f8": np.float64}
+_ANCHORS = {1: ("middle",), 2: ("start", "end"), 3: ("start", "middle", "end")}
+_WIDTH, _HEIGHT, _LEFT, _TOP = 320, 190, 44, 12
+
+
+def report(root: str | os.PathLike[str], maps: int = MAPS) -> str:
+    """Return the report of a dataset as one HTML page: a browser of a sample of maps, the distributions and the card.
+
+    Args:
+        root: folder of the dataset.
+        maps: how many maps the browser shows, evenly spaced over the dataset.
+
+    Raises:
+        DatasetNotFoundError: there is no dataset under ``root``.
+        ShardError: a shard is missing or damaged.
+        ValueError: ``maps`` is less than one.
+    """
+    if maps < 1:
+        raise ValueError(f"maps: got {maps}, expected at least 1")
+    of = dataset_statistics(root, repeats=True)
+    first, *others = sections(of)
+    header, block = _pack(of, _sample(len(of), maps))
+    count = min(maps, len(of))
+    template = files("mapdata.plotting").joinpath("report.html").read_text(encoding="utf-8")
+    values = {
+        "POLICY": _policy(template),
+        "TITLE": escape(title(of)),
+        "INTRODUCTION": f"<p>{escape(first.text)}</p>",
+        "SAMPLED": f"All {count:,} maps." if count == len(of) else f"{count:,} of {len(of):,} maps, evenly spaced.",
+        "CHARTS": "".join(_chart(name, column) for name, column in of.distributions().items() if len(column)),
+        "CARD": "".join(map(_html, others)),
+        "HEADER": escape(json.dumps(header)),
+        "DATA": base64.b64encode(block).decode(),
+    }
+    # one pass: text that looks like a mark stays text
+    return re.sub("@@([A-Z]+)@@", lambda match: values[match[1]], template)
+
+
+def _policy(template: str) -> str:
+    """Return the content security policy that lets only the template's own script and style run."""
+    allowed = []
+    for tag in ("script", "style"):
+        found = re.findall(f"<{tag}>(.*?)</{tag}>", template, re.DOTALL)
+        hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in found]
+        allowed.append(" ".join([f"{tag}-src", *(f"'sha256-{value}'" for value in hashes)]))
+    return "; ".join(["default-src 'none'", *allowed, "base-uri 'none'", "form-action 'none'"])
+
+
+def _sample(count: int, maps: int) -> Ints:
+    """Return the places of at most ``maps`` of ``count`` maps, evenly spaced."""
+    chosen = min(count, maps)
+    return np.arange(chosen) * count // max(chosen, 1)
+
+
+def _pack(of: DatasetStatistics, places: Ints) -> tuple[dict[str, Any], bytes]:
+    """Return what the page's script must know, and the tables of the maps at ``places`` of the survey."""
+    manifest, tables = of.manifest, {}
+    columns = _columns(of, places)
+    at, block = 0, b""
+    for name, (kind, values) in columns.items():
+        data = np.ascontiguousarray(values, np.dtype(_TYPES[kind]).newbyteorder("<")).tobytes()
+        tables[name] = (kind, at, len(data) // np.dtype(_TYPES[kind]).itemsize)
+        block += data + bytes(-len(data) % 8)
+        at = len(block)
+    header = {
+        "tables": tables,
+        "size": manifest.map_size,
+        "bits": bits_of(manifest.movement),
+        "diagonal": manifest.movement.diagonal_cost,
+        "resolution": manifest.resolution,
+        "word": "rooms" if of.rooms_known else "seed points",
+    }
+    return header, zlib.compress(block, 9)
+
+
+def _columns(of: DatasetStatistics, places: Ints) -> dict[str, tuple[str, npt.NDArray[Any]]]:
+    """Return the tables of a page: type and values."""
+    parts: dict[str, list[npt.NDArray[Any]]] = {}
+    kinds: dict[str, str] = {}
+    first = 0
+    for entry in of.manifest.shards:
+        last = first + entry.stop - entry.start
+        chosen = places[(places >= first) & (places < last)] - first
+        if len(chosen):
+            labels = decode(open_shard(of.root / entry.name, entry.bytes))
+            for name, (kind, values) in _tables(labels, chosen).items():
+                parts.setdefault(name, []).append(values)
+                kinds[name] = kind
+        first = last
+    columns = {name: (kinds[name], np.concatenate(values)) for name, values in parts.items()}
+    bits = bits_of(of.manifest.movement)
+    for search in ("bfs", "astar"):
+        kind, moves = columns.get(f"{search}_moves", ("u1", np.empty(0, np.uint8)))
+        columns[f"{search}_moves"] = (kind, pack_moves(moves, bits))
+    columns["hardest"] = ("f8", of.hardest[places])
+    columns["free"] = ("f8", of.free[places])
+    return columns
+
+
+def _tables(labels: Labels, chosen: Ints) -> dict[str, tuple[str, npt.NDArray[Any]]]:
+    """Return what the page shows of maps ``chosen`` of a shard: type and values of each table."""
+    maps = labels.maps
+    n = maps.rooms[chosen]
+    used = np.arange(maps.seed_points.shape[1]) < n[:, None]
+    segments, pairs = _ranges(maps.segment_offsets, chosen), _ranges(maps.pair_offsets, chosen)
+    columns = -(-maps.columns // 8)
+    octets = maps.packed[chosen].astype("<u8", copy=False).view(np.uint8)[:, :, :columns]
+    tables: dict[str, tuple[str, npt.NDArray[Any]]] = {
+        "maps": ("u1", octets.reshape(-1)),
+        "index": ("f8", maps.index[chosen]),
+        "split": ("u1", maps.split[chosen]),
+        "connected": ("u1", labels.all_connected[chosen]),
+        "rooms": ("i4", n),
+        "width": ("i4", maps.passage_width[chosen]),
+        "seeds": ("i4", maps.seed_points[chosen][used].reshape(-1)),
+        "sizes": ("i4", maps.sizes[chosen][used].reshape(-1)),
+        "directions": ("i1", maps.directions[chosen][used[:, 1:]].reshape(-1)),
+        "reachable": ("u1", labels.reachable[segments]),
+        "astar_diagonal": ("i4", labels.astar.costs[pairs, 1]),
+    }
+    for name in ("bfs", "astar"):
+        search = labels.of(name)
+        tables[f"{name}_steps"] = ("i4", np.diff(search.offsets)[segments])
+        tables[f"{name}_moves"] = ("u1", search.moves[_ranges(search.offsets, segments)])
+        tables[f"{name}_iterations"] = ("i4", search.iterations[segments])
+        tables[f"{name}_straight"] = ("i4", search.costs[pairs, 0])
+    return tables
+
+
+def _ranges(offsets: Ints, chosen: Ints) -> Ints:
+    """Return the numbers offsets[k] to offsets[k + 1] - 1 of all ``chosen`` k, in order."""
+    found = [np.arange(offsets[k], offsets[k + 1]) for k in chosen.tolist()]
+    return np.concatenate([np.empty(0, np.int64), *found])
+
+
+def _html(section: Section) -> str:
+    """Return a section of the card as HTML."""
+    parts = [f"<h2>{escape(section.title)}</h2>"]
+    if section.text:
+        parts.append(f"<p>{escape(section.text)}</p>")
+    if section.table:
+        head, *rows = section.table
+        lines = ["".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)] if any(head) else []
+        for name, *cells in rows:
+            lines.append(f'<th scope="row">{escape(name)}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in cells))
+        body = "".join(f"<tr>{line}</tr>" for line in lines)
+        region = f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(section.title)}">'
+        parts.append(f"{region}<table>{body}</table></div>")
+    if section.code:
+        parts.append(f'<pre tabindex="0"><code>{escape(section.code)}</code></pre>')
+    return "\n".join(parts)
+
+
+def _chart(name: str, values: Floats) -> str:
+    """Return a histogram as SVG, with words for those who do not see it."""
+    edges, counts = histogram(values)
+    logarithmic = name in LOGARITHMIC
+    heights = np.log10(np.maximum(counts, 0.5) * 2) if logarithmic else counts.astype(np.float64)
+    right, bottom, low, high, top = _WIDTH - 8, _HEIGHT - 24, float(edges[0]), float(edges[-1]), max(heights.max(), 1)
+
+    def x_of(value: float) -> float:
+        return _LEFT + (right - _LEFT) * (value - low) / (high - low)
+
+    bars = []
+    for first, last, count, height in zip(edges[:-1], edges[1:], counts, heights, strict=True):
+        tall = float((bottom - _TOP) * height / top)
+        where = _tick(first + 0.5) if last - first == 1 else f"{_tick(first)} to {_tick(last)}"
+        bars.append(
+            f'<rect x="{x_of(first):.1f}" y="{bottom - tall:.1f}" width="{max(x_of(last) - x_of(first) - 1, 0.5):.1f}" '
+            f'height="{tall:.1f}"><title>{where}: {count:,}</title></rect>'
+        )
+    shift = 0.5 if bool((values == np.rint(values)).all()) else 0.0
+    ticks = sorted({low + shift, float(np.floor((low + high) / 2)) if shift else (low + high) / 2, high - shift})
+    labels = "".join(
+        f'<text x="{x_of(tick):.1f}" y="{bottom + 15}" text-anchor="{anchor}">{_tick(tick)}</text>'
+        for tick, anchor in zip(ticks, _ANCHORS[len(ticks)], strict=True)
+    )
+    mean, what = float(values.mean()), "segments" if "segment" in name else "maps"
+    words = (
+        f"{name}: mean {mean:.4g}, median {np.median(values):.4g}, from {values.min():.4g} to {values.max():.4g}, "
+        f"{len(values):,} {what}"
+    )
+    return (
+        f'<figure><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(words)}">{"".join(bars)}'
+        f'<line x1="{_LEFT}" y1="{bottom}" x2="{right}" y2="{bottom}"/>{labels}'
+        f'<text x="{_LEFT - 6}" y="{_TOP + 8}" text-anchor="end">{counts.max():,}</text>'
+        f'<text x="{_LEFT - 6}" y="{bottom}" text-anchor="end">0</text>'
+        f'<line class="mean" x1="{x_of(mean):.1f}" y1="{_TOP}" x2="{x_of(mean):.1f}" y2="{bottom}"/></svg>'
+        f"<figcaption>{escape(words)}{' (height: logarithm of the count)' * logarithmic}</figcaption></figure>"
+    )
+
+
+def _tick(value: float) -> str:
+    """Return a number as a tick shows it."""
+    return f"{value:.3g}"

@@ -1,0 +1,129 @@
+"""Figures of what a model sees and does on a map: a sample, a prediction beside the truth, a roadmap. Axes in,
+axes out, as in `mapdata.plotting.plot`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.plotting.plot import COLOURS, head, mark, plot_grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mapdata.datasets.sample import Sample
+
+
+def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
+    """Draw one sample of a dataset: its map, start S and goal G, and its path, as far as it has these fields.
+
+    Args:
+        sample: what ``dataset[i]`` gives; with the field ``map`` or ``free``, (1, H, W).
+        axes: where to draw; a new figure without.
+        paper_colours: free black, occupied white.
+
+    Raises:
+        ValueError: a batch, or a sample without a map.
+    """
+    values = {name: np.asarray(value) for name, value in sample._asdict().items()}
+    grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
+    if grid is None or grid.ndim != 3:
+        found = f"fields {', '.join(values)}" if grid is None else f"a map of shape {grid.shape}"
+        raise ValueError(f"sample: got {found}, expected one sample with a map of shape (1, rows, columns)")
+    axes = plot_grid(grid[0], axes, paper_colours=paper_colours)
+    words = []
+    if "path" in values:
+        path = _cells(values["path"])
+        axes.plot(path[:, 1], path[:, 0], color=COLOURS["astar"], linewidth=2.5)
+        words.append(f"{len(path)} cells" if len(path) else "no path")
+    words += [f"{name} {float(values[name]):.4g}" for name in ("cost", "hardness") if name in values]
+    for name, letter in (("start", "S"), ("goal", "G")):
+        if name in values:
+            mark(axes, letter, *values[name].tolist())
+    axes.set_title(", ".join(words))
+    return axes
+
+
+def plot_prediction(
+    occupancy: npt.ArrayLike,
+    predicted: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    axes: Axes | None = None,
+    *,
+    scores: npt.ArrayLike | None = None,
+    paper_colours: bool = False,
+) -> Axes:
+    """Draw a predicted path over the true one, and a cross on each predicted cell that is occupied.
+
+    Args:
+        occupancy: (H, W), 0 free and 1 occupied.
+        predicted: (k, 2) cells (row, col), (0, 2) for none; rows of -1, padding, are left out.
+        truth: likewise.
+        axes: where to draw; a new figure without.
+        scores: (H, W), what the model says of each cell, drawn as a shade; from low to high.
+        paper_colours: free black, occupied white.
+    """
+    grid = np.asarray(occupancy)
+    axes = plot_grid(grid, axes, paper_colours=paper_colours)
+    if scores is not None:
+        axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
+    paths = {"true": _cells(truth), "predicted": _cells(predicted)}
+    looks = {"true": ("astar", 5.0, "-"), "predicted": ("bfs", 2.5, (0, (3, 1)))}
+    for name, path in paths.items():
+        colour, width, style = looks[name]
+        label = f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
+        axes.plot(path[:, 1], path[:, 0], color=COLOURS[colour], linewidth=width, linestyle=style, label=label)
+    rows, columns = paths["predicted"].T
+    inside = (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
+    hit = paths["predicted"][inside][grid[rows[inside], columns[inside]] == 1]
+    if len(hit):
+        label = f"{len(hit)} in occupied cells"
+        axes.plot(hit[:, 1], hit[:, 0], "x", color="#CC79A7", markersize=7, markeredgewidth=2, label=label)
+    ends = paths["true"] if len(paths["true"]) else paths["predicted"]
+    for name, cell in zip("SG", ends[[0, -1]] if len(ends) else (), strict=False):
+        mark(axes, name, cell[0], cell[1])
+    head(axes, "predicted and true path")
+    return axes
+
+
+def plot_roadmap(
+    occupancy: npt.ArrayLike,
+    vertices: npt.ArrayLike,
+    edges: npt.ArrayLike,
+    axes: Axes | None = None,
+    *,
+    path: npt.ArrayLike | None = None,
+    paper_colours: bool = False,
+) -> Axes:
+    """Draw a roadmap: its samples and the edges between them.
+
+    Args:
+        occupancy: (H, W), 0 free and 1 occupied.
+        vertices: (n, 2) samples (row, col), fractions allowed.
+        edges: (m, 2) integers, numbers of the vertices that each edge joins.
+        axes: where to draw; a new figure without.
+        path: (k, 2) cells (row, col), a path found on the roadmap.
+        paper_colours: free black, occupied white.
+    """
+    from matplotlib.collections import LineCollection
+
+    axes = plot_grid(occupancy, axes, paper_colours=paper_colours)
+    points = np.asarray(vertices, np.float64).reshape(-1, 2)
+    joined = np.asarray(edges, np.int64).reshape(-1, 2)
+    label = f"{len(joined):,} edges"
+    axes.add_collection(LineCollection(list(points[joined][..., ::-1]), colors="#56B4E9", linewidths=1, label=label))
+    if path is not None:
+        cells = np.asarray(path, np.float64).reshape(-1, 2)
+        axes.plot(cells[:, 1], cells[:, 0], color=COLOURS["bfs"], linewidth=2.5, label="path")
+    label = f"{len(points):,} samples"
+    axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
+    head(axes, "roadmap")
+    return axes
+
+
+def _cells(path: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    cells = np.asarray(path).reshape(-1, 2).astype(np.int64)
+    return np.asarray(cells[(cells != -1).any(axis=1)])

@@ -1,0 +1,262 @@
+"""Shortest paths on grids: BFS, A*, distance fields and the path check, in the exact order that the format fixes.
+
+The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f, among equal f the most
+recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's parent changes only for a smaller g.
+The work is done in `mapdata.search.kernels`; here arguments are checked.
+"""
+
+from __future__ import annotations
+
+from operator import index
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Bytes, Ints
+from mapdata.search.kernels import solve_all, solve_one, write_field
+from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, rule_of
+from mapdata.spec import Movement
+
+
+class SearchResult(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        path: (k, 2) int64, cells from start to goal, both included; (0, 2) when there is none.
+        cost: cost of the path, in cells (BFS: in moves); -1.0 when there is none.
+        iterations: number of cells taken from the frontier, the goal included.
+    """
+
+    path: Ints
+    cost: float
+    iterations: int
+
+
+def bfs(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()) -> SearchResult:
+    """Return the path that breadth-first search finds: first in, first out, neighbours N, E, S, W, NE, SE, SW, NW.
+
+    Args:
+        grid: (H, W) of 0 free and 1 occupied, or bool; at most ``MAX_CELLS`` cells.
+        start: (row, col), a free cell.
+        goal: (row, col), a free cell.
+        movement: how one moves. BFS counts moves, so under 8-connectivity ``cost`` is hops.
+
+    Raises:
+        ValueError: a grid that is not 2-D or holds other values, a start or goal outside it or on an occupied cell.
+
+    Source: arXiv 2110.13242, section III-C.
+    """
+    return _search(BFS, grid, start, goal, movement)
+
+
+def astar(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()) -> SearchResult:
+    """Return a shortest path by A*; least f first, among equal f the most recently pushed.
+
+    The heuristic is Manhattan (4), octile (8) or Chebyshev (8, diagonal cost 1). Arguments and errors are those of
+    `bfs`.
+
+    Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242, section III-C.
+
+    >>> astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
+    SearchResult(path=array([[0, 0],
+           [1, 0],
+           [1, 1],
+           [1, 2],
+           [0, 2]]), cost=4.0, iterations=5)
+    """
+    return _search(ASTAR, grid, start, goal, movement)
+
+
+class BatchResult(NamedTuple):
+    """What a batch of B searches found; path k is ``cells[offsets[k]:offsets[k + 1]]``.
+
+    Attributes:
+        cells: (M, 2) int64, all paths one after another; a problem without a path has none.
+        offsets: (B + 1,) int64.
+        cost: (B,) float64, -1 without a path.
+        iterations: (B,) int64.
+    """
+
+    cells: Ints
+    offsets: Ints
+    cost: npt.NDArray[np.float64]
+    iterations: Ints
+
+
+def search_batch(
+    search: str,
+    grids: npt.ArrayLike,
+    starts: npt.ArrayLike,
+    goals: npt.ArrayLike,
+    movement: Movement = Movement(),
+) -> BatchResult:
+    """Solve B problems in one call: as `bfs` or `astar` of each, without the cost of a Python call a problem.
+
+    Args:
+        search: "bfs" or "astar".
+        grids: (B, H, W), or one (H, W) that all problems share; 0 free, 1 occupied.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        movement: how one moves.
+
+    Raises:
+        ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not fit together.
+    """
+    if search not in ("bfs", "astar"):
+        raise ValueError(f"search: got {search!r}, expected 'bfs' or 'astar'")
+    array = np.asarray(grids)
+    stack = _grid(array if array.ndim == 3 else array[None], 3)
+    cells = [np.ascontiguousarray(points, np.int64) for points in (_whole("starts", starts), _whole("goals", goals))]
+    count = len(cells[0])
+    if cells[1].shape != cells[0].shape or (array.ndim == 3 and len(stack) != count):
+        raise ValueError(f"got {len(stack)} grids, {count} starts and {len(cells[1])} goals, expected equal numbers")
+    for name, points in zip(("start", "goal"), cells, strict=True):
+        outside = np.flatnonzero(((points < 0) | (points >= stack.shape[1:])).any(axis=1))
+        if len(outside):
+            k = int(outside[0])
+            raise ValueError(f"problem {k}: {name} {_cell_text(points[k])} is outside the map of {_size(stack)} cells")
+    starts, goals = cells
+    code, (diagonals, step) = ASTAR if search == "astar" else BFS, rule_of(movement)
+    path, found, solved = solve_all(stack, starts, goals, code, diagonals, step)
+    if solved < count:
+        grid = stack[min(solved, len(stack) - 1)]
+        raise ValueError(f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}")
+    straight, diagonal, iterations, ends = found.T
+    diagonal_cost = 1.0 if search == "bfs" else movement.diagonal_cost
+    return BatchResult(path, np.concatenate(([0], ends)), straight + diagonal * diagonal_cost, iterations.copy())
+
+
+def distance_field(grid: npt.ArrayLike, goal: object, movement: Movement = Movement()) -> npt.NDArray[np.float32]:
+    """Return the cost of the shortest path from every cell to ``goal``: (H, W) float32, in cells, -1 where there is
+    none.
+
+    Raises:
+        ValueError: what `bfs` refuses.
+
+    >>> distance_field([[0, 1, 0], [0, 0, 0]], (0, 0))
+    array([[ 0., -1.,  4.],
+           [ 1.,  2.,  3.]], dtype=float32)
+    """
+    array = _grid(grid, 2)
+    row, column = _cell("goal", goal, array)
+    out = np.empty(array.shape, np.float32)
+    if not write_field(array, row, column, *rule_of(movement), out) or array[row, column]:
+        raise ValueError(_complaint(array, (row, column), (row, column)).replace("start", "goal", 1))
+    return out
+
+
+def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Movement()) -> float:
+    """Return the cost of ``path`` on ``grid``, in cells.
+
+    Args:
+        grid: (H, W) of 0 free and 1 occupied, or bool.
+        path: (k, 2) cells, k at least 1.
+        movement: the rule that every step must obey.
+
+    Raises:
+        ValueError: the path is empty or not (k, 2), or names the first cell outside or occupied, or the first bad step.
+
+    >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
+    2.0
+    """
+    array = _grid(grid, 2)
+    if not np.all(array <= 1):
+        raise ValueError(_values_complaint(array))
+    cells = _whole("path", path)
+    if len(cells) == 0:
+        raise ValueError("path: got no cell, expected at least one")
+    outside = np.any((cells < 0) | (cells >= array.shape), axis=1)
+    occupied = np.zeros(len(cells), bool)
+    occupied[~outside] = array[tuple(cells[~outside].T)] == 1
+    steps = np.abs(np.diff(cells, axis=0))
+    diagonal = np.all(steps == 1, axis=1)
+    bad = (steps.max(axis=1, initial=0) != 1) | (diagonal & (movement.connectivity == 4))
+    if movement.connectivity == 8 and not movement.corner_cutting:
+        padded = np.pad(array, 1, constant_values=1)
+        first, last = np.clip(cells[:-1], -1, array.shape) + 1, np.clip(cells[1:], -1, array.shape) + 1
+        blocked = padded[first[:, 0], last[:, 1]] | padded[last[:, 0], first[:, 1]]
+        bad |= diagonal & (blocked == 1)
+    for k in np.flatnonzero(outside | occupied | np.concatenate(([False], bad))).tolist():
+        cell = _cell_text(cells[k])
+        if outside[k]:
+            raise ValueError(f"path: cell {k}, {cell}, is outside the map of {_size(array)} cells")
+        if occupied[k]:
+            raise ValueError(f"path: cell {k}, {cell}, is occupied")
+        raise ValueError(f"path: step {k - 1}, from {_cell_text(cells[k - 1])} to {cell}, is not a move of {movement}")
+    return float((~diagonal).sum() + diagonal.sum() * movement.diagonal_cost)
+
+
+def _search(search: int, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
+    array = _grid(grid, 2)
+    begin, end = _cell("start", start, array), _cell("goal", goal, array)
+    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, *rule_of(movement))
+    if iterations == 0:
+        raise ValueError(_complaint(array, begin, end))
+    return SearchResult(path, straight + diagonal * (1.0 if search == BFS else movement.diagonal_cost), iterations)
+
+
+def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
+    """Return ``grid`` as the one flavour that the kernels are compiled for: writable, contiguous uint8."""
+    try:
+        array = np.asarray(grid)
+    except ValueError as error:
+        raise ValueError(f"grid: {error}") from None
+    if array.ndim != rank or 0 in array.shape[-2:]:
+        raise ValueError(f"grid: got shape {array.shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty")
+    if array.shape[-2] * array.shape[-1] > MAX_CELLS:
+        raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
+    if array.dtype == np.bool_:
+        array = array.view(np.uint8)
+    elif array.dtype != np.uint8:
+        if array.dtype.kind not in "iuf":
+            raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
+        if not np.isin(array, (0, 1)).all():
+            raise ValueError(_values_complaint(array))
+        array = array.astype(np.uint8)
+    if not (array.flags.c_contiguous and array.flags.writeable):
+        array = np.array(array, order="C")
+    return array
+
+
+def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
+    """Return ``cell`` as two ints inside ``grid``."""
+    try:
+        row, column = cell  # type: ignore[misc]
+        row, column = index(row), index(column)  # type: ignore[has-type]
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: got {cell!r}, expected a cell (row, col) of two integers") from None
+    if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+        raise ValueError(f"{name}: {row, column} is outside the map of {_size(grid)} cells")
+    return row, column
+
+
+def _whole(name: str, cells: npt.ArrayLike) -> Ints:
+    """Return ``cells`` as an (n, 2) integer array."""
+    array = np.asarray(cells)
+    if array.size == 0 and array.ndim <= 2:
+        return np.empty((0, 2), np.int64)
+    if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
+        raise ValueError(f"{name}: got shape {array.shape} of {array.dtype}, expected (n, 2) integer cells (row, col)")
+    return array.astype(np.int64, copy=False)
+
+
+def _complaint(grid: Bytes, start: tuple[int, ...], goal: tuple[int, ...]) -> str:
+    """Return why a problem was refused."""
+    if np.any(grid > 1):
+        return _values_complaint(grid)
+    name, cell = ("start", start) if grid[start] else ("goal", goal)
+    return f"{name}: {tuple(cell)} is on an occupied cell"
+
+
+def _values_complaint(grid: npt.NDArray[np.generic]) -> str:
+    other = grid[~np.isin(grid, (0, 1))].flat[0]
+    return f"grid: got the value {other}, expected 0 free and 1 occupied only"
+
+
+def _cell_text(cell: Ints) -> str:
+    return f"({cell[0]}, {cell[1]})"
+
+
+def _size(grid: npt.NDArray[np.generic]) -> str:
+    return f"{grid.shape[-2]} x {grid.shape[-1]}"

@@ -1,0 +1,319 @@
+"""What the paper computes of a map: the route by BFS and by A*, their iterations, and both connection matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.generators.maps import WORD, Maps
+from mapdata.jit import Int, kernel
+from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
+from mapdata.search.bitboard import bit_labels, bit_scratch
+from mapdata.search.kernels import (
+    Scratch,
+    astar_heap,
+    astar_manhattan,
+    count_moves,
+    expansions_until,
+    flood,
+    scratch,
+    wipe,
+    with_capacity,
+    write_moves,
+)
+from mapdata.search.lattice import ASTAR, BFS, STEPS, UNSEEN, WALL, rule_of
+
+
+@dataclass(frozen=True)
+class SearchLabels:
+    """What one planner finds on N maps with S segments and P pairs of rooms.
+
+    Segment q of a map leads from room q to room q + 1, pairs are i < j in the order of `numpy.triu_indices` (scipy's
+    condensed form); `Maps.segment_offsets` and `Maps.pair_offsets` say where those of a map begin.
+
+    Attributes:
+        moves: (M,) uint8, the moves of all segments one after another, numbered as `kernels.STEPS`.
+        offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves, like one from a
+            cell to itself.
+        iterations: (S,) int64, cells taken from the frontier.
+        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair, (-1, 0) without a path.
+    """
+
+    moves: Bytes
+    offsets: Ints
+    iterations: Ints
+    costs: Ints
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The paper's characterization of a batch of maps: routes, iterations and matrices by both planners."""
+
+    maps: Maps
+    bfs: SearchLabels
+    astar: SearchLabels
+
+    @cached_property
+    def reachable(self) -> Flags:
+        """(S,) bool: a path exists between rooms q and q + 1, whether or not a passage was drawn."""
+        first = np.repeat(self.maps.pair_offsets[:-1], self.maps.rooms - 1)
+        q = np.arange(len(first)) - np.repeat(self.maps.segment_offsets[:-1], self.maps.rooms - 1)
+        n = np.repeat(self.maps.rooms, self.maps.rooms - 1)
+        return np.asarray(self.astar.costs[first + q * (2 * n - q - 1) // 2, 0] >= 0)
+
+    @cached_property
+    def all_connected(self) -> Flags:
+        """(N,) bool: paths exist between all rooms of a map."""
+        paths = np.concatenate(([0], np.cumsum(self.reachable)))
+        offsets = self.maps.segment_offsets
+        return np.asarray(paths[offsets[1:]] - paths[offsets[:-1]] == self.maps.rooms - 1)
+
+    def segment(self, search: str, i: int, q: int) -> Ints:
+        """Return segment q of map i of the batch as found by ``search``: (k, 2) int64 cells, (0, 2) without a path."""
+        labels = self.of(search)
+        if not 0 <= q < self._rooms(i) - 1:
+            raise IndexError(f"map {i} of the batch has no segment {q}")
+        s = int(self.maps.segment_offsets[i]) + q
+        if not self.reachable[s]:
+            return np.empty((0, 2), np.int64)
+        moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
+        return np.concatenate(
+            (self.maps.seed_points[i, q : q + 1], self.maps.seed_points[i, q] + np.cumsum(STEPS[moves], axis=0))
+        )
+
+    def route(self, search: str, i: int) -> list[Ints]:
+        """Return the path through all rooms of map i in their order, a segment an array (k, 2)."""
+        return [self.segment(search, i, q) for q in range(self._rooms(i) - 1)]
+
+    def iterations(self, search: str, i: int) -> Ints:
+        """Return (n - 1,) int64, the iterations of each segment of map i."""
+        first = int(self.maps.segment_offsets[i])
+        return self.of(search).iterations[first : first + self._rooms(i) - 1]
+
+    def matrix(self, search: str, i: int) -> npt.NDArray[np.float64]:
+        """Return the connection matrix of map i, (n, n) float64: path costs (BFS: moves), 0 on the diagonal, -1 no
+        path.
+        """
+        n = self._rooms(i)
+        straight, diagonal = self.of(search).costs[slice(*self.maps.pair_offsets[i : i + 2])].T
+        step = 1.0 if search == "bfs" else self.maps.movement.diagonal_cost
+        matrix = np.zeros((n, n))
+        matrix[np.triu_indices(n, 1)] = straight + diagonal * step
+        return matrix + matrix.T
+
+    def _rooms(self, i: int) -> int:
+        """Return the number of rooms of map i of the batch."""
+        if not 0 <= i < len(self.maps):
+            raise IndexError(f"map {i} of a batch of {len(self.maps)}")
+        return int(self.maps.rooms[i])
+
+    def of(self, search: str) -> SearchLabels:
+        """Return the labels by ``search``, "bfs" or "astar"."""
+        if search not in ("bfs", "astar"):
+            raise ValueError(f"search: got {search!r}, expected 'bfs' or 'astar'")
+        return self.bfs if search == "bfs" else self.astar
+
+
+def label(maps: Maps) -> Labels:
+    """Return the paper's characterization of ``maps``: routes, iterations and connection matrices by BFS and by A*.
+
+    One breadth-first search from each seed gives its row of the BFS matrix, its segment and the iterations. A*
+    searches every pair of rooms; the searches of consecutive rooms are the segments.
+
+    Source: arXiv 2110.13242, section III-C and III-D.
+
+    >>> from mapdata import MapSpec, generate
+    >>> labels = label(generate(MapSpec(), seed=0, indices=[2]))
+    >>> labels.matrix("astar", 0)
+    array([[ 0., 39.],
+           [39.,  0.]])
+    """
+    used = np.arange(maps.seed_points.shape[1]) < maps.rooms[:, None]
+    seed_points, owner = maps.seed_points[used], np.repeat(np.arange(len(maps)), maps.rooms)
+    outside = (seed_points < 0) | (seed_points >= (maps.packed.shape[1], maps.columns))
+    words = maps.packed[
+        owner, seed_points[:, 0] * ~outside.any(axis=1), seed_points[:, 1] // WORD * ~outside.any(axis=1)
+    ]
+    bad = outside.any(axis=1) | (words >> (seed_points[:, 1] % WORD).astype(np.uint64) & np.uint64(1) == 1)
+    if bad.any():
+        k = int(np.flatnonzero(bad)[0])
+        raise ValueError(f"seeds: {tuple(seed_points[k].tolist())} of map {maps.index[owner[k]]} is not a free cell")
+    segments, pairs = int(maps.segment_offsets[-1]), int(maps.pair_offsets[-1])
+    tables = [np.empty((count, 2), np.int64) for count in (segments, pairs, segments, pairs)]
+    moves = _label(
+        maps.packed,
+        maps.columns,
+        maps.rooms,
+        maps.seed_points,
+        maps.segment_offsets,
+        maps.pair_offsets,
+        *rule_of(maps.movement),
+        *tables,
+    )
+    bfs, astar = (
+        SearchLabels(found, np.concatenate(([0], np.cumsum(table[:, 0]))), np.ascontiguousarray(table[:, 1]), costs)
+        for found, table, costs in zip(moves, tables[::2], tables[1::2], strict=True)
+    )
+    return Labels(maps, bfs, astar)
+
+
+@kernel
+def _label(
+    packed: npt.NDArray[np.uint64],
+    columns: Int,
+    rooms: Ints,
+    seed_points: Ints,
+    segments: Ints,
+    pairs: Ints,
+    diagonals: Int,
+    step: Int,
+    bfs_table: Ints,
+    bfs_costs: Ints,
+    astar_table: Ints,
+    astar_costs: Ints,
+) -> tuple[Bytes, Bytes]:
+    """Label every map; return the moves of BFS and of A*.
+
+    The tables are (S, 2), number of moves and iterations; the costs (P, 2), straight and diagonal moves.
+    """
+    stride = columns + 2
+    cells = (packed.shape[1] + 2) * stride
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    fresh, seed_cells = np.full(cells, WALL, np.uint8), np.empty(seed_points.shape[1], np.int64)
+    flooding, searching = scratch(cells, BFS, diagonals), scratch(cells, ASTAR, diagonals)
+    bfs_moves, astar_moves = np.empty(1024, np.uint8), np.empty(1024, np.uint8)
+    # numbers that are handed on get their final type at once: else the kernels that take them are compiled twice
+    bfs_used, astar_used = np.int64(0), np.int64(0)
+    small = diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
+    levels = bit_scratch(small)
+    for m in range(len(packed)):
+        _unpack(packed[m], columns, fresh)
+        n = rooms[m]
+        for q in range(n):
+            seed_cells[q] = (seed_points[m, q, 0] + 1) * stride + seed_points[m, q, 1] + 1
+        at, of = slice(segments[m], segments[m + 1]), slice(pairs[m], pairs[m + 1])
+        if small:
+            bfs_moves, bfs_used = bit_labels(
+                packed[m], columns, seed_points[m, :n], levels, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
+            )
+        else:
+            bfs_moves, bfs_used = _bfs_labels(
+                fresh,
+                flooding,
+                seed_cells[:n],
+                stride,
+                offsets,
+                diagonals,
+                bfs_table[at],
+                bfs_costs[of],
+                bfs_moves,
+                bfs_used,
+            )
+        astar_moves, astar_used = _astar_labels(
+            fresh,
+            searching,
+            seed_cells[:n],
+            stride,
+            offsets,
+            diagonals,
+            step,
+            astar_table[at],
+            astar_costs[of],
+            astar_moves,
+            astar_used,
+        )
+    return bfs_moves[:bfs_used], astar_moves[:astar_used]
+
+
+@kernel
+def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
+    """Write one packed map into the padded ``fresh`` as UNSEEN and WALL (the codes differ in the lowest bit)."""
+    stride = columns + 2
+    for row in range(words.shape[0]):
+        for j in range(words.shape[1]):
+            word, base, count = words[row, j], (row + 1) * stride + 1 + WORD * j, min(WORD, columns - WORD * j)
+            if row and word == words[row - 1, j]:  # most rows: maps are made of rectangles
+                for k in range(count):
+                    fresh[base + k] = fresh[base + k - stride]
+            else:
+                for k in range(count):
+                    fresh[base + k] = UNSEEN | np.uint8((word >> np.uint64(k)) & np.uint64(1))
+
+
+@kernel
+def _bfs_labels(
+    fresh: Bytes,
+    buffers: Scratch,
+    seed_points: Ints,
+    stride: Int,
+    offsets: Ints,
+    diagonals: Int,
+    table: Ints,
+    costs: Ints,
+    moves: Bytes,
+    used: Int,
+) -> tuple[Bytes, Int]:
+    """Label one map by BFS: one flood from each seed until all later ones are seen; return the moves and their
+    number.
+    """
+    came, queue, pair, n = buffers[0], buffers[2], 0, len(seed_points)
+    for a in range(n - 1):
+        came[:] = fresh
+        count = flood(came, queue, stride, seed_points[a], seed_points[a + 1 :], diagonals)
+        for b in range(a + 1, n):
+            costs[pair, 0], costs[pair, 1] = -1, 0
+            if came[seed_points[b]] != UNSEEN:
+                straight, diagonal = count_moves(came, offsets, seed_points[a], seed_points[b])
+                costs[pair, 0] = straight + diagonal
+            pair += 1
+        length = max(costs[pair - n + a + 1, 0], 0)
+        table[a, 0], table[a, 1] = length, expansions_until(queue, count, seed_points[a + 1])
+        moves, used = with_capacity(moves, used, length), used + length
+        if length:
+            write_moves(came, offsets, seed_points[a], seed_points[a + 1], moves, used)
+    return moves, used
+
+
+@kernel
+def _astar_labels(
+    fresh: Bytes,
+    buffers: Scratch,
+    seed_points: Ints,
+    stride: Int,
+    offsets: Ints,
+    diagonals: Int,
+    step: Int,
+    table: Ints,
+    costs: Ints,
+    moves: Bytes,
+    used: Int,
+) -> tuple[Bytes, Int]:
+    """Label one map by A*: a search for each pair of rooms; return the moves and their number."""
+    came, g, cell, below, f = buffers
+    came[:] = fresh
+    pair = 0
+    for a in range(len(seed_points) - 1):
+        for b in range(a + 1, len(seed_points)):
+            start, goal, straight, diagonal = seed_points[a], seed_points[b], -1, 0
+            if diagonals == 0:
+                expanded, pushes = astar_manhattan(came, g, cell, below, stride, start, goal)
+                if came[goal] != UNSEEN:
+                    straight = g[goal]
+            else:
+                expanded, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
+                if came[goal] != UNSEEN:
+                    straight, diagonal = count_moves(came, offsets, start, goal)
+            costs[pair, 0], costs[pair, 1] = straight, diagonal
+            pair += 1
+            if b == a + 1:
+                length = max(straight + diagonal, 0)
+                table[a, 0], table[a, 1] = length, expanded
+                moves, used = with_capacity(moves, used, length), used + length
+                if length:
+                    write_moves(came, offsets, start, goal, moves, used)
+            wipe(came, cell, pushes)
+    return moves, used

@@ -1,0 +1,248 @@
+"""Many shards: build them, go on where a build stopped."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor
+from contextlib import closing, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from mapdata.generators.generator import Generator as MapGenerator
+from mapdata.generators.generator import generate
+from mapdata.search.labels import label
+from mapdata.shards.manifest import (
+    LOCK,
+    MANIFEST,
+    MOST_SHARDS,
+    Entry,
+    Manifest,
+    entry_of,
+    is_shard_name,
+    load_shard,
+    merge,
+    read_manifest,
+    shard_name,
+    sweep,
+)
+from mapdata.shards.reader import open_shard
+from mapdata.shards.shard import Header, Shard, ShardError, shard_image, write_file
+from mapdata.shards.workers import CORES, bar, finished, threads
+from mapdata.spec import check_count, check_seed
+
+_MERGE_EVERY = 2.0
+"""Seconds between two writes of the manifest; more where one takes long, so that many shards cost no more each."""
+
+_UNDER_WAY = 10_000
+"""Most shards that an executor is given at once."""
+
+_FEW = 4 * CORES
+"""Most that threads of this process are."""
+
+
+def build(
+    root: str | os.PathLike[str],
+    spec: MapGenerator,
+    *,
+    maps: int = 10_000,
+    seed: int = 0,
+    shard_size: int = 1000,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    part: tuple[int, int] = (0, 1),
+    progress: bool = False,
+) -> Manifest:
+    """Make maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``; go on where a build
+    stopped.
+
+    More maps than the root has extend it. The bytes do not depend on workers, order or interruptions.
+
+    Args:
+        root: folder, made if missing.
+        spec: the distribution of maps.
+        maps: how many maps the dataset shall have.
+        seed: 64-bit seed.
+        shard_size: maps a shard.
+        workers: threads (the kernels hold no GIL); default all cores.
+        executor: runs the shards instead of threads; anything with ``submit``. When one of its workers dies and breaks
+            it, as that of a process pool does, threads of this process go on.
+        part: (k, n): make only every n-th shard, from shard k on; the n parts, in any order, at once or one by one, on
+            one machine or many that share the folder, make the whole.
+        progress: show a progress bar.
+
+    Returns:
+        The manifest: that of the finished dataset, or of what is there when other parts are not finished.
+
+    Raises:
+        ValueError: bad arguments; the root is a file or holds something else; another spec, seed, shard size, or more
+            maps.
+        OSError: the disk is full or may not be written to.
+    """
+    root = Path(root)
+    if not isinstance(spec, MapGenerator):
+        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
+    if workers is not None and executor is not None:
+        raise ValueError("workers: would do nothing beside an executor")
+    check_count("workers", 1 if workers is None else workers)
+    wanted = Manifest(
+        spec=spec,
+        seed=check_seed(seed),
+        maps=check_count("maps", maps),
+        shard_size=check_count("shard_size", shard_size),
+        map_size=spec.map_size,
+        movement=spec.movement,
+        resolution=spec.resolution,
+    )
+    if maps > MOST_SHARDS * shard_size:
+        raise ValueError(f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger shards")
+    if not (len(part) == 2 and all(isinstance(number, int) for number in part) and 0 <= part[0] < part[1]):
+        raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
+    have, torn = _prepare(root, wanted)
+    if os.access(root, os.W_OK):
+        sweep(root, replace(wanted, shards=tuple(have.values())))
+    mine = list(headers(wanted))[part[0] :: part[1]]
+    todo = [header for header in mine if (header.start, header.stop) not in have]
+    if not todo:  # nothing to write, so a root that may only be read will do
+        return replace(wanted, shards=tuple(have.values()))
+    if not os.access(root, os.W_OK):
+        raise PermissionError(f"root: no permission to write in {root}")
+    if executor is not None:  # kernels are compiled here, once, and not in each of its processes
+        shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
+    shards, wait = list(have.values()), True
+    total, left = _count(mine), _count(todo)
+    with (
+        bar(progress, total, total - left) as advance,
+        threads(workers) if executor is None else nullcontext(executor) as pool,
+        closing(_made(pool, root.absolute(), todo, torn, _UNDER_WAY if executor else _FEW)) as made,
+    ):
+        due = time.monotonic() + _MERGE_EVERY
+        try:
+            for entry in made:
+                if executor is not None and _size(root / entry.name) != entry.bytes:
+                    raise OSError(f"root: a worker wrote {entry.name} elsewhere: it must share the folder {root}")
+                shards.append(entry)
+                advance(entry.stop - entry.start)
+                if (began := time.monotonic()) > due:
+                    merge(root, replace(wanted, shards=tuple(shards)), wait=False)
+                    due = time.monotonic() + max(_MERGE_EVERY, 20 * (time.monotonic() - began))
+        except KeyboardInterrupt:
+            wait = False  # the next build adopts what the manifest does not list
+            raise
+        finally:
+            manifest = merge(root, replace(wanted, shards=tuple(shards)), wait=wait)
+    return manifest
+
+
+def headers(manifest: Manifest) -> Iterator[Header]:
+    """Yield the header of every shard that ``manifest`` plans."""
+    for start, stop in manifest.plan:
+        yield Header(
+            spec=manifest.spec,
+            seed=manifest.seed,
+            start=start,
+            stop=stop,
+            map_size=manifest.map_size,
+            movement=manifest.movement,
+            resolution=manifest.resolution,
+        )
+
+
+def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
+    """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case; return its entry."""
+    if not anew and (found := load_shard(root, header)):
+        return found
+    if header.spec is None or header.seed is None:
+        raise ValueError("imported maps cannot be made again: they have no recipe")
+    labels = label(generate(header.spec, header.seed, range(header.start, header.stop)))
+    image, content = shard_image(labels, header)
+    path = root / shard_name(header.start, header.stop)
+    write_file(path, image)
+    return entry_of(Shard(path, header, content, {}), labels, image)
+
+
+def _make(root: Path, torn: frozenset[tuple[int, int]], header: Header) -> Entry:
+    return make_shard(root, header, anew=(header.start, header.stop) in torn)
+
+
+def _made(
+    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[tuple[int, int]], most: int
+) -> Generator[Entry, None, None]:
+    """Yield entries as shards are finished."""
+    make, left = partial(_make, root, torn), dict.fromkeys(todo)
+    try:
+        for header, entry in finished(pool, make, todo, most):
+            del left[header]
+            yield entry
+    except BrokenExecutor as error:
+        warnings.warn(f"executor: {error} Threads of this process make the other shards.", stacklevel=3)
+        with threads() as spare:
+            for _, entry in finished(spare, make, left, _FEW):
+                yield entry
+
+
+def _prepare(root: Path, wanted: Manifest) -> tuple[dict[tuple[int, int], Entry], frozenset[tuple[int, int]]]:
+    """Make the root if it is missing; return what it has of the wanted dataset and which of its shards are damaged, or
+    refuse it.
+    """
+    if root.exists() and not root.is_dir():
+        raise ValueError(f"root: {root} is a file, expected a folder")
+    root.mkdir(parents=True, exist_ok=True)
+    if not (root / MANIFEST).exists():
+        others = [path.name for path in root.iterdir() if not _ours(path.name)]
+        if others:
+            raise ValueError(f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder")
+        if not os.access(root, os.W_OK):
+            raise PermissionError(f"root: no permission to write in {root}")
+        for path in root.glob("maps-*.h5"):
+            _check_owner(path, wanted)
+        # The manifest comes first: it says what the root is for, to whoever finds it before it is complete.
+        found = merge(root, wanted)
+    else:
+        found = read_manifest(root)
+    for name, mine, theirs in (
+        ("spec", wanted.spec, found.spec),
+        ("seed", wanted.seed, found.seed),
+        ("shard size", wanted.shard_size, found.shard_size),
+    ):
+        if mine != theirs:
+            raise ValueError(f"root: {root} holds a dataset with {name} {theirs}, asked for {name} {mine}")
+    if wanted.maps < found.maps:
+        raise ValueError(f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows")
+    plan, have, torn = set(wanted.plan), {}, set()
+    for entry in found.shards:
+        limits, size = (entry.start, entry.stop), _size(root / entry.name)
+        if size not in (-1, entry.bytes):
+            torn.add(limits)
+        elif size == entry.bytes and limits in plan:
+            have[limits] = entry
+    return have, frozenset(torn)
+
+
+def _check_owner(path: Path, wanted: Manifest) -> None:
+    """Refuse a root without a manifest whose shards are of another dataset; damaged ones are made again."""
+    try:
+        header = open_shard(path).header
+    except ShardError:
+        return
+    for name, mine, theirs in (("spec", wanted.spec, header.spec), ("seed", wanted.seed, header.seed)):
+        if mine != theirs:
+            raise ValueError(f"root: {path} is of a dataset with {name} {theirs}, asked for {name} {mine}")
+
+
+def _ours(name: str) -> bool:
+    return is_shard_name(name) or name in (LOCK, MANIFEST) or (name.startswith(".") and name.endswith(".tmp"))
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return -1
+
+
+def _count(shards: Sequence[Header]) -> int:
+    return sum(header.stop - header.start for header in shards)

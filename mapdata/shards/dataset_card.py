@@ -1,0 +1,288 @@
+"""The dataset card: what is in a dataset, how to make it again, and what to know before one uses it.
+
+The card is a list of sections, which become Markdown here and HTML in `mapdata.report`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mapdata._version import __version__
+from mapdata.generators.generator import PRESETS
+from mapdata.shards.manifest import Manifest
+from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
+from mapdata.spec import SPLITS, Movement
+
+HARD = 1.05
+"""Hardness from which a problem counts as hard."""
+
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
+_SOURCES_SHOWN = 10
+
+CITATION = """@misc{floresaquino2021gridmap,
+  title         = {{2D} Grid Map Generation for Deep-Learning-based Navigation Approaches},
+  author        = {Flores-Aquino, Gabriel O. and D{\\'i}az Ortega, Jheison Duvier and Almazan Arvizu, Ricardo Yahir
+                   and L{\\'o}pez Mu{\\~n}oz, Ra{\\'u}l and Gutierrez-Frias, O. Octavio and Vasquez-Gomez, J. Irving},
+  year          = {2021},
+  eprint        = {2110.13242},
+  archivePrefix = {arXiv},
+  url           = {https://arxiv.org/abs/2110.13242}
+}"""
+
+
+class Section(NamedTuple):
+    """A part of the card: a heading, then a paragraph, a table (its first row the heads) and a block of code, each of
+    which may be empty. All of it is plain text.
+    """
+
+    title: str
+    text: str = ""
+    table: tuple[tuple[str, ...], ...] = ()
+    code: str = ""
+    language: str = ""
+
+
+def card(root: str | os.PathLike[str]) -> str:
+    """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
+
+    Raises:
+        DatasetNotFoundError: there is no dataset under ``root``.
+        ShardError: a shard is missing or damaged.
+    """
+    of = dataset_statistics(root, repeats=True)
+    return (
+        front_matter(of) + "\n" + "\n".join(_markdown(section, 1 + (k > 0)) for k, section in enumerate(sections(of)))
+    )
+
+
+def front_matter(of: DatasetStatistics) -> str:
+    """Return the YAML block that the Hub reads. A licence is not stated: that is the publisher's choice."""
+    size = next((name for limit, name in _SIZES if len(of) < limit), "n>10M")
+    tags = ["path-planning", "occupancy-grid", "motion-planning", "mapdata"]
+    lines = {
+        "pretty_name": title(of),
+        "task_categories": ["robotics"],
+        "tags": tags,
+        "size_categories": [size],
+        "annotations_creators": ["machine-generated"],
+    }
+    # JSON is YAML: text from files cannot leave its quotes
+    texts = {name: json.dumps(value, ensure_ascii=False) for name, value in lines.items()}
+    return "---\n" + "".join(f"{name}: {text}\n" for name, text in texts.items()) + "---\n"
+
+
+def title(of: DatasetStatistics) -> str:
+    """Return the name of the dataset: its folder, the number of maps and their size."""
+    rows, columns = of.manifest.map_size
+    return f"{_name(of)}: {len(of):,} grid maps of {rows} x {columns} cells"
+
+
+def sections(of: DatasetStatistics) -> list[Section]:
+    """Return the card of a dataset that `dataset_statistics` looked at with ``repeats=True``."""
+    found = [Section(title(of), _introduction(of)), _facts(of)]
+    found += [_origin(of)] if of.manifest.spec is None else [_rebuild(of)]
+    found += [_splits(of.manifest), _shares(of), _distributions(of), _duplicates(of)]
+    return [*found, _use(of), Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
+
+
+def _introduction(of: DatasetStatistics) -> str:
+    what = "rooms" if of.rooms_known else "seed points"
+    spec = of.manifest.spec
+    source = "imported maps, labelled by" if spec is None else f"{spec.description}, made by"
+    unfinished = "" if of.manifest.complete else f" Not finished: {of.manifest.maps:,} maps were asked for."
+    return (
+        f"Occupancy grids with shortest paths by BFS and A* between consecutive {what} and the distances between all "
+        f"{what}: {source} mapdata {__version__}.{unfinished}"
+    )
+
+
+def _facts(of: DatasetStatistics) -> Section:
+    manifest, (rows, columns) = of.manifest, of.manifest.map_size
+    size = sum(entry.bytes for entry in manifest.shards) / 1e3
+    facts = {
+        "maps": f"{len(of):,} in {_count(len(manifest.shards), 'shard')}",
+        "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
+        "cells": "(row, col), origin upper left",
+        "polarity": "1 occupied, 0 free",
+        "movement": movement_text(manifest.movement),
+        "size on disk": f"{size / 1e3:,.1f} MB" if size >= 1e3 else f"{size:,.0f} kB",
+        "format": f"mapdata shards (HDF5), version {manifest.format_version}",
+        "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
+        "seed": "" if manifest.seed is None else str(manifest.seed),
+        "identity": manifest.identity or "none: imported maps are what their content hash says",
+        "content hash": manifest.content_hash,
+    }
+    return Section("What it is", table=(("", ""), *((name, text) for name, text in facts.items() if text)))
+
+
+def _rebuild(of: DatasetStatistics) -> Section:
+    text = (
+        "Map i is a pure function of the spec, the seed and i, so these lines make the same maps and labels, bit for "
+        "bit, on any machine; the command says whether the content hash agrees."
+    )
+    size = of.manifest.shard_size
+    command = f"mapdata build {shlex.quote(_name(of))} --recipe recipe.json" + f" --shard-size {size}" * (size != 1000)
+    lines = ("cat > recipe.json <<'END'", recipe_text(of.manifest), "END", command)
+    return Section("Make it again", text, code="\n".join(lines), language="sh")
+
+
+def recipe_text(manifest: Manifest) -> str:
+    """Return the recipe, an item a line; without the content hash while the dataset is not finished."""
+    values = json.loads(manifest.recipe())
+    if not manifest.complete:
+        values.pop("content_hash", None)
+    return "{" + ",\n ".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()) + "}"
+
+
+def _origin(of: DatasetStatistics) -> Section:
+    """Say where imported maps came from, as far as the import wrote it down."""
+    from mapdata.shards.manifest import PROVENANCE
+
+    try:
+        values: dict[str, Any] = dict(json.loads((of.root / PROVENANCE).read_text(encoding="utf-8")))
+        sources = [str(source) for source in values.get("sources", ())]
+    except (OSError, ValueError, TypeError):
+        return Section("Where it comes from", "Imported; there is no record of the source beside the data.")
+    seed_points = f"Up to {values.get('seeds', '?')} seed points a map were drawn with seed {values.get('seed', '?')}. "
+    text = (
+        f"Imported from {_count(len(sources), 'source')}. "
+        + ("" if of.rooms_known else seed_points)
+        + "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
+    )
+    rows = [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
+    if len(sources) > _SOURCES_SHOWN:
+        rows.append(("...", f"and {len(sources) - _SOURCES_SHOWN:,} more in {PROVENANCE}"))
+    return Section("Where it comes from", text, table=(("map", "source"), *rows))
+
+
+def _splits(manifest: Manifest) -> Section:
+    heads = ("split", "maps", "route problems", "without a path", "pairs", "pairs without a path")
+    names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
+    rows = []
+    for split in SPLITS:
+        counts = [sum(int(entry.counts[split][name]) for entry in manifest.shards) for name in names]
+        rows.append((split, *(f"{count:,}" for count in counts)))
+    text = (
+        "Each map belongs to one split and keeps it when the dataset grows. A route problem is a segment between "
+        "consecutive rooms (seed points), a pair any two of a map; those from a cell to itself are not counted."
+    )
+    return Section("Splits", text, table=(heads, *rows))
+
+
+def _shares(of: DatasetStatistics) -> Section:
+    manifest = of.manifest
+    segments, found = max(manifest.total("segments"), 1), of.lengths > 0
+    rows = [("share", "of", "")]
+    if of.rooms_known:
+        rows.append(("drawn passages", "pairs of consecutive rooms", _share(manifest.total("drawn"), segments)))
+    rows += [
+        ("reachable segments", "segments", _share(manifest.total("reachable"), segments)),
+        ("fully connected maps", "maps", _share(manifest.total("all_connected"), len(of))),
+        (
+            f"hard segments (hardness >= {HARD:g})",
+            "reachable segments",
+            _share((of.hardness >= HARD).sum(), found.sum()),
+        ),
+    ]
+    text = (
+        "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight at the goal is best."
+        + (" Rooms can reach each other without a passage, where they overlap." if of.rooms_known else "")
+    )
+    return Section("Shares", text, table=tuple(rows))
+
+
+def _distributions(of: DatasetStatistics) -> Section:
+    heads = ("", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most")
+    rows = []
+    values = of.distributions() | {
+        f"iterations of a segment, {name}": of.iterations[key] for key, name in (("bfs", "BFS"), ("astar", "A*"))
+    }
+    for name, column in values.items():
+        if len(column):
+            marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
+            rows.append((name, *(f"{value:.4g}" for value in (float(column.mean()), *marks))))
+    return Section("Distributions", "Segments without a path are left out, except for iterations.", (heads, *rows))
+
+
+def _duplicates(of: DatasetStatistics) -> Section:
+    exact, symmetric = of.repeats
+    rows = [("maps that are there already", "exactly the same", f"the same up to {of.symmetries} symmetries")]
+    rows += [(f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}") for name in SPLITS]
+    rows += [
+        (f"of {b}, also in {a}", f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}") for a, b in exact.across
+    ]
+    return Section("Duplicates", _verdict(exact, symmetric), table=tuple(rows))
+
+
+def _verdict(exact: Repeats, symmetric: Repeats) -> str:
+    same, turned = (any(repeats.across.values()) for repeats in (exact, symmetric))
+    if same:
+        return "Some maps are in more than one split: results on val and test are not independent of train."
+    if turned:
+        return "No map is in two splits, but some are turned or mirrored copies of maps of another split."
+    return "No map is in two splits, not even turned or mirrored."
+
+
+def _use(of: DatasetStatistics) -> Section:
+    code = (
+        "from mapdata import MapDataModule, MapDataset\n\n"
+        f'train = MapDataset({_name(of)!r}, split="train")\n'
+        "map, start, goal, path = train[0]\n"
+        f"loaders = MapDataModule({_name(of)!r})  # for pytorch-lightning"
+    )
+    return Section("Use it", code=code, language="python")
+
+
+def _whom_to_cite(of: DatasetStatistics) -> str:
+    if of.manifest.spec is None:
+        return "Cite the source of the maps. The labels are those that this paper computes:"
+    return "Please cite the paper whose maps these are:"
+
+
+def movement_text(movement: Movement) -> str:
+    """Return the movement rule in words."""
+    if movement.connectivity == 4:
+        return "4-connected: north, east, south, west, each at cost 1"
+    cost = "1" if movement.diagonal_cost == 1 else "sqrt 2"
+    rule = "unrestricted" if movement.corner_cutting else "only beside two free cells"
+    return f"8-connected: straight steps at cost 1, diagonal steps at cost {cost}, {rule}"
+
+
+def _name(of: DatasetStatistics) -> str:
+    """Return the name of the root's folder, characters that no text file should hold replaced."""
+    name = Path(os.path.abspath(of.root)).name or "maps"
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'s' * (number != 1)}"
+
+
+def _share(part: Any, whole: Any) -> str:  # noqa: ANN401  (Python's or numpy's integers)
+    return f"{int(part) / max(int(whole), 1):.1%} ({int(part):,} of {int(whole):,})"
+
+
+def _markdown(section: Section, level: int) -> str:
+    parts = [f"{'#' * level} {_escaped(section.title)}"]
+    if section.text:
+        parts.append(_escaped(section.text))
+    if section.table:
+        head, *rows = [f"| {' | '.join(map(_escaped, row))} |" for row in section.table]
+        parts.append("\n".join([head, "|" + "---|" * len(section.table[0]), *rows]))
+    if section.code:
+        fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", section.code)), default=0))
+        parts.append(f"{fence}{section.language}\n{section.code}\n{fence}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _escaped(text: str) -> str:
+    """Return ``text`` so that Markdown and HTML show it as it is, on one line."""
+    line = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\`*_\[\]|#])", r"\\\1", line)

@@ -1,0 +1,336 @@
+"""Opening a shard: a file is checked once, at its first touch, and then each array is a view of one memory mapping."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import math
+import mmap
+import os
+import re
+import stat
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from h5py import h5a, h5d, h5f, h5l, h5o, h5p, h5t
+
+from mapdata.generators.generator import Generator, identity
+from mapdata.generators.maps import WORD
+from mapdata.search.labels import Labels
+from mapdata.shards.shard import (
+    FIELDS,
+    Array,
+    Field,
+    Header,
+    Shard,
+    ShardError,
+    bits_of,
+    check_version,
+    decode,
+)
+from mapdata.spec import Movement
+
+
+def read_shard(path: str | os.PathLike[str]) -> Labels:
+    """Return all maps of a shard file with their labels.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ShardError: a file that is not a sound shard.
+    """
+    return decode(open_shard(path))
+
+
+def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
+    """Check a shard file and map it.
+
+    Args:
+        path: the file.
+        size: how many bytes the manifest says it has.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it links to.
+        OSError: too many files are open or mapped.
+    """
+    path = Path(path)
+    for _ in range(_ATTEMPTS):
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise ShardError(f"{path}: not a file")
+        with open(path, "rb", buffering=0) as file:
+            status = os.fstat(file.fileno())
+            if size is not None and status.st_size != size:
+                raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
+            if status.st_size == 0:
+                raise ShardError(f"{path}: empty file")
+            mapping = map_file(file.fileno(), status.st_size)
+            try:
+                h5 = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
+                try:
+                    if not os.path.samestat(os.stat(path), status):  # HDF5 opens by name: another file, so once more
+                        continue
+                    header, content = _read_header(_read_attributes(h5))
+                    return Shard(path, header, content, _guard(h5, mapping, header))
+                finally:
+                    h5.close()
+            except ShardError as error:
+                raise ShardError(f"{path}: {error}") from None
+            except FileNotFoundError:
+                raise
+            except (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+                raise ShardError(f"{path}: not a sound shard ({error})") from error
+    raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
+
+
+_ATTEMPTS = 10
+"""How often a file is opened that another one replaces at that very moment."""
+
+
+def _access() -> h5p.PropFAID:
+    """Return how files are opened: without locks, and closed with all that was opened in them."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_fclose_degree(h5f.CLOSE_STRONG)
+    access.set_file_locking(False, ignore_when_disabled=False)
+    return access
+
+
+_ACCESS = _access()
+
+
+@lru_cache(maxsize=1)
+def _libc() -> Any:  # noqa: ANN401  (ctypes has no type for it)
+    """Return the C library, with the types of the two functions that are called."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.mmap.restype = ctypes.c_void_p
+    libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
+    libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
+    return libc
+
+
+class _Mapping:
+    """A file in memory, to read only, until the last array that looks at it is gone.
+
+    `mmap.mmap` would keep a descriptor for each file, of which a process often may have 1,024 only.
+    """
+
+    def __init__(self, descriptor: int, size: int) -> None:
+        """Map ``size`` bytes; the descriptor may be closed afterwards."""
+        self._unmap: Any = None
+        address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
+        if address == ctypes.c_void_p(-1).value:
+            error = ctypes.get_errno()
+            raise OSError(error, f"{os.strerror(error)}: cannot map a shard beside those that are open")
+        self._unmap, self._place = _libc().munmap, (address, size)
+        self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": (address, True)}
+
+    def __del__(self) -> None:
+        """Unmap."""
+        if self._unmap is not None:
+            self._unmap(*self._place)
+
+
+def map_file(descriptor: int, size: int) -> npt.NDArray[np.uint8]:
+    """Return the ``size`` bytes of an open file as an array to read only; the descriptor may be closed afterwards.
+
+    Raises:
+        OSError: the system refuses, as Linux does beyond ``vm.max_map_count``, 65,530 by default.
+    """
+    if os.name == "nt":
+        return np.frombuffer(mmap.mmap(descriptor, size, access=mmap.ACCESS_READ), np.uint8)
+    return np.asarray(_Mapping(descriptor, size))
+
+
+ATTRIBUTES = (
+    "format",
+    "format_version",
+    "identity",
+    "content_hash",
+    "spec",
+    "seed",
+    "start",
+    "stop",
+    "map_size",
+    "movement",
+    "resolution",
+)
+"""The root attributes that a reader needs."""
+
+
+def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
+    """Return the root attributes by name; nothing but numbers and text of fixed length is read at all."""
+    values: dict[str, Any] = {}
+    for name in ATTRIBUTES:
+        try:
+            attribute = h5a.open(file, name.encode())
+        except KeyError:
+            if h5a.exists(file, name.encode()):
+                raise
+            raise ShardError(
+                "not a mapdata shard (it has no attribute 'format')"
+                if name == "format"
+                else f"attribute {name!r} is missing"
+            ) from None
+        kind = attribute.get_type()
+        size = kind.get_size()
+        text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
+        number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
+        count = attribute.get_storage_size() // size
+        if not (text or number) or count not in (1, 2) or size > _LONGEST_TEXT:
+            raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
+        array = np.empty(() if count == 1 else 2, f"S{size}" if text else kind.dtype)
+        attribute.read(array, mtype=kind)
+        values[name] = bytes(array.item()).decode() if text else array[()]
+    return values
+
+
+_LONGEST_TEXT = 65536
+
+
+def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
+    """Return the header and the content hash that the root attributes state."""
+    if attributes["format"] != "mapdata":
+        raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
+    version = int(attributes["format_version"])
+    check_version(version)
+    rows, columns = (int(side) for side in attributes["map_size"])
+    spec, seed, named = _recipe(attributes["spec"], attributes["seed"])
+    header = Header(
+        spec=spec,
+        seed=seed,
+        start=int(attributes["start"]),
+        stop=int(attributes["stop"]),
+        map_size=(rows, columns),
+        movement=Movement(**json.loads(attributes["movement"])),
+        resolution=float(attributes["resolution"]),
+    )
+    if header.format_version != version:
+        raise ShardError(f"format version {version}, but its spec is of version {header.format_version}")
+    if named != attributes["identity"]:
+        raise ShardError("its identity is not that of its spec and seed")
+    stated, content = (header.map_size, header.movement, header.resolution), attributes["content_hash"]
+    if header.spec and stated != (header.spec.map_size, header.spec.movement, header.spec.resolution):
+        raise ShardError("its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'")
+    if not 0 < header.resolution < math.inf:
+        raise ShardError(f"its attribute 'resolution' is {header.resolution}")
+    if not (isinstance(content, str) and is_hash(content)):
+        raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
+    return header, content
+
+
+@lru_cache(maxsize=16)
+def _recipe(spec: str, seed: str) -> tuple[Generator | None, int | None, str]:
+    """Return spec, seed and identity of their texts, which all shards of a dataset share."""
+    found = (Generator.from_json(spec) if spec else None, int(seed) if seed else None)
+    return *found, "" if None in found else identity(*found)  # type: ignore[arg-type]
+
+
+def is_hash(text: str) -> bool:
+    """Return whether ``text`` is what a SHA-256 looks like."""
+    return re.fullmatch(r"[0-9a-f]{64}", text) is not None
+
+
+def _guard(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> dict[str, Array]:
+    """Return the arrays of a shard, after checking that each is plain data inside this very file."""
+    arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
+    rows, columns = header.map_size
+    if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
+        raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
+    for name, shape in _shapes(header, arrays).items():
+        if arrays[name].shape != shape:
+            raise ShardError(f"dataset {name!r} has shape {arrays[name].shape}, expected {shape}")
+    _check_tables(arrays, header)
+    return arrays
+
+
+def head(shard: Shard, maps: int) -> Shard:
+    """Return the first maps of a shard as one of their own, with the same content hash and path."""
+    arrays = dict(shard.arrays)
+    for name in ("room_offsets", "pair_offsets"):
+        arrays[name] = arrays[name][: maps + 1]
+    for search in ("bfs", "astar"):
+        arrays[f"{search}_offsets"] = arrays[f"{search}_offsets"][: int(arrays["room_offsets"][maps]) - maps + 1]
+    header = replace(shard.header, stop=shard.header.start + maps)
+    shapes = _shapes(header, arrays)
+    return shard._replace(header=header, arrays={name: array[: shapes[name][0]] for name, array in arrays.items()})
+
+
+def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of every array of a shard with this header and these offsets."""
+    (rows, columns), maps = header.map_size, header.stop - header.start
+    rooms, pairs = (int(arrays[name][-1]) if len(arrays[name]) else 0 for name in ("room_offsets", "pair_offsets"))
+    segments, diagonals = rooms - maps, header.movement.connectivity == 8
+    shapes: dict[str, tuple[int, ...]] = {
+        "maps": (maps, rows, -(-columns // WORD) * WORD // 8),
+        "split": (maps,),
+        "passage_width": (maps,),
+        "room_offsets": (maps + 1,),
+        "pair_offsets": (maps + 1,),
+        "seeds": (rooms, 2),
+        "sizes": (rooms, 2),
+        "directions": (segments, 2),
+        "astar_diagonal": (pairs if diagonals else 0,),
+    }
+    for search in ("bfs", "astar"):
+        offsets = arrays[f"{search}_offsets"]
+        moves = int(offsets[-1]) if len(offsets) else 0
+        shapes |= {
+            f"{search}_offsets": (segments + 1,),
+            f"{search}_moves": (-(-moves * bits_of(header.movement) // 8),),
+            f"{search}_iterations": (segments,),
+            f"{search}_straight": (pairs,),
+        }
+    return shapes
+
+
+def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Array:
+    """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no other file."""
+    name = field.name.encode()
+    try:
+        link = file.links.get_info(name)
+    except (KeyError, RuntimeError):
+        raise ShardError(f"dataset {field.name!r} is missing") from None
+    if link.type != h5l.TYPE_HARD:
+        raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
+    dataset = h5o.open(file, name)
+    if not isinstance(dataset, h5d.DatasetID):
+        raise ShardError(f"{field.name!r} is not a dataset")
+    offset = dataset.get_offset()
+    if offset is None:  # it has no values yet, or they lie in chunks, in the header, in other files
+        properties = dataset.get_create_plist()
+        if properties.get_layout() != h5d.CONTIGUOUS or properties.get_nfilters() or properties.get_external_count():
+            raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
+    if not dataset.get_type().equal(_TYPES[field.dtype]):
+        raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
+    shape = dataset.shape
+    if shape is None or len(shape) != field.rank:
+        raise ShardError(f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}")
+    itemsize = np.dtype(field.dtype).itemsize
+    size = math.prod(shape) * itemsize
+    if size == 0:
+        return np.empty(shape, field.dtype)
+    if offset is None or offset < 0 or offset + size > len(mapping) or offset % itemsize:
+        raise ShardError(f"dataset {field.name!r} reaches outside the file")
+    return mapping[offset : offset + size].view(field.dtype).reshape(shape)
+
+
+_TYPES = {"u1": h5t.STD_U8LE, "i1": h5t.STD_I8LE, "<i2": h5t.STD_I16LE, "<i4": h5t.STD_I32LE, "<i8": h5t.STD_I64LE}
+"""The types of `FIELDS` in HDF5."""
+
+
+def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
+    """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the map."""
+    for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
+        offsets = arrays[name]
+        if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
+            raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
+    rooms = np.diff(arrays["room_offsets"])
+    if (rooms < 1).any() or not np.array_equal(np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2):
+        raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
+    seed_points = arrays["seeds"]
+    if ((seed_points < 0) | (seed_points >= header.map_size)).any():
+        raise ShardError("dataset 'seeds' holds cells outside the map")

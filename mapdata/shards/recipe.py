@@ -1,0 +1,65 @@
+"""What a dataset is made of, in a few lines that can be shared."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mapdata.generators.generator import PRESETS, Generator, identity
+from mapdata.shards.shard import check_version
+from mapdata.spec import check_count, check_seed
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a dataset is made of, in a few lines: all that is needed to build it again bit for bit.
+
+    Attributes:
+        spec: the distribution of maps.
+        seed: 64-bit seed.
+        maps: how many.
+        content_hash: what the result must hash to, if known.
+    """
+
+    spec: Generator
+    seed: int = 0
+    maps: int = 10_000
+    content_hash: str | None = None
+
+    @staticmethod
+    def load(given: str | dict[str, Any]) -> Recipe:
+        """Return the recipe that is given: a preset's name, a file of JSON, JSON text, or what such text says.
+
+        Raises:
+            ValueError: none of these, or a recipe that states what cannot be.
+        """
+        if isinstance(given, str) and given in PRESETS:
+            return Recipe(PRESETS[given])
+        values: object = _parsed(given) if isinstance(given, str) else given
+        known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
+        if not isinstance(values, dict) or not set(values) <= known:
+            raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
+        check_version(values.get("format_version", 1), "recipe: ", ValueError)
+        recipe = Recipe(
+            spec=Generator.from_dict(values.get("spec", {})),
+            seed=check_seed(values.get("seed", 0)),
+            maps=check_count("maps", values.get("maps", Recipe.maps)),
+            content_hash=values.get("content_hash"),
+        )
+        if values.get("identity") not in (None, identity(recipe.spec, recipe.seed)):
+            raise ValueError(f"recipe: its identity {values['identity']} is not that of its spec and seed")
+        return recipe
+
+
+def _parsed(text: str) -> object:
+    """Return what a file of JSON, or JSON text, says."""
+    if not text.lstrip().startswith("{"):
+        if not Path(text).is_file():
+            raise ValueError(f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text")
+        text = Path(text).read_text(encoding="utf-8")
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"recipe: not JSON ({error})") from None

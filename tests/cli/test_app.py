@@ -1,0 +1,502 @@
+"""The command line: every verb, exit codes 0, 1 and 2, one line for every bad input, recipes, pictures, imports."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from shards.test_builder import MAPS, SEED, SIZE, SPEC, make, stamps
+from shards.test_shard import unprivileged_folder
+
+import mapdata
+from mapdata.cli import app as cli
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.manifest import MANIFEST, read_manifest, shard_name
+from mapdata.shards.reader import read_shard
+
+HOME = Path(__file__).parents[2]
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+class Outcome(NamedTuple):
+    """What a command did."""
+
+    code: int
+    out: str
+    err: str
+
+
+class Command:
+    """Runs ``mapdata`` in this process."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        """Keep what captures the output."""
+        self.capsys = capsys
+
+    def __call__(self, *arguments: object) -> Outcome:
+        """Run it with these arguments."""
+        self.capsys.readouterr()
+        code: object = 0
+        try:
+            cli.main([str(argument) for argument in arguments])
+        except SystemExit as error:
+            code = error.code or 0
+        assert isinstance(code, int)
+        return Outcome(code, *self.capsys.readouterr())
+
+    def refused(self, code: int, says: str, *arguments: object) -> None:
+        """Run it and check that it ends with this code and one line that says this."""
+        outcome = self(*arguments)
+        assert outcome.code == code, outcome
+        assert re.search(says, outcome.err), outcome.err
+        assert outcome.err.startswith("mapdata: ")
+        assert outcome.err.count("\n") == 1
+        assert outcome.out == ""
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Command:
+    """Give the command."""
+    return Command(capsys)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a finished dataset; tests leave it as it is."""
+    root = tmp_path_factory.mktemp("cli") / "maps"
+    make(root)
+    return root
+
+
+@pytest.fixture
+def copied(dataset: Path, tmp_path: Path) -> Path:
+    """Give a copy of the dataset to damage."""
+    return Path(shutil.copytree(dataset, tmp_path / "maps"))
+
+
+def recipe_file(folder: Path, **values: object) -> Path:
+    """Write a recipe."""
+    path = folder / "recipe.json"
+    path.write_text(json.dumps(values), encoding="utf-8")
+    return path
+
+
+def spec_file(folder: Path, **values: object) -> Path:
+    """Write a recipe of the tests' spec with some other values."""
+    return recipe_file(folder, spec=SPEC.to_dict() | values, seed=SEED, maps=MAPS)
+
+
+# --- every verb -------------------------------------------------------------------------------------------------------
+
+
+def test_build_and_info(run: Command, tmp_path: Path) -> None:
+    """Build makes the dataset, shows a bar and ends with the summary, which info gives again without the rate."""
+    root = tmp_path / "maps"
+    built = run("build", root, "--preset", "narrow", "--maps", 6, "--seed", 3, "--shard-size", 4, "--workers", 2)
+    assert built.code == 0
+    assert "6/6" in built.err
+    manifest = read_manifest(root)
+    assert (manifest.spec, manifest.seed, manifest.maps) == (MapSpec.preset("narrow"), 3, 6)
+    assert manifest.complete
+    for text in ("6 of 64 x 64 cells in 2 shards", "maps/s", " MB, ", str(manifest.identity), manifest.content_hash):
+        assert text in built.out
+    for name in ("drawn passages", "reachable segments", "fully connected maps"):
+        assert re.search(rf"{name}: +\d+\.\d%", built.out)
+    look = re.search(r"mapdata show (.*) --index (\d+) -o map.png", built.out)
+    assert look is not None
+    assert (look[1], look[2]) == (str(root), "5")
+    info = run("info", root)
+    assert (info.code, info.err) == (0, "")
+    assert info.out == "".join(line for line in built.out.splitlines(keepends=True) if not line.startswith("rate"))
+
+
+def test_build_goes_on_and_extends(run: Command, tmp_path: Path) -> None:
+    """The same command again makes nothing; more maps extend."""
+    root = tmp_path / "maps"
+    assert run("build", root, "--maps", 4, "--shard-size", 2).code == 0
+    before = stamps(root)
+    assert run("build", root, "--maps", 4, "--shard-size", 2).code == 0
+    assert stamps(root) == before
+    assert run("build", root, "--maps", 6, "--shard-size", 2).code == 0
+    assert {name: stamps(root)[name] for name in before} == before
+    assert len(read_manifest(root).shards) == 3
+
+
+def test_info_says_what_is_not_finished(run: Command, copied: Path) -> None:
+    """A dataset that a build did not finish says so."""
+    manifest = read_manifest(copied)
+    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    assert f"{SIZE} of 16 x 70 cells in 1 shard" in run("info", copied).out
+    assert f"(of {MAPS}: not finished)" in run("info", copied).out
+    (copied / MANIFEST).write_text(replace(manifest, shards=()).to_json(), encoding="utf-8")
+    assert run("info", copied).code == 0
+
+
+def test_verify_is_content_with_a_sound_dataset(run: Command, dataset: Path) -> None:
+    """Exit code 0 and one line."""
+    outcome = run("verify", dataset)
+    assert (outcome.code, outcome.out) == (0, f"{dataset}: all is well\n")
+
+
+def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
+    """Exit code 1, a line for each file."""
+    (copied / shard_name(0, 4)).unlink()
+    image = bytearray((copied / shard_name(8, 11)).read_bytes())
+    image[len(image) // 2] ^= 1
+    (copied / shard_name(8, 11)).write_bytes(image)
+    outcome = run("verify", copied)
+    assert outcome.code == 1
+    assert [line.split(": ")[0] for line in outcome.out.splitlines()] == [
+        str(copied / shard_name(0, 4)),
+        str(copied / shard_name(8, 11)),
+    ]
+    assert outcome.err.splitlines()[-1] == "mapdata: 2 found; --repair makes them again from the recipe"
+
+
+@pytest.mark.parametrize("index", [0, 3, 4, MAPS - 1])
+def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A PNG of the map that was asked for."""
+    outcome = run("show", dataset, "--index", index, "-o", tmp_path / "map.png")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out == f"wrote {tmp_path / 'map.png'}\n"
+    assert (tmp_path / "map.png").read_bytes().startswith(PNG)
+
+
+def test_show_draws_other_maps_and_colours_otherwise(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """Pictures of one map are equal, those of two maps or in the paper's colours are not."""
+    pictures = []
+    for number, flags in enumerate(("", "", "--index 1", "--paper-colours")):
+        assert run("show", dataset, *flags.split(), "-o", tmp_path / f"{number}.png").code == 0
+        pictures.append((tmp_path / f"{number}.png").read_bytes())
+    assert pictures[0] == pictures[1]
+    assert len(set(pictures)) == 3
+
+
+def test_show_without_output_writes_map_png(
+    run: Command, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The default stands in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    assert run("show", dataset).out == "wrote map.png\n"
+    assert os.listdir(tmp_path) == ["map.png"]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["build", "--help"], ["show", "--help"], ["--version"]])
+def test_help_and_version(arguments: list[str], run: Command) -> None:
+    """Both end with exit code 0."""
+    outcome = run(*arguments)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert ("usage: mapdata" in outcome.out) == ("--help" in arguments)
+    assert (f"mapdata {mapdata.__version__}\n" == outcome.out) == ("--version" in arguments)
+
+
+# --- recipes ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """What info --recipe prints builds the same files, and build says that it compared the content hash."""
+    recipe = tmp_path / "recipe.json"
+    recipe.write_text(run("info", dataset, "--recipe").out, encoding="utf-8")
+    outcome = run("build", tmp_path / "again", "--recipe", recipe, "--shard-size", SIZE)
+    assert outcome.code == 0
+    assert "bit for bit" in outcome.out
+    for name in (MANIFEST, *stamps(dataset)):
+        assert (tmp_path / "again" / name).read_bytes() == (dataset / name).read_bytes()
+    other = run("build", tmp_path / "other", "--recipe", recipe.read_text(encoding="utf-8"), "--shard-size", 3)
+    assert other.code == 0
+    assert "bit for bit" in other.out
+
+
+def test_a_recipe_that_disagrees(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """Other content than the recipe says is exit code 1, with both hashes."""
+    values = json.loads(run("info", dataset, "--recipe").out)
+    true, values["content_hash"] = values["content_hash"], "0" * 64
+    outcome = run("build", tmp_path / "again", "--recipe", recipe_file(tmp_path, **values))
+    assert outcome.code == 1
+    assert outcome.err.splitlines()[-1] == f"mapdata: content hash {true}, the recipe says {'0' * 64}"
+    assert "bit for bit" not in outcome.out
+
+
+def test_more_maps_than_the_recipe_are_not_compared(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A recipe's seed and number of maps can be overridden; then its hash says nothing."""
+    recipe = recipe_file(tmp_path, **json.loads(run("info", dataset, "--recipe").out))
+    outcome = run("build", tmp_path / "more", "--recipe", recipe, "--maps", MAPS + 1)
+    assert outcome.code == 0
+    assert "bit for bit" not in outcome.out
+    assert read_manifest(tmp_path / "more").maps == MAPS + 1
+
+
+def test_a_recipe_of_an_unfinished_dataset_is_true(run: Command, copied: Path, tmp_path: Path) -> None:
+    """A recipe is not printed, or is printed without a hash, before the dataset is finished."""
+    manifest = read_manifest(copied)
+    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    outcome = run("info", copied, "--recipe")
+    if outcome.code == 0:
+        recipe = recipe_file(tmp_path, **json.loads(outcome.out))
+        assert run("build", tmp_path / "again", "--recipe", recipe).code == 0
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("says", "arguments"),
+    [
+        ("maps: got 0", ["--maps", "0"]),
+        ("maps: got -1", ["--maps", "-1"]),
+        ("--maps: invalid int value: 'many'", ["--maps", "many"]),
+        ("--maps: invalid int value: '1.5'", ["--maps", "1.5"]),
+        ("seed: got -1", ["--seed", "-1"]),
+        ("seed: got 18446744073709551616", ["--seed", str(2**64)]),
+        ("preset: got 'papers', expected one of paper, narrow", ["--preset", "papers"]),
+        ("shard_size: got 0", ["--shard-size", "0"]),
+        ("workers: got 0", ["--workers", "0"]),
+        ("recipe: 'none.json' is no preset", ["--recipe", "none.json"]),
+        ("recipe: not JSON", ["--recipe", "{"]),
+        ("not allowed with", ["--preset", "narrow", "--recipe", "paper"]),
+        ("unrecognized arguments: --speed", ["--speed"]),
+    ],
+)
+def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_path: Path) -> None:
+    """One line, exit code 2, and no folder."""
+    run.refused(2, re.escape(says), "build", tmp_path / "maps", *arguments)
+    assert not (tmp_path / "maps").exists()
+
+
+@pytest.mark.parametrize(
+    ("says", "values"),
+    [
+        ("rooms: got (1, 1), expected at least 2", {"rooms": (1, 1)}),
+        ("rooms: got (2, 256), expected at most 255", {"rooms": (2, 256)}),
+        ("rooms: upper limit 2 is under the lower limit 5", {"rooms": (5, 2)}),
+        ("room_rows: upper limit 2 is under the lower limit 5", {"room_rows": (5, 2)}),
+        ("room_rows: got (0, 3), expected at least 1", {"room_rows": (0, 3)}),
+        ("room_rows: got (2, 17), expected at most 16: rooms would be larger than the map", {"room_rows": (2, 17)}),
+        ("room_columns: got (3, 71), expected at most 70", {"room_columns": (3, 71)}),
+        ("passage_width: got (1, 17), expected at most 16: passages would be larger", {"passage_width": (1, 17)}),
+        ("passage_width: got (0, 1), expected at least 1", {"passage_width": (0, 1)}),
+        ("map_size: got (0, 70)", {"map_size": (0, 70)}),
+        ("map_size: got (1025, 70), expected 1 to 1024", {"map_size": (1025, 70)}),
+        ("map_size: got [64], expected 2 integers", {"map_size": [64]}),
+        ("skip_probability: got 1.5, expected a probability in [0, 1]", {"skip_probability": 1.5}),
+        ("skip_probability: got -0.1", {"skip_probability": -0.1}),
+        ("skip_probability: got nan", {"skip_probability": float("nan")}),
+        ("skip_probability: got 'ten percent'", {"skip_probability": "ten percent"}),
+        ("resolution: got 0.0", {"resolution": 0}),
+        ("resolution: got inf", {"resolution": float("inf")}),
+        ("splits: got [0.5, 0.6, 0.1]", {"splits": [0.5, 0.6, 0.1]}),
+        ("connectivity: got 6, expected 4 or 8", {"movement": {"connectivity": 6}}),
+        ("spec: unknown wings", {"wings": 2}),
+        pytest.param(
+            "resolution: got 1",
+            {"resolution": 10**400},
+        ),
+    ],
+)
+def test_bad_specs(says: str, values: dict[str, Any], run: Command, tmp_path: Path) -> None:
+    """A recipe that cannot be: one line that names the value, exit code 2, and no folder."""
+    run.refused(2, re.escape(says), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values))
+    assert not (tmp_path / "maps").exists()
+
+
+@pytest.mark.parametrize(
+    ("says", "content"),
+    [
+        ("not JSON", b""),
+        ("expected an object", b"[]"),
+        ("expected an object", b'{"rooms": [2, 3]}'),
+        ("'utf-8' codec", b'{"maps": \xff}'),
+        ("format version 3, this mapdata 0.1.0 reads 1 and 2", b'{"format_version": 3}'),
+        pytest.param(
+            "recipe",
+            b'{"spec": ' + b"[" * 100_000,
+        ),
+    ],
+)
+def test_bad_recipe_files(says: str, content: bytes, run: Command, tmp_path: Path) -> None:
+    """A file that is no recipe: one line, exit code 2, and no folder."""
+    (tmp_path / "recipe.json").write_bytes(content)
+    run.refused(2, says, "build", tmp_path / "maps", "--recipe", tmp_path / "recipe.json")
+    assert not (tmp_path / "maps").exists()
+
+
+@pytest.mark.parametrize(
+    ("says", "arguments"),
+    [
+        ("with seed 5, asked for seed 6", ["--seed", 6, "--maps", MAPS, "--shard-size", SIZE]),
+        ("with shard size 4, asked for shard size 5", ["--maps", MAPS, "--shard-size", 5]),
+        ("holds 11 maps, asked for 10: a dataset only grows", ["--maps", 10, "--shard-size", SIZE]),
+    ],
+)
+def test_another_dataset_under_the_root(
+    says: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """Both values are named; exit code 2; the dataset stays as it is."""
+    before = stamps(dataset)
+    run.refused(2, says, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
+    run.refused(2, r"with spec MapSpec\(.*asked for spec MapSpec\(", "build", dataset, "--maps", MAPS)
+    assert stamps(dataset) == before
+
+
+def test_roots_that_cannot_be(run: Command, tmp_path: Path) -> None:
+    """A root that is a file, lies below one, or holds something else."""
+    (tmp_path / "notes").write_text("notes", encoding="utf-8")
+    run.refused(2, "notes is a file, expected a folder", "build", tmp_path / "notes")
+    run.refused(2, "notes", "build", tmp_path / "notes" / "maps")
+    run.refused(2, r"holds something else \('notes'\)", "build", tmp_path)
+    assert os.listdir(tmp_path) == ["notes"]
+
+
+@pytest.mark.parametrize("verb", ["info", "verify", "show"])
+def test_no_dataset(verb: str, run: Command, tmp_path: Path) -> None:
+    """What was looked for and what makes one; exit code 2."""
+    run.refused(2, f"no dataset at {tmp_path / 'none'}: it does not exist. Make one with", verb, tmp_path / "none")
+    run.refused(2, f"no dataset at {tmp_path}: no manifest.json there. Make one with", verb, tmp_path)
+    (tmp_path / "file").touch()
+    run.refused(2, f"no dataset at {tmp_path / 'file'}", verb, tmp_path / "file")
+
+
+@pytest.mark.parametrize("index", [-1, MAPS, 10**30])
+def test_show_knows_its_maps(index: int, run: Command, dataset: Path) -> None:
+    """A number that no map has is named with those that maps have."""
+    run.refused(2, f"index: got {index}, .* holds maps 0 to {MAPS - 1}", "show", dataset, "--index", index)
+
+
+def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A missing folder and an unknown kind of picture are one line each."""
+    run.refused(2, "none", "show", dataset, "-o", tmp_path / "none" / "map.png")
+    run.refused(2, "xyz", "show", dataset, "-o", tmp_path / "map.xyz")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("arguments", [[], ["burn"], ["build"], ["info"], ["verify", "a", "b"], ["show", "a", "--red"]])
+def test_usage(arguments: list[str], run: Command) -> None:
+    """Usage errors are one line that points to the help."""
+    run.refused(2, r"--help says more\)$", *arguments)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda text: text[: len(text) // 2], lambda text: text.replace('"seed": 5', '"seed": 6'), lambda text: ""],
+    ids=["cut", "changed", "empty"],
+)
+def test_a_damaged_manifest(damage: Callable[[str], str], run: Command, copied: Path) -> None:
+    """Exit code 1 from every verb, and the file is named."""
+    text = (copied / MANIFEST).read_text(encoding="utf-8")
+    (copied / MANIFEST).write_text(damage(text), encoding="utf-8")
+    for verb in (["info", copied], ["show", copied], ["build", copied, "--maps", MAPS]):
+        run.refused(1, f"{copied / MANIFEST}: damaged", *verb)
+    outcome = run("verify", copied)
+    assert outcome.code == 1
+    assert outcome.out.startswith(f"{copied / MANIFEST}: damaged")
+
+
+def test_a_damaged_shard_cannot_be_shown(run: Command, copied: Path) -> None:
+    """Exit code 1, and the file is named."""
+    path = copied / shard_name(0, 4)
+    path.write_bytes(path.read_bytes()[:-100])
+    run.refused(1, f"{path}: (not a sound shard|has )", "show", copied)
+
+
+def test_no_permission(run: Command) -> None:
+    """A root that may not be written to: one line, exit code 2, nothing added."""
+    with unprivileged_folder() as folder:
+        run.refused(2, str(folder), "build", folder, "--maps", 2)
+        run.refused(2, str(folder), "build", folder / "maps", "--maps", 2)
+        assert os.listdir(folder) == []
+
+
+def test_ctrl_c_says_how_to_go_on(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit code 130, as the shell has it, and one line."""
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "build", stop)
+    run.refused(130, "stopped; run the same command again to go on", "build", tmp_path / "maps")
+
+
+# --- other processes --------------------------------------------------------------------------------------------------
+
+FULL_DISK = """
+import resource, sys
+from mapdata.cli.app import main
+main(["build", sys.argv[1] + "/warm", "--maps", "1", "--workers", "1"])  # load the kernels
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+main(["build", sys.argv[1] + "/maps", "--maps", "40", "--shard-size", "20", "--workers", "1"])
+"""
+
+
+@pytest.mark.parametrize("limit", [300, 12_000], ids=["not even the manifest", "no shard"])
+def test_a_full_disk(limit: int, tmp_path: Path) -> None:
+    """A real full disk (RLIMIT_FSIZE): one line, exit code 2, nothing half-written under any name."""
+    command = [sys.executable, "-c", FULL_DISK, str(tmp_path), str(limit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    (line,) = (line for line in done.stderr.splitlines() if line.startswith("mapdata: "))
+    assert "File too large" in line
+    left = set(os.listdir(tmp_path / "maps")) - {".lock"}
+    assert left == (set() if limit == 300 else {MANIFEST})
+    if left:
+        assert read_manifest(tmp_path / "maps").shards == ()
+
+
+def test_import_is_light() -> None:
+    """``import mapdata`` loads none of the large packages, nor does a movement."""
+    heavy = ["torch", "lightning", "pytorch_lightning", "pandas", "matplotlib", "numba", "h5py", "scipy"]
+    code = f"""
+import sys, mapdata
+mapdata.Movement(8), mapdata.__version__, dir(mapdata)
+print([name for name in {heavy} if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_the_script_has_a_default_root(tmp_path: Path) -> None:
+    """``python scripts/build_shards.py`` builds under data/maps, with the same flags and code as the verb."""
+    script = [sys.executable, str(HOME / "scripts" / "build_shards.py")]
+    done = subprocess.run([*script, "--maps", "3"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    root = tmp_path / "data" / "maps"
+    manifest = read_manifest(root)
+    assert (manifest.spec, manifest.seed, manifest.maps, manifest.shard_size) == (MapSpec(), 0, 3, 1000)
+    assert len(read_shard(root / manifest.shards[0].name).maps) == 3
+    assert "mapdata show data/maps --index 2 -o map.png" in done.stdout
+
+
+def test_the_script_takes_a_root_and_the_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All flags of the issue reach the build."""
+    monkeypatch.chdir(tmp_path)
+    flags = {"--maps": "3", "--seed": "9", "--preset": "dungeon", "--shard-size": "2", "--workers": "1"}
+    cli.build_main(["there", *(text for flag in flags.items() for text in flag)])
+    manifest = read_manifest(tmp_path / "there")
+    assert (manifest.spec, manifest.seed) == (MapSpec.preset("dungeon"), 9)
+    assert (manifest.maps, manifest.shard_size) == (3, 2)
+
+
+def test_a_reader_that_is_gone(dataset: Path) -> None:
+    """``mapdata info ROOT | head -1``: no error is told, whether much or little was printed."""
+    command = [sys.executable, "-c", "from mapdata.cli.app import main; main()", "info", str(dataset)]
+    ours, theirs = os.pipe()
+    os.close(ours)
+    done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_show_writes_the_name_it_says(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A name without an ending is a PNG of that very name; an empty name is none."""
+    assert run("show", dataset, "-o", tmp_path / "picture").out == f"wrote {tmp_path / 'picture'}\n"
+    assert (tmp_path / "picture").read_bytes()[:4] == b"\x89PNG"
+    run.refused(2, "No such file", "show", dataset, "-o", "")

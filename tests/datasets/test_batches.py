@@ -1,0 +1,263 @@
+"""Shards in a store: many with few descriptors, and replaced, grown or gone while somebody reads."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers import samples
+from torch.utils.data import DataLoader
+
+from mapdata._version import __version__
+from mapdata.datasets.dataset import MapDataset
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.manifest import MANIFEST, Manifest, entry_of, read_manifest
+from mapdata.shards.reader import map_file, open_shard, read_shard
+from mapdata.shards.shard import ShardError, shard_image, write_file
+
+FIELDS = ("map", "start", "goal", "length", "iterations", "connection_matrix")
+TINY = MapSpec((8, 8), (2, 4), (2, 5), (2, 5), passage_width=(1, 2), skip_probability=0.3)
+LINUX = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="/proc is Linux's")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """120 maps in 120 shards."""
+    folder = tmp_path_factory.mktemp("store") / "many"
+    build(folder, TINY, maps=120, seed=3, shard_size=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same maps in one shard."""
+    folder = tmp_path_factory.mktemp("store") / "one"
+    build(folder, TINY, maps=120, seed=3, shard_size=120)
+    return folder
+
+
+# --- many shards ------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def few_descriptors(more: int) -> Iterator[None]:
+    """Let this process open so many files more."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) + more, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@LINUX
+def test_many_shards_with_few_descriptors(root: Path, one: Path) -> None:
+    """An epoch in random order over 120 shards, with room for 12 more open files, is that of one shard."""
+    expected = MapDataset(one, fields=FIELDS)
+    order = np.random.default_rng(0).permutation(len(expected))
+    before = len(os.listdir("/proc/self/fd"))
+    with few_descriptors(12):
+        dataset = MapDataset(root, fields=FIELDS)
+        for k in range(0, len(order), 50):
+            samples.assert_same(dataset[order[k : k + 50]], expected[order[k : k + 50]])
+        taken: list[int] = []
+        with contextlib.suppress(OSError):
+            while True:
+                taken.append(os.open(root / MANIFEST, os.O_RDONLY))
+        for descriptor in taken:
+            os.close(descriptor)
+    assert len(taken) < 60, "the limit was no limit"
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+@LINUX
+def test_a_forked_worker_reads_and_unmaps_for_itself_alone(root: Path) -> None:
+    """Workers that end take no mapping away from the process that they were forked from."""
+    dataset = MapDataset(root, fields=FIELDS)
+    expected = dataset[:]
+    with few_descriptors(40):
+        loader = DataLoader(dataset, len(dataset), num_workers=2, multiprocessing_context="fork")
+        samples.assert_same(next(iter(loader)), expected)
+    samples.assert_same(dataset[:], expected)
+
+
+def test_threads_that_open_at_once(root: Path) -> None:
+    """A shard that two threads open is mapped once: no thread reads what another one unmapped."""
+    dataset = MapDataset(root, fields=FIELDS)
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: dataset[:], range(8)))
+    for batch in found[1:]:
+        samples.assert_same(batch, found[0])
+
+
+def test_a_system_that_maps_no_more_says_so(tmp_path: Path) -> None:
+    """The system's own error, with what it was about."""
+    (tmp_path / "file").write_bytes(b"data")
+    with open(tmp_path / "file", "rb") as file:
+        assert map_file(file.fileno(), 4).tobytes() == b"data"
+        with pytest.raises(OSError, match="cannot map a shard"):
+            map_file(file.fileno(), 2**62)
+
+
+# --- replaced while somebody reads ------------------------------------------------------------------------------------
+
+REPLACE = """
+import os, sys, time
+root, rounds, *versions = sys.argv[1:]
+for k in range(int(rounds)):
+    folder = versions[k % len(versions)]
+    for name in sorted(os.listdir(folder)):
+        with open(os.path.join(folder, name), "rb") as file:
+            data = file.read()
+        with open(os.path.join(root, ".new"), "wb") as file:
+            file.write(data)
+        os.replace(os.path.join(root, ".new"), os.path.join(root, name))
+        time.sleep(0.0005)
+"""
+"""Replaces all files of a root by those of the versions in turn, as fast as a builder would, and faster."""
+
+
+@contextlib.contextmanager
+def replacing(root: Path, rounds: int, *versions: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run `REPLACE` in another process; it must end well."""
+    child = subprocess.Popen([sys.executable, "-c", REPLACE, str(root), str(rounds), *map(str, versions)])
+    try:
+        yield child
+        assert child.wait() == 0
+    finally:
+        child.kill()
+        child.wait()
+
+
+def rewritten(root: Path, copy: Path) -> Manifest:
+    """Copy a dataset, each shard with the same content in other bytes; return its manifest."""
+    copy.mkdir()
+    manifest = read_manifest(root)
+    entries = []
+    older = "9" * len(__version__)  # as long as it was: the shards keep their size
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mapdata.shards.shard.__version__", older)
+        for entry in manifest.shards:
+            shard, labels = open_shard(root / entry.name), read_shard(root / entry.name)
+            image, _ = shard_image(labels, shard.header)
+            (copy / entry.name).write_bytes(image)
+            entries.append(entry_of(shard, labels, image))
+    found = Manifest(**{**manifest.__dict__, "shards": tuple(entries)})
+    (copy / MANIFEST).write_text(found.to_json())
+    return found
+
+
+def test_shards_replaced_by_the_same_maps_disturb_nobody(tmp_path: Path) -> None:
+    """Repaired, or written by another version: each reading of all, by a reader old or new, is right."""
+    first, second, root = (tmp_path / name for name in ("first", "second", "root"))
+    build(first, TINY, maps=40, seed=3, shard_size=8)
+    other = rewritten(first, second)
+    assert {entry.sha256 for entry in other.shards}.isdisjoint(entry.sha256 for entry in read_manifest(first).shards)
+    shutil.copytree(first, root)
+    held = MapDataset(root, fields=FIELDS)
+    expected, readings = held[:], 0
+    with replacing(root, 200, second, first) as child:
+        while child.poll() is None:
+            samples.assert_same(MapDataset(root, fields=FIELDS)[:], expected)
+            samples.assert_same(held[:], expected)
+            readings += 1
+    assert readings > 3
+
+
+def test_a_reader_sees_old_or_new_and_never_a_mix(tmp_path: Path) -> None:
+    """Another dataset takes the place file by file: a reading is all old, all new, or refused by name."""
+    versions = [tmp_path / "first", tmp_path / "second"]
+    for seed, folder in enumerate(versions):
+        build(folder, TINY, maps=40, seed=seed, shard_size=8)
+    truths = [MapDataset(folder, fields=FIELDS)[:] for folder in versions]
+    root = tmp_path / "root"
+    shutil.copytree(versions[0], root)
+    held = MapDataset(root, fields=FIELDS)
+    samples.assert_same(held[:], truths[0])
+    seen = {"old": 0, "new": 0, "refused": 0}
+    with replacing(root, 200, versions[1], versions[0]) as child:
+        while child.poll() is None:
+            samples.assert_same(held[:], truths[0])
+            try:
+                found = MapDataset(root, fields=FIELDS)[:]
+            except ShardError as error:
+                seen["refused" if "the manifest says" in str(error) else str(error)] += 1
+                continue
+            new = torch.equal(found.start, truths[1].start) if len(found.start) == len(truths[1].start) else False
+            samples.assert_same(found, truths[new])
+            seen["new" if new else "old"] += 1
+    assert seen["old"] + seen["new"] + seen["refused"] > 3
+    samples.assert_same(MapDataset(root, fields=FIELDS)[:], truths[0])
+
+
+def test_a_dataset_that_grows_disturbs_no_reader(tmp_path: Path) -> None:
+    """The short last shard goes when a larger one takes its place; who had not opened it yet reads the new one."""
+    root = tmp_path / "root"
+    build(root, TINY, maps=20, seed=3, shard_size=8)
+    fresh = {
+        problems: MapDataset(root, "train", FIELDS, problems=problems) for problems in ("route", "rooms", "random")
+    }
+    expected = {problems: MapDataset(root, "train", FIELDS, problems=problems)[:] for problems in fresh}
+    table = MapDataset(root).table()
+    whole = MapDataset(root)
+    last = read_manifest(root).shards[-1].name
+    build(root, TINY, maps=30, seed=3, shard_size=8)
+    assert not (root / last).exists()
+    for problems, dataset in fresh.items():
+        samples.assert_same(dataset[:], expected[problems])
+    assert whole.table().equals(table)
+    assert len(MapDataset(root)) > len(whole)
+
+
+def test_a_pickled_dataset_is_not_opened_as_another(tmp_path: Path) -> None:
+    """A worker that starts after the dataset grew would give other problems the same numbers: it says so instead."""
+    root = tmp_path / "root"
+    build(root, TINY, maps=20, seed=3, shard_size=8)
+    data = pickle.dumps(MapDataset(root))
+    pickle.loads(data)
+    build(root, TINY, maps=30, seed=3, shard_size=8)
+    with pytest.raises(ValueError, match="holds other maps than when this dataset was opened"):
+        pickle.loads(data)
+
+
+def test_a_shard_of_other_maps_is_refused(tmp_path: Path) -> None:
+    """The right name, range and size, sound in itself, but not the maps that the manifest states."""
+    roots = [tmp_path / "first", tmp_path / "second"]
+    for seed, folder in enumerate(roots):
+        build(folder, TINY, maps=8, seed=seed, shard_size=8)
+    entry = read_manifest(roots[0]).shards[0]
+    dataset = MapDataset(roots[0])
+    image = (roots[1] / entry.name).read_bytes()
+    write_file(roots[0] / entry.name, image)
+    if len(image) == entry.bytes:
+        with pytest.raises(ShardError, match="holds other maps than the manifest says"):
+            dataset[0]
+    else:
+        with pytest.raises(ShardError, match="the manifest says"):
+            dataset[0]
+
+
+def test_a_seed_in_a_wall_is_named(tmp_path: Path) -> None:
+    """A map whose cells say otherwise than its labels: the shard and the map are named."""
+    root = tmp_path / "root"
+    build(root, TINY, maps=4, seed=3, shard_size=4)
+    path = next(root.glob("*.h5"))
+    shard = open_shard(path)
+    image, maps = bytearray(path.read_bytes()), shard.arrays["maps"]
+    place = path.read_bytes().find(maps.tobytes())
+    image[place : place + maps.nbytes] = b"\xff" * maps.nbytes
+    write_file(path, bytes(image))
+    with pytest.raises(ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"):
+        MapDataset(root, problems="rooms")[0]

@@ -1,0 +1,515 @@
+"""The data module: plain loops, Trainers, checkpoints in mid-epoch, two processes, LightningCLI; the order."""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pytorch_lightning as pl
+import torch
+from helpers import ranks, run_helper, samples
+from helpers.training import FIELDS, Model, Seen, module, trainer
+from pytorch_lightning.callbacks import ModelCheckpoint
+from pytorch_lightning.cli import LightningCLI
+
+from mapdata import DatasetNotFoundError, MapDataModule, MapDataset, MapSpec, Movement, Sample, verify
+from mapdata.datasets.sampler import EpochSampler
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.recipe import Recipe
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck"),
+    pytest.mark.filterwarnings("ignore:This DataLoader will create 3 worker:UserWarning"),
+    pytest.mark.filterwarnings("ignore:You're resuming from a checkpoint that ended before the epoch ended"),
+    pytest.mark.filterwarnings("ignore:You requested to overfit but enabled .* dataloader shuffling"),
+    pytest.mark.filterwarnings("ignore:Be aware that when using `ckpt_path`, callbacks used to create the checkpoint"),
+    pytest.mark.filterwarnings("ignore:.*isinstance.treespec, LeafSpec.* is deprecated"),
+]
+
+RECIPE = json.dumps({"spec": samples.SPEC.to_dict(), "seed": 5, "maps": 60})
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A small dataset in four shards."""
+    return samples.build_small(tmp_path_factory.mktemp("datamodule") / "maps")
+
+
+def batches_of(data: MapDataModule, passes: int = 1) -> list[Sample]:
+    """Return all training batches of some passes over one loader."""
+    loader = data.train_dataloader()
+    return [batch for _ in range(passes) for batch in loader]
+
+
+# --- without a Trainer ------------------------------------------------------------------------------------------------
+
+
+def test_a_plain_loop_needs_nothing_else(root: str) -> None:
+    """No Trainer, no setup: the default four fields, uint8, each sample once, in an order that is not theirs."""
+    data = MapDataModule(root, batch_size=10)
+    map_, start, goal, path = next(iter(data.train_dataloader()))
+    assert (map_.dtype, tuple(map_.shape)) == (torch.uint8, (10, 1, 20, 20))
+    assert (start.dtype, goal.dtype, path.dtype) == (torch.int64,) * 3
+    data = module(root)
+    expected = MapDataset(root, "train", FIELDS)
+    seen = torch.cat([batch.problem for batch in data.train_dataloader()])
+    assert sorted(seen.tolist()) == list(range(len(expected))) != seen.tolist()
+    assert len(data.train_dataloader()) == -(-len(expected) // 8)
+    first = next(iter(data.train_dataloader()))
+    samples.assert_same(first, expected[first.problem])
+    for split, loader in (("val", data.val_dataloader()), ("test", data.test_dataloader())):
+        whole = MapDataset(root, split, FIELDS)
+        samples.assert_all_same(list(loader), [whole[k : k + 8] for k in range(0, len(whole), 8)])
+    samples.assert_all_same(list(data.predict_dataloader()), list(data.test_dataloader()))
+
+
+def test_each_pass_is_an_epoch(root: str) -> None:
+    """The order is anew each pass, and that of the epoch that `set_epoch` names."""
+    data = module(root)
+    loader = data.train_dataloader()
+    passes = [torch.cat([batch.problem for batch in loader]).tolist() for _ in range(3)]
+    assert len({tuple(one) for one in passes}) == 3
+    assert len({tuple(sorted(one)) for one in passes}) == 1
+    sampler = loader.sampler
+    assert isinstance(sampler, EpochSampler)
+    for epoch in (2, 0, 2):
+        sampler.set_epoch(epoch)
+        assert torch.cat([batch.problem for batch in loader]).tolist() == passes[epoch]
+
+
+def test_the_order_is_a_permutation_without_pattern() -> None:
+    """Each number once; over many epochs each place holds each number about equally often."""
+    data = MapDataset.__new__(MapDataset)  # the sampler asks it for its length alone
+    data.__dict__["_kept"] = np.arange(12)
+    counts = np.zeros((12, 12))
+    sampler = EpochSampler(data, 4, 3)
+    for epoch in range(600):
+        order = np.array(list(sampler)) - epoch * 12
+        assert sorted(order.tolist()) == list(range(12))
+        counts[np.arange(12), order] += 1
+    assert 20 < counts.min() < counts.max() < 85  # 50 are expected
+
+
+@pytest.mark.parametrize("split", ["train", "val"])
+def test_augmentation_is_for_training_alone(root: str, split: str) -> None:
+    """Validation and test see the maps as they are."""
+    plain, turned = (module(root, augment=augment) for augment in (False, True))
+    loaders = [data.train_dataloader() if split == "train" else data.val_dataloader() for data in (plain, turned)]
+    same = [torch.equal(a.map, b.map) for a, b in zip(*loaders, strict=True)]
+    assert all(same) == (split == "val")
+
+
+ORDERS: dict[str, dict[str, Any]] = {
+    "workers-1": {"num_workers": 1},
+    "workers-3": {"num_workers": 3},
+    "persistent": {"num_workers": 1, "persistent_workers": True},
+    "persistent-3": {"num_workers": 3, "persistent_workers": True, "prefetch_factor": 1},
+    "spawn": {"num_workers": 1, "persistent_workers": True, "multiprocessing_context": "spawn"},
+}
+
+
+@pytest.fixture(scope="module")
+def two_epochs(root: str) -> list[Sample]:
+    """Two epochs of random problems with symmetries, by the process itself."""
+    return batches_of(module(root, problems="random", augment=True), 2)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_workers_change_neither_order_nor_samples(root: str, two_epochs: list[Sample], order: str) -> None:
+    """Whatever their number and start, and whatever else draws random numbers."""
+    random.seed(1)
+    np.random.seed(1)  # noqa: NPY002  (what others may do)
+    torch.manual_seed(1)
+    data = module(root, problems="random", augment=True, **ORDERS[order])
+    samples.assert_all_same(batches_of(data, 2), two_epochs)
+
+
+def test_another_sampling_seed_is_another_order(root: str, two_epochs: list[Sample]) -> None:
+    """The order seed is not the seed of the maps."""
+    again = batches_of(module(root, problems="random", augment=True, sampling_seed=1), 2)
+    assert [batch.problem.tolist() for batch in again] != [batch.problem.tolist() for batch in two_epochs]
+
+
+# --- under a Trainer --------------------------------------------------------------------------------------------------
+
+
+def test_fit_with_default_flags(root: str) -> None:
+    """Every sample once an epoch, in the order of the plain loop; float32 in the model, uint8 from the loader."""
+    model = Model(noise=True)
+    trainer().fit(model, datamodule=module(root))
+    plain = batches_of(module(root), 2)
+    assert [list(one.problems) for one in model.seen] == [batch.problem.tolist() for batch in plain]
+    assert [one.starts for one in model.seen] == [tuple(batch.start.flatten().tolist()) for batch in plain]
+    assert [one.occupied for one in model.seen] == [int(batch.map.sum()) for batch in plain]
+    assert {one.dtype for one in model.seen} == {torch.float32}
+    assert {one.epoch for one in model.seen} == {0, 1}
+    assert plain[0].map.dtype == torch.uint8
+    val = list(range(len(MapDataset(root, "val"))))
+    assert model.others["val"] == val[:16] + val + val  # the sanity check first: two batches
+
+
+def test_random_problems_are_anew_in_each_epoch_of_a_fit(root: str) -> None:
+    """The epoch that is drawn for is the Trainer's."""
+    model = Model()
+    trainer().fit(model, datamodule=module(root, problems="random", num_workers=2, persistent_workers=True))
+    starts = [
+        {problem: one.starts[2 * k : 2 * k + 2] for one in model.seen if one.epoch == epoch for k, problem in
+         enumerate(one.problems)}
+        for epoch in (0, 1)
+    ]  # fmt: skip
+    assert starts[0].keys() == starts[1].keys()
+    assert sum(starts[0][k] == starts[1][k] for k in starts[0]) < len(starts[0]) / 4
+    assert [list(one.problems) for one in model.seen] == [
+        batch.problem.tolist() for batch in batches_of(module(root, problems="random"), 2)
+    ]
+
+
+def test_what_is_cast_on_the_device(root: str) -> None:
+    """Maps and masks become float32; cells, numbers and the bit sets of moves stay what they are."""
+    data = module(root, fields=samples.ALL_FIELDS)
+    before = next(iter(data.val_dataloader()))
+    after = data.on_after_batch_transfer(before, 0)
+    cast = {name for name in before._fields if getattr(before, name).dtype != getattr(after, name).dtype}
+    assert cast == {"map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask"}
+    assert all(getattr(after, name).dtype == torch.float32 for name in cast)
+    assert all(torch.equal(getattr(after, name), getattr(before, name)) for name in before._fields)
+    assert data.on_after_batch_transfer({"other": 1}, 0) == {"other": 1}
+
+
+def test_validate_test_and_predict(root: str) -> None:
+    """Each sees its split once, in order."""
+    model, run = Model(), trainer()
+    run.validate(model, datamodule=module(root), verbose=False)
+    run.test(model, datamodule=module(root), verbose=False)
+    predicted = run.predict(model, datamodule=module(root))
+    for stage, split in (("val", "val"), ("test", "test"), ("predict", "test")):
+        assert model.others[stage] == list(range(len(MapDataset(root, split))))
+    assert predicted is not None
+    assert torch.cat([*map(torch.as_tensor, predicted)]).tolist() == model.others["predict"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "counts"),
+    [
+        ({"fast_dev_run": True}, [1]),
+        ({"limit_train_batches": 3}, [3, 3]),
+        ({"limit_train_batches": 0.5}, [6, 6]),
+        ({"overfit_batches": 2}, [2, 2]),
+    ],
+    ids=["fast_dev_run", "limit", "limit-share", "overfit"],
+)
+def test_flags_of_the_trainer(root: str, flags: dict[str, Any], counts: list[int]) -> None:
+    """The flags do what they say: as many batches, and with `overfit_batches` the same ones."""
+    model = Model()
+    trainer(**flags).fit(model, datamodule=module(root))
+    by_epoch = [[one.problems for one in model.seen if one.epoch == epoch] for epoch in range(len(counts))]
+    total = -(-len(MapDataset(root, "train")) // 8)
+    assert [len(one) for one in by_epoch] == [int(total * 0.5) if flags.get("limit_train_batches") == 0.5 else count
+                                              for count in counts]  # fmt: skip
+    if len(counts) > 1:
+        assert (by_epoch[0] == by_epoch[1]) == ("overfit_batches" in flags)
+
+
+# --- checkpoints ------------------------------------------------------------------------------------------------------
+
+RESUMED: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
+    "plain": ({}, {}, 5),
+    "random": ({"problems": "random", "augment": True}, {}, 3),
+    "workers": ({"num_workers": 2}, {}, 5),
+    "estimate": ({}, {"estimate": True}, 5),
+    "estimate-workers": ({"num_workers": 2}, {"estimate": True}, 5),
+    "persistent": ({"num_workers": 1, "persistent_workers": True}, {"estimate": True}, 5),
+    "second-epoch": ({}, {"estimate": True}, 17),
+    "accumulation": ({}, {"estimate": True, "accumulate_grad_batches": 2}, 4),
+    "validation": ({}, {"val_check_interval": 3}, 5),
+    "validation-there": ({}, {"val_check_interval": 5, "estimate": True}, 5),
+    "limit": ({}, {"limit_train_batches": 7, "estimate": True}, 9),
+    "limit-end": ({}, {"limit_train_batches": 7}, 7),
+}
+"""Arguments of the data module, of model and Trainer, and the step that is gone on from."""
+
+
+@pytest.mark.parametrize("case", RESUMED)
+def test_a_resumed_epoch_goes_on_where_it_stopped(root: str, tmp_path: Path, case: str) -> None:
+    """Exactly the samples that were not seen yet, in the same order, then the same epochs."""
+    data, arguments, step = RESUMED[case]
+    arguments = {"num_sanity_val_steps": 0, **arguments}
+    estimate = arguments.pop("estimate", False)
+    every = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=1, save_top_k=-1)
+    whole, rest = Model(estimate=estimate), Model(estimate=estimate, noise=True)
+    trainer(callbacks=[every], enable_checkpointing=True, **arguments).fit(whole, datamodule=module(root, **data))
+    path = tmp_path / f"step={step}.ckpt"
+    trainer(**arguments).fit(rest, datamodule=module(root, **data), ckpt_path=path)
+    done = step * arguments.get("accumulate_grad_batches", 1)
+    assert 0 < done < len(whole.seen)
+    assert rest.seen == whole.seen[done:]
+    assert _is_within_an_epoch(whole.seen, done) == (case != "limit-end")
+
+
+def _is_within_an_epoch(seen: list[Seen], done: int) -> bool:
+    return seen[done - 1].epoch == seen[done].epoch
+
+
+def test_checkpoints_load_with_torchs_safe_default(root: str, tmp_path: Path) -> None:
+    """Model and data module come back from a checkpoint that holds nothing but plain values."""
+    path = tmp_path / "last.ckpt"
+    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    data = module(root, movement=movement, augment=True, sampling_seed=7, max_length=99, fields=(*FIELDS, "path"))
+    run = trainer(max_epochs=1)
+    run.fit(Model(size=3), datamodule=data)
+    run.save_checkpoint(path)
+    assert "state_dict" in torch.load(path, weights_only=True)
+    again = MapDataModule.load_from_checkpoint(path)
+    assert (again.roots, again.batch_size, again.augment) == (data.roots, 8, True)
+    assert again.arguments == data.arguments
+    assert again.arguments["movement"] == movement
+    assert again.hparams == data.hparams
+    samples.assert_all_same(batches_of(again), batches_of(module(root, **{**data.arguments, "augment": True})))
+    assert MapDataModule.load_from_checkpoint(path, batch_size=5).batch_size == 5
+    model = Model.load_from_checkpoint(path)
+    assert model.size == 3
+
+
+def own_field(sample: Sample) -> torch.Tensor:
+    """Return a field of one's own."""
+    goal: torch.Tensor = sample.goal
+    return goal.sum(dim=1)
+
+
+def test_functions_among_the_fields_are_not_kept_in_checkpoints(root: str, tmp_path: Path) -> None:
+    """They are code; the restored module takes them again."""
+    path = tmp_path / "last.ckpt"
+    run = trainer(max_epochs=1)
+    run.fit(Model(), datamodule=module(root, fields=(*FIELDS, own_field)))
+    run.save_checkpoint(path)
+    again = MapDataModule.load_from_checkpoint(path, fields=(*FIELDS, own_field))
+    assert next(iter(again.val_dataloader())).own_field.shape == (8,)
+
+
+# --- several processes ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def two_ranks(root: str, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """What each of two processes saw (tests/helpers/ranks.py)."""
+    out = tmp_path_factory.mktemp("ranks")
+    result = run_helper("ranks", root, str(out), "2", OMP_NUM_THREADS="1", PL_TORCH_DISTRIBUTED_BACKEND="gloo")
+    assert result.returncode == 0, result.stderr[-3000:]
+    return [json.loads((out / f"rank{rank}.json").read_text()) for rank in range(2)]
+
+
+def test_ranks_share_the_training_split(root: str, two_ranks: list[dict[str, Any]]) -> None:
+    """Disjoint, equally many, at most one left out of an epoch; each epoch in an order of its own."""
+    total = len(MapDataset(root, "train"))
+    for epoch in (0, 1):
+        shares = [[k for number, problems in one["seen"] if number == epoch for k in problems] for one in two_ranks]
+        assert [len(share) for share in shares] == [total // 2, total // 2]
+        assert not set(shares[0]) & set(shares[1])
+        assert len({*shares[0], *shares[1]}) == total - total % 2
+    assert two_ranks[0]["seen"][0][1] != two_ranks[0]["seen"][len(two_ranks[0]["seen"]) // 2][1]
+
+
+def test_ranks_see_every_other_sample_once(root: str, two_ranks: list[dict[str, Any]]) -> None:
+    """Validation, test and prediction: each sample on exactly one rank."""
+    for stage, split in (("val", "val"), ("test", "test"), ("predict", "test")):
+        seen = sorted(k for one in two_ranks for k in one["others"][stage])
+        assert seen == list(range(len(MapDataset(root, split))))
+
+
+def test_metrics_of_ranks_are_those_of_one_process(root: str, tmp_path: Path, two_ranks: list[dict[str, Any]]) -> None:
+    """A metric of torchmetrics has one value, whatever the number of processes."""
+    ranks.main(root, tmp_path, 1)
+    alone = json.loads((tmp_path / "rank0.json").read_text())
+    assert len(alone["means"]) == 4  # two epochs, validate, test
+    for one in two_ranks:
+        assert one["means"] == pytest.approx(alone["means"], rel=1e-6)
+
+
+def test_ranks_resume_in_mid_epoch(two_ranks: list[dict[str, Any]]) -> None:
+    """Each rank goes on with its own unseen samples."""
+    for one in two_ranks:
+        assert one["resumed"] == one["seen"][ranks.MIDDLE :]
+        assert one["seen"][ranks.MIDDLE - 1][0] == one["seen"][ranks.MIDDLE][0]  # within an epoch
+
+
+# --- building and online ----------------------------------------------------------------------------------------------
+
+
+def test_a_missing_dataset_is_built(tmp_path: Path, root: str) -> None:
+    """By JSON text or a recipe file; what is there is used, what is incomplete is finished, nothing is made twice."""
+    recipe = tmp_path / "recipe.json"
+    recipe.write_text(RECIPE)
+    for name, build in (("text", RECIPE), ("file", str(recipe))):
+        folder = tmp_path / name
+        data = module(str(folder), build=build)
+        assert not folder.exists()
+        samples.assert_all_same(batches_of(data), batches_of(module(root)))
+        assert verify(folder) == []
+        before = {path: path.stat().st_mtime_ns for path in folder.glob("*.h5")}
+        samples.assert_all_same(batches_of(module(str(folder), build=build)), batches_of(module(root)))
+        assert {path: path.stat().st_mtime_ns for path in folder.glob("*.h5")} == before
+    model = Model()
+    trainer(max_epochs=1).fit(model, datamodule=module(str(tmp_path / "fitted"), build=RECIPE))
+    assert len(model.seen) == len(module(root).train_dataloader())
+    assert read_manifest(Path(root)).content_hash == read_manifest(tmp_path / "fitted").content_hash
+
+
+def test_a_preset_is_built_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`build="paper"` makes the paper's 10,000 maps (here fewer)."""
+    monkeypatch.setattr(Recipe, "load", staticmethod(lambda name: Recipe(MapSpec.preset(name), 0, 30)))
+    data = MapDataModule(str(tmp_path / "maps"), build="paper", batch_size=4)
+    assert next(iter(data.test_dataloader())).map.shape[1:] == (1, 64, 64)
+    assert read_manifest(tmp_path / "maps").spec == MapSpec()
+
+
+def test_without_a_dataset_and_without_build(tmp_path: Path) -> None:
+    """The error says where it was looked for."""
+    with pytest.raises(DatasetNotFoundError, match=r"no dataset at .*nowhere"):
+        MapDataModule(str(tmp_path / "nowhere")).train_dataloader()
+
+
+def test_online_without_any_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`root=None`: as many maps as the recipe says in all splits, the same in each process, nothing written."""
+    monkeypatch.chdir(tmp_path)
+    data = module(None, build=RECIPE, problems="random")
+    seen = torch.cat([batch.problem for batch in data.train_dataloader()])
+    assert sorted(seen.tolist()) == list(range(36))
+    assert len(torch.cat([batch.problem for batch in data.val_dataloader()])) == 12
+    model = Model()
+    trainer().fit(model, datamodule=module(None, build=RECIPE, num_workers=2, problems="random"))
+    assert sorted(k for one in model.seen if one.epoch == 1 for k in one.problems) == list(range(36))
+    assert list(tmp_path.iterdir()) == []
+
+
+REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
+    "root": (lambda: MapDataModule(None), "root: got None, expected a dataset"),
+    "build-roots": (lambda: MapDataModule(["a", "b"], build="paper"), "build: makes one dataset in one folder"),
+    "build-url": (lambda: MapDataModule("https://x/y", build="paper"), "build: makes one dataset in one folder"),
+    "batch_size": (lambda: MapDataModule("a", batch_size=0), "batch_size: got 0, expected at least 1"),
+    "movement": (lambda: MapDataModule("a", movement=(6, False, 1.0)), "connectivity: got 6"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_arguments_name_themselves(case: str) -> None:
+    """When the module is made, not when the first batch is."""
+    make, says = REFUSED[case]
+    with pytest.raises(ValueError, match=says):
+        make()
+
+
+# --- LightningCLI -----------------------------------------------------------------------------------------------------
+
+QUIET = [
+    "--trainer.accelerator=cpu",
+    "--trainer.logger=false",
+    "--trainer.enable_progress_bar=false",
+    "--trainer.enable_model_summary=false",
+    "--trainer.enable_checkpointing=false",
+    "--trainer.max_epochs=1",
+]
+
+
+@pytest.fixture(autouse=True)
+def _quiet_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["train.py"])  # LightningCLI warns when it is given others beside them
+    monkeypatch.setenv("JSONARGPARSE_DEPRECATION_WARNINGS", "off")  # of Lightning's calls, not of ours
+
+
+def run_cli(arguments: list[str]) -> LightningCLI:
+    """Run what a script of two lines runs."""
+    return LightningCLI(Model, MapDataModule, args=arguments, save_config_callback=None, seed_everything_default=0)
+
+
+def test_cli_with_flags(root: str) -> None:
+    """Every argument is a flag, the movement too."""
+    flags = [
+        f"--data.root={root}",
+        "--data.batch_size=8",
+        "--data.fields=[map,start,goal,problem]",
+        "--data.movement=[8,true,1]",
+        "--data.problems=random",
+        "--data.min_distance=3",
+        "--data.augment=true",
+    ]
+    cli = run_cli(["fit", *QUIET, *flags])
+    assert isinstance(cli.datamodule, MapDataModule)
+    assert cli.datamodule.arguments["movement"] == Movement(8, True, 1)
+    assert isinstance(cli.model, Model)
+    expected = module(root, movement=Movement(8, True, 1), problems="random", min_distance=3, augment=True)
+    assert [list(one.problems) for one in cli.model.seen] == [b.problem.tolist() for b in batches_of(expected)]
+    named = [flag for flag in flags if "movement" not in flag]
+    cli = run_cli(["fit", *QUIET, *named, "--data.movement.connectivity=8"])
+    assert cli.datamodule.arguments["movement"] == Movement(8)
+
+
+def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
+    """A file holds the same; flags win over it."""
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        f"data:\n  root: {root}\n  batch_size: 8\n  fields: [map, start, goal, problem]\n"
+        "  movement: {connectivity: 8, corner_cutting: true, diagonal_cost: 1.0}\n  search: bfs\n"
+    )
+    cli = run_cli(["fit", *QUIET, f"--config={config}", "--data.batch_size=5"])
+    assert isinstance(cli.datamodule, MapDataModule)
+    assert cli.datamodule.batch_size == 5
+    assert asdict(cli.datamodule.arguments["movement"]) == {
+        "connectivity": 8,
+        "corner_cutting": True,
+        "diagonal_cost": 1.0,
+    }
+    assert cli.datamodule.arguments["search"] == "bfs"
+    run_cli(["validate", *QUIET[:4], f"--config={config}"])
+
+
+def test_cli_checkpoints_come_back(root: str, tmp_path: Path) -> None:
+    """A checkpoint of a run by flags loads like any other."""
+    flags = [f"--data.root={root}", "--data.batch_size=8", "--data.fields=[map,start,goal,problem]"]
+    cli = run_cli(["fit", *QUIET, *flags])
+    cli.trainer.save_checkpoint(tmp_path / "cli.ckpt")
+    again = MapDataModule.load_from_checkpoint(tmp_path / "cli.ckpt")
+    assert (again.roots, again.batch_size, again.arguments["fields"]) == ([root], 8, FIELDS)
+
+
+def test_one_class_serves_both_packages(root: str) -> None:
+    """`lightning.pytorch` and `pytorch_lightning` each accept only their own class; ours is both where both are."""
+    assert issubclass(MapDataModule, pl.LightningDataModule)
+    if find_spec("lightning") is None:
+        pytest.skip("package 'lightning' is not installed")
+    other: Any = import_module("lightning.pytorch")
+
+    def training_step(model: Any, batch: Sample, _: int) -> torch.Tensor:  # noqa: ANN401
+        model.seen += batch.problem.tolist()
+        loss: torch.Tensor = model.layer(torch.zeros(1, 2)).sum()
+        return loss
+
+    def configure_optimizers(model: Any) -> torch.optim.Optimizer:  # noqa: ANN401
+        return torch.optim.SGD(model.parameters(), 1e-9)
+
+    methods = {
+        "training_step": training_step,
+        "validation_step": lambda *_: None,
+        "configure_optimizers": configure_optimizers,
+    }
+    model = type("OtherModel", (other.LightningModule,), methods)()
+    model.layer, model.seen = torch.nn.Linear(2, 1), []
+    run = other.Trainer(
+        accelerator="cpu",
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        enable_checkpointing=False,
+        max_epochs=1,
+        limit_val_batches=0,
+    )
+    run.fit(model, datamodule=module(root))
+    assert sorted(model.seen) == list(range(len(MapDataset(root, "train"))))

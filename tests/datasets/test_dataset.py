@@ -1,0 +1,828 @@
+"""Datasets: stored problems are those of the labels, drawn ones meet their conditions, and workers change nothing."""
+
+from __future__ import annotations
+
+import pickle
+import random
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from helpers import hostile, reference, samples
+from scipy import stats
+from search.test_api import MOVEMENTS
+from shards import test_shard
+from torch.utils.data import DataLoader
+
+from mapdata import (
+    DatasetNotFoundError,
+    Labels,
+    MapDataset,
+    MapSpec,
+    Movement,
+    OnlineMapDataset,
+    Sample,
+    ShardError,
+    generate,
+    label,
+)
+from mapdata.shards.manifest import MANIFEST, Manifest, read_manifest
+
+Array = npt.NDArray[Any]
+SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
+SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
+SPLITS = ("train", "val", "test")
+MAPS, SEED = 60, 5
+
+
+@pytest.fixture(scope="module")
+def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Datasets of 60 maps in four shards."""
+    folder = tmp_path_factory.mktemp("dataset")
+    return {name: samples.build_small(folder / name, spec, maps=MAPS, seed=SEED) for name, spec in SPECS.items()}
+
+
+@pytest.fixture(scope="module")
+def root(roots: dict[str, str]) -> str:
+    """The dataset of square maps."""
+    return roots["square"]
+
+
+@cache
+def labels_of(name: str, seed: int = SEED) -> Labels:
+    """Return the labels that a dataset holds."""
+    return label(generate(SPECS[name], seed, range(MAPS)))
+
+
+class Problem(NamedTuple):
+    """A stored problem: a map and two of its rooms."""
+
+    map: int
+    first: int
+    second: int
+
+
+def problems_of(labels: Labels, problems: str, split: str | None, unsolvable: bool = False) -> list[Problem]:
+    """Return the problems of the design: segments or all pairs, without those of length 0, or without a path."""
+    found = []
+    for i in range(len(labels.maps)):
+        if split is not None and labels.maps.split[i] != SPLITS.index(split):
+            continue
+        n, matrix = int(labels.maps.rooms[i]), labels.matrix("astar", i)
+        pairs = (
+            [(q, q + 1) for q in range(n - 1)]
+            if problems == "route"
+            else np.argwhere(np.triu(np.ones((n, n)), 1)).tolist()
+        )
+        for a, b in pairs:
+            if matrix[a, b] > 0 or (unsolvable and matrix[a, b] < 0):
+                found.append(Problem(i, int(a), int(b)))
+    return found
+
+
+# --- stored problems --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unsolvable", [False, True])
+@pytest.mark.parametrize("search", ["bfs", "astar"])
+@pytest.mark.parametrize("problems", ["route", "rooms"])
+@pytest.mark.parametrize("name", SPECS)
+def test_stored_problems(roots: dict[str, str], name: str, problems: str, search: str, unsolvable: bool) -> None:
+    """Map, start, goal, path, cost and iterations are the labels', in order, for each split and for all."""
+    labels = labels_of(name)
+    movement = SPECS[name].movement
+    fields = ("map", "start", "goal", "path", "cost", "iterations", "length")
+    for split in (None, *SPLITS):
+        truth = problems_of(labels, problems, split, unsolvable)
+        dataset = MapDataset(
+            roots[name], split, fields, problems=problems, search=search, unsolvable=unsolvable
+        )  # fmt: skip
+        assert len(dataset) == len(truth) > 5
+        for one, sample in _pairs(truth, dataset):
+            grid = labels.maps.occupancy[one.map]
+            start, goal = (tuple(labels.maps.seed_points[one.map, room].tolist()) for room in (one.first, one.second))
+            np.testing.assert_array_equal(sample.map[0], grid)
+            assert (samples.cell_of(sample.start), samples.cell_of(sample.goal)) == (start, goal)
+            assert sample.cost == np.float32(labels.matrix(search, one.map)[one.first, one.second])
+            path = samples.cells_of(sample.path)
+            assert len(path) == sample.length
+            if problems == "route":
+                assert path == [tuple(cell) for cell in labels.segment(search, one.map, one.first).tolist()]
+                assert sample.iterations == labels.iterations(search, one.map)[one.first]
+            else:
+                found = SEARCHES[search](grid.tolist(), start, goal, movement)
+                assert (path, int(sample.iterations)) == (found.path, found.iterations)
+
+
+def _pairs(truth: list[Problem], dataset: MapDataset) -> Iterator[tuple[Problem, Sample]]:
+    """Yield each third problem with its sample."""
+    for k in range(0, len(truth), 3):
+        yield truth[k], dataset[k]
+
+
+def test_unsolvable_problems_occur(root: str) -> None:
+    """What `unsolvable` adds has no path: no cells, cost -1, hardness -1."""
+    every = MapDataset(root, fields=("cost", "path", "length", "hardness"), unsolvable=True)[:]
+    without = every.length == 0
+    assert 0 < without.sum() == len(every.cost) - len(MapDataset(root))
+    assert (every.path[without] == -1).all()
+    assert set(every.cost[without].tolist()) == set(every.hardness[without].tolist()) == {-1.0}
+    assert (every.cost[~without] > 0).all()
+
+
+def test_splits_share_no_map_and_cover_all(root: str) -> None:
+    """Each map is in one split, whatever the problems."""
+    items = {split: set(MapDataset(root, split).table()["item"]) for split in SPLITS}
+    assert sum(map(len, items.values())) == MAPS
+    assert set.union(*items.values()) == set(range(MAPS))
+    for problems in ("route", "rooms", "random"):
+        lengths = [len(MapDataset(root, split, problems=problems)) for split in SPLITS]
+        assert min(lengths) > 0
+        assert sum(lengths) == len(MapDataset(root, problems=problems))
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize("search", ["bfs", "astar"])
+@pytest.mark.parametrize("name", SPECS)
+def test_another_movement_is_solved_on_the_fly(
+    roots: dict[str, str], name: str, search: str, movement: Movement
+) -> None:
+    """Paths, costs, matrices under any movement are the reference's, on the same problems."""
+    fields = ("map", "start", "goal", "path", "cost", "iterations", "connection_matrix", "seed_points")
+    dataset = MapDataset(roots[name], "val", fields, search=search, movement=movement)
+    assert dataset.movement == movement
+    for k in range(0, len(dataset), 4):
+        sample = dataset[k]
+        grid = samples.grid_of(sample.map)
+        found = SEARCHES[search](grid, samples.cell_of(sample.start), samples.cell_of(sample.goal), movement)
+        assert samples.cells_of(sample.path) == found.path
+        assert (sample.cost, int(sample.iterations)) == (np.float32(found.cost), found.iterations)
+        seed_points = samples.cells_of(sample.seed_points)
+        matrix = reference.reference_matrix(SEARCHES[search], grid, seed_points, movement).astype(np.float32)
+        np.testing.assert_array_equal(sample.connection_matrix[: len(seed_points), : len(seed_points)], matrix)
+
+
+def test_the_stored_movement_may_be_named(root: str) -> None:
+    """Asking for what is stored changes nothing."""
+    samples.assert_same(MapDataset(root, movement=Movement())[:9], MapDataset(root)[:9])
+
+
+def test_several_roots(tmp_path: Path, root: str) -> None:
+    """One dataset over all of them, in order; they must have one map size and one movement."""
+    other = samples.build_small(tmp_path / "other", replace(samples.SPEC, rooms=(6, 7)), maps=20, seed=9)
+    both = MapDataset([root, tmp_path / "other"], fields=("map", "path", "seed_points"))
+    first, second = (MapDataset(each, fields=("map", "path", "seed_points")) for each in (root, other))
+    assert len(both) == len(first) + len(second)
+    assert both[0].seed_points.shape == (7, 2)
+    for k in (0, len(first) - 1):
+        samples.assert_same(both[k], first[k], without=("seed_points",))
+    for k in (0, len(second) - 1):
+        samples.assert_same(both[len(first) + k], second[k])
+    mixed = both[[len(first) - 1, len(first)]]
+    assert torch.equal(mixed.map[0], first[-1].map)
+    assert torch.equal(mixed.map[1], second[0].map)
+    assert len(both.table()) == MAPS + 20
+    wide = samples.build_small(tmp_path / "wide", samples.WIDE, maps=2)
+    diagonal = samples.build_small(tmp_path / "diagonal", replace(samples.SPEC, movement=Movement(8)), maps=2)
+    with pytest.raises(ValueError, match=r"root: .*wide has map_size \(9, 70\), .* has \(20, 20\)"):
+        MapDataset([root, wide])
+    with pytest.raises(ValueError, match=r"root: .*diagonal has movement"):
+        MapDataset([root, diagonal])
+
+
+# --- indices ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("online", [False, True])
+def test_indices(root: str, online: bool) -> None:
+    """Numbers from either end, slices, lists, arrays, tensors; anything else is refused."""
+    dataset: MapDataset | OnlineMapDataset
+    dataset = OnlineMapDataset(samples.SPEC, length=50) if online else MapDataset(root)
+    n = len(dataset)
+    one = dataset[3]
+    for i in (np.int64(3), torch.tensor(3), np.array(3), 3 - n):
+        samples.assert_same(dataset[i], one)
+    samples.assert_same(dataset[-1], dataset[n - 1])
+    for i in (n, -n - 1, 10**12):
+        with pytest.raises(IndexError, match=f"{i} is out of range for {n} problems"):
+            dataset[i]
+    batch = dataset[[4, 1, -2]]
+    assert isinstance(batch, Sample)
+    for k, i in enumerate((4, 1, n - 2)):
+        assert torch.equal(batch.map[k], dataset[i].map)
+        assert torch.equal(batch.goal[k], dataset[i].goal)
+    for indices in ((4, 1, -2), np.array([4, 1, n - 2], np.int32), torch.tensor([4, 1, -2])):
+        samples.assert_same(dataset[indices], batch)
+    samples.assert_same(dataset[2:9], dataset[list(range(2, 9))])
+    samples.assert_same(dataset[-3:], dataset[[n - 3, n - 2, n - 1]])
+    samples.assert_same(dataset[9:1:-3], dataset[[9, 6, 3]])
+    with pytest.raises(IndexError):
+        dataset[[0, -n - 1]]
+    for bad in ("3", 2.0, None, [1.5], np.zeros(n, np.bool_)):
+        with pytest.raises(TypeError):
+            dataset[bad]
+
+
+@pytest.mark.parametrize("online", [False, True])
+def test_epochs_are_in_the_index(root: str, online: bool) -> None:
+    """`index + epoch * len` is problem `index`, with what is drawn anew drawn for that epoch."""
+    fields = ("problem", "map", "start", "goal")
+    dataset: MapDataset | OnlineMapDataset
+    if online:
+        dataset = OnlineMapDataset(samples.SPEC, 5, 40, fields=fields)
+    else:
+        dataset = MapDataset(root, fields=fields, problems="random")
+    n = len(dataset)
+    epochs = [dataset.__getitems__([k + epoch * n for k in range(n)]).batch for epoch in (0, 1, 2)]
+    samples.assert_same(epochs[0], dataset[:])
+    for later in epochs[1:]:
+        assert later.problem.tolist() == list(range(n))
+        same = (later.start == epochs[0].start).all(dim=1) & (later.goal == epochs[0].goal).all(dim=1)
+        assert same.float().mean() < 0.7  # a map of two rooms has one segment
+    stored = MapDataset(root, fields=fields)
+    samples.assert_same(stored.__getitems__([3 + 7 * len(stored)]).batch, stored[3:4])
+
+
+# --- random problems --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize("online", [False, True])
+def test_random_problems(root: str, online: bool, movement: Movement) -> None:
+    """Start and goal are free, differ and are connected; one problem a map; conditions hold."""
+    fields = ("map", "start", "goal", "path", "cost", "hardness")
+    for conditions in ({}, {"min_distance": 12.0}, {"min_hardness": 1.05}):
+        arguments: dict[str, Any] = {"fields": fields, "problems": "random", "movement": movement, **conditions}
+        dataset: MapDataset | OnlineMapDataset
+        if online:
+            dataset = OnlineMapDataset(samples.SPEC, SEED, MAPS, "train", **arguments)
+        else:
+            dataset = MapDataset(root, "train", **arguments)
+            assert len(dataset) == (labels_of("square").maps.split == 0).sum()
+        for k in range(0, len(dataset), 5):
+            sample = dataset[k]
+            grid = samples.grid_of(sample.map)
+            start, goal = samples.cell_of(sample.start), samples.cell_of(sample.goal)
+            assert reference.is_free(grid, start)
+            assert start != goal
+            best = reference.reference_distances(grid, start, movement)[goal]
+            assert sample.cost == np.float32(reference.as_float(best, movement))
+            assert samples.cells_of(sample.path) == reference.reference_astar(grid, start, goal, movement).path
+            assert sample.cost >= np.float32(conditions.get("min_distance", 0))
+            assert sample.hardness >= np.float32(conditions.get("min_hardness", 0))
+
+
+def test_random_problems_depend_on_seed_epoch_and_number_alone(root: str) -> None:
+    """Equal whatever was asked before, in any batch, with any state of any generator; else different."""
+
+    def starts(sampling_seed: int, epoch: int, split: str | None = None) -> torch.Tensor:
+        dataset = MapDataset(root, split, ("start", "goal"), problems="random", sampling_seed=sampling_seed)
+        random.seed(len(dataset) + epoch)
+        np.random.seed(epoch)  # noqa: NPY002  (what others may do)
+        torch.manual_seed(epoch)
+        last = dataset.__getitems__([len(dataset) - 1]).batch
+        assert torch.equal(last.start[0], dataset[-1].start)
+        batch = dataset.__getitems__([k + epoch * len(dataset) for k in range(len(dataset))]).batch
+        return torch.cat((batch.start, batch.goal), dim=1)
+
+    first = starts(0, 0)
+    assert torch.equal(starts(0, 0), first)
+    for other in (starts(1, 0), starts(0, 1), starts(2**64 - 1, 0), starts(0, 2**20)):
+        assert (other == first).all(dim=1).float().mean() < 0.1
+
+
+def test_random_problems_are_uniform() -> None:
+    """Over many epochs on one open map, start and goal fall on each cell equally often."""
+    spec = MapSpec((4, 5), (2, 2), (4, 4), (5, 5), passage_width=(1, 1))
+    open_map = next(i for i in range(99) if not generate(spec, 0, [i]).occupancy.any())
+    dataset = OnlineMapDataset(spec, 0, open_map + 1, fields=("start", "goal"), problems="random")
+    ends = [dataset.__getitems__([open_map + epoch * len(dataset)]).batch for epoch in range(4000)]
+    for name in ("start", "goal"):
+        cells = torch.cat([getattr(end, name) for end in ends])
+        counts = np.bincount(cells[:, 0] * 5 + cells[:, 1], minlength=20)
+        assert stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_conditions_that_no_map_meets(root: str) -> None:
+    """An error that names the conditions, instead of a search without end."""
+    for dataset in (
+        MapDataset(root, problems="random", min_distance=1000),
+        OnlineMapDataset(samples.SPEC, problems="random", min_distance=1000),
+    ):
+        with pytest.raises(ValueError, match=r"problems='random'.*min_distance=1000"):
+            dataset[0]
+
+
+def test_maps_without_a_problem_are_replaced(root: str) -> None:
+    """A condition that few maps meet: every sample meets it all the same, and others stay what they were."""
+    for conditions in ({"min_distance": 22.0}, {"min_hardness": 1.7}):
+        dataset = MapDataset(root, fields=("cost", "hardness", "map"), problems="random", **conditions)  # type: ignore[arg-type]
+        batch = dataset[:]
+        own = (batch.map.flatten(1) == torch.from_numpy(labels_of("square").maps.occupancy).flatten(1)).all(dim=1)
+        assert 0 < own.sum() < MAPS
+        assert (batch.cost >= conditions.get("min_distance", 0)).all()
+        assert (batch.hardness >= conditions.get("min_hardness", 0)).all()
+        samples.assert_same(dataset[7], dataset[[3, 7]]._make(value[1] for value in dataset[[3, 7]]))
+
+
+# --- symmetries -------------------------------------------------------------------------------------------------------
+
+TURNS: tuple[Callable[[Array], Array], ...] = (
+    lambda grid: grid,
+    np.flipud,
+    np.fliplr,
+    lambda grid: np.rot90(grid, 2),
+    np.transpose,
+    np.rot90,
+    lambda grid: np.rot90(grid, -1),
+    lambda grid: np.rot90(grid, 2).T,
+)
+"""The 8 symmetries of a square; the first 4 keep any rectangle."""
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize(("name", "count"), [("square", 8), ("wide", 4)])
+def test_augmentation_moves_everything_along(roots: dict[str, str], name: str, count: int, movement: Movement) -> None:
+    """Every sample is a turned one: map, cells, path and centres alike; what is found is right on the turned map."""
+    fields = ("map", "start", "goal", "path", "seed_points", "optimal_moves", "cost_to_go", "path_mask")
+    plain = MapDataset(roots[name], "train", (*fields, "cost"), movement=movement)
+    turned = MapDataset(roots[name], "train", (*fields, "cost"), movement=movement, augment=True)
+    before, after = plain[:], turned[:]
+    assert torch.equal(before.cost, after.cost)
+    used = set()
+    for k in range(len(before.cost)):
+        cells = np.arange(before.map[k].numel()).reshape(before.map.shape[2:])
+        at = samples.cells_of(before.path[k])
+        to = samples.cells_of(after.path[k])
+        matching = []
+        for turn, symmetry in enumerate(TURNS[:count]):
+            places = {int(cell): divmod(place, cells.shape[1]) for place, cell in enumerate(symmetry(cells).flat)}
+            moved = [places[row * cells.shape[1] + column] for row, column in at]
+            maps_agree = np.array_equal(symmetry(before.map[k, 0].numpy()), after.map[k, 0].numpy())
+            if maps_agree and moved == to:
+                matching.append(turn)
+                seed_points = samples.cells_of(before.seed_points[k])
+                expected = [places[row * cells.shape[1] + column] for row, column in seed_points]
+                assert samples.cells_of(after.seed_points[k]) == expected or len(matching) > 1
+        assert matching
+        used |= set(matching) if len(matching) == 1 else set()
+        assert to[0] == samples.cell_of(after.start[k])
+        assert to[-1] == samples.cell_of(after.goal[k])
+        assert [tuple(cell) for cell in np.argwhere(after.path_mask[k, 0].numpy()).tolist()] == sorted(to)
+        if k % 9 == 0:
+            grid = samples.grid_of(after.map[k])
+            assert reference.first_bad_step(grid, to, movement) is None
+            field = reference.reference_field(grid, to[-1], movement)
+            np.testing.assert_array_equal(after.cost_to_go[k, 0], field)
+    assert used == set(range(count))
+
+
+def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:
+    """A function of (order seed, epoch, index), for stored and drawn problems alike."""
+    for problems in ("route", "random"):
+
+        def maps(sampling_seed: int, epoch: int, problems: str = problems) -> torch.Tensor:
+            dataset = MapDataset(root, "train", ("map",), problems=problems, augment=True, sampling_seed=sampling_seed)
+            maps: torch.Tensor = dataset.__getitems__([k + epoch * len(dataset) for k in range(len(dataset))]).batch.map
+            return maps
+
+        first = maps(0, 0)
+        assert torch.equal(maps(0, 0), first)
+        for other in (maps(1, 0), maps(0, 1)):
+            assert (other == first).flatten(1).all(dim=1).float().mean() < 0.4
+
+
+# --- views and tables -------------------------------------------------------------------------------------------------
+
+
+def test_filters_keep_what_meets_all_conditions(root: str) -> None:
+    """Each condition against the labels; a problem is the same in the view."""
+    labels = labels_of("square")
+    fields = ("problem", "map", "goal", "length", "hardness")
+    dataset = MapDataset(root, fields=fields, unsolvable=True)
+    truth = problems_of(labels, "route", None, unsolvable=True)
+    every = dataset[:]
+    kept: dict[str, tuple[dict[str, Any], list[bool]]] = {
+        "rooms": ({"rooms": (3, 4)}, [3 <= labels.maps.rooms[one.map] <= 4 for one in truth]),
+        "path_length": ({"path_length": (5, 12)}, [5 <= length <= 12 for length in every.length.tolist()]),
+        "reachable": ({"reachable": False}, [length == 0 for length in every.length.tolist()]),
+        "all_connected": ({"all_connected": True}, [bool(labels.all_connected[one.map]) for one in truth]),
+        "hardness": ({"hardness": (1.1, 9.0)}, [1.1 <= value <= 9 for value in every.hardness.tolist()]),
+    }
+    for conditions, keep in kept.values():
+        view = dataset.filter(**conditions)
+        assert isinstance(view, MapDataset)
+        assert 0 < len(view) == sum(keep) < len(dataset)
+        batch = view[:]
+        chosen = torch.tensor(keep)
+        for name in fields:  # a problem keeps its number, and with it what is drawn for it
+            assert torch.equal(getattr(batch, name), getattr(every, name)[chosen]), name
+        samples.assert_same(view[-1], view[len(view) - 1])
+    both = dataset.filter(rooms=(3, 4)).filter(path_length=(5, 12))
+    assert len(both) == len(dataset.filter(rooms=(3, 4), path_length=(5, 12)))
+    assert len(both) == sum(a and b for a, b in zip(kept["rooms"][1], kept["path_length"][1], strict=True))
+    assert len(dataset) == len(truth)  # a view leaves the dataset as it is
+
+
+def test_filters_remember_how_they_were_made(root: str) -> None:
+    """`filters` and the repr tell; a view survives pickling with its conditions."""
+    view = MapDataset(root, "train").filter(rooms=(3, 5)).filter(hardness=(1.05, 4.0))
+    assert view.filters == ({"rooms": (3, 5)}, {"hardness": (1.05, 4.0)})
+    assert ".filter(rooms=(3, 5)).filter(hardness=(1.05, 4.0))" in repr(view)
+    assert f"{len(view)} problems" in repr(view)
+    assert MapDataset(root).filters == ()
+    again = pickle.loads(pickle.dumps(view))
+    assert (len(again), again.filters, again.split) == (len(view), view.filters, "train")
+    samples.assert_same(again[:], view[:])
+    assert len(view.filter(rooms=(99, 99))) == 0
+    assert list(DataLoader(view.filter(rooms=(99, 99)), 4)) == []
+
+
+def test_table(roots: dict[str, str]) -> None:
+    """A row a map with every item that the paper lists, under its names."""
+    for name, root in roots.items():
+        labels = labels_of(name)
+        maps = labels.maps
+        table = MapDataset(root).table()
+        assert len(table) == MAPS
+        for i in range(MAPS):
+            row, n = table.iloc[i], int(maps.rooms[i])
+            assert (row["item"], row["label"], row["split"]) == (i, f"map{i}", SPLITS[maps.split[i]])
+            assert (row["resolution"], row["passage size"]) == (0.1, maps.passage_width[i])
+            for k, side in enumerate(("rows", "columns")):
+                assert row[f"seed {side}"] == maps.seed_points[i, :n, k].tolist()
+                assert row[f"size {side}"] == maps.sizes[i, :n, k].tolist()
+            assert row["direction for passages"] == maps.directions[i, : n - 1].flatten().tolist()
+            assert row["connected"] == [bool(one) for one in maps.connected[i, : n - 1]]
+            for search in ("bfs", "astar"):
+                path = joined(labels.route(search, i))
+                assert list(zip(row[f"{search} row path"], row[f"{search} column path"], strict=True)) == path
+                assert row[f"{search} iterations"] == labels.iterations(search, i).tolist()
+                assert row[f"{search} connection matrix"] == labels.matrix(search, i).tolist()
+            first, last = maps.segment_offsets[i : i + 2]
+            assert row["reachable"] == labels.reachable[first:last].tolist()
+        val = MapDataset(root, "val").table()
+        assert set(val["split"]) == {"val"}
+        assert val["item"].tolist() == np.flatnonzero(maps.split == 1).tolist()
+
+
+def joined(route: list[npt.NDArray[np.int64]]) -> list[tuple[int, ...]]:
+    """Join segments into one path; the cell in which two of them meet stands once."""
+    path: list[tuple[int, ...]] = []
+    for segment in route:
+        cells = [tuple(cell) for cell in segment.tolist()]
+        path += cells[1:] if path and cells and path[-1] == cells[0] else cells
+    return path
+
+
+# --- online -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("split", [None, *SPLITS])
+@pytest.mark.parametrize("name", SPECS)
+def test_online_maps_are_those_of_the_shards(roots: dict[str, str], name: str, split: str | None) -> None:
+    """Sample i is of the i-th map (of the split), bit for bit, with a problem of it that is right."""
+    labels = labels_of(name)
+    numbers = [i for i in range(MAPS) if split is None or SPLITS[labels.maps.split[i]] == split]
+    fields = ("map", "start", "goal", "path", "cost", "iterations", "connection_matrix", "seed_points")
+    for problems in ("route", "rooms"):
+        online = OnlineMapDataset(SPECS[name], SEED, len(numbers), split, fields, problems=problems)
+        own = 0
+        for k, i in enumerate(numbers):
+            valid = [one for one in problems_of(labels, problems, split) if one.map == i]
+            sample = online[k]
+            if not valid:
+                continue
+            own += 1
+            n = int(labels.maps.rooms[i])
+            np.testing.assert_array_equal(sample.map[0], labels.maps.occupancy[i])
+            np.testing.assert_array_equal(sample.seed_points[:n], labels.maps.seed_points[i, :n])
+            np.testing.assert_array_equal(
+                sample.connection_matrix[:n, :n], labels.matrix("astar", i).astype(np.float32)
+            )
+            seed_points = [tuple(seed) for seed in labels.maps.seed_points[i, :n].tolist()]
+            start, goal = samples.cell_of(sample.start), samples.cell_of(sample.goal)
+            matching = [one for one in valid if (seed_points[one.first], seed_points[one.second]) == (start, goal)]
+            assert matching
+            assert sample.cost == np.float32(labels.matrix("astar", i)[matching[0].first, matching[0].second])
+            if problems == "route":
+                assert samples.cells_of(sample.path) == [
+                    tuple(cell) for cell in labels.segment("astar", i, matching[0].first).tolist()
+                ]
+                assert sample.iterations == labels.iterations("astar", i)[matching[0].first]
+        assert own > len(numbers) / 2
+    stored = MapDataset(roots[name], split, ("map",), problems="random")
+    random_online = OnlineMapDataset(SPECS[name], SEED, len(numbers), split, ("map",), problems="random")
+    own = sum(torch.equal(stored[k].map, random_online[k].map) for k in range(len(numbers)))
+    assert own == len(numbers)
+
+
+def test_online_problems_change_with_the_epoch() -> None:
+    """Over the epochs every segment of a map gets its turn."""
+    labels = labels_of("square")
+    online = OnlineMapDataset(samples.SPEC, SEED, MAPS, fields=("start", "goal"))
+    for i in range(0, MAPS, 7):
+        valid = [one for one in problems_of(labels, "route", None) if one.map == i]
+        seed_points = labels.maps.seed_points[i].tolist()
+        seen = set()
+        for epoch in range(60):
+            batch = online.__getitems__([i + epoch * MAPS]).batch
+            seen.add((samples.cell_of(batch.start[0]), samples.cell_of(batch.goal[0])))
+        if valid:
+            assert seen == {(tuple(seed_points[one.first]), tuple(seed_points[one.second])) for one in valid}
+
+
+def test_online_without_a_single_problem() -> None:
+    """Maps of one cell have none: an error, not a search without end."""
+    spec = MapSpec((1, 1), (2, 3), (1, 1), (1, 1), passage_width=(1, 1))
+    for problems in ("route", "rooms", "random"):
+        with pytest.raises(ValueError, match=f"problems='{problems}': none on"):
+            OnlineMapDataset(spec, problems=problems)[0]
+
+
+def test_online_unsolvable() -> None:
+    """Pairs without a path stay when they are asked for."""
+    spec = replace(samples.SPEC, skip_probability=0.9)
+    batch = OnlineMapDataset(spec, 1, 60, fields=("length", "cost", "path"), unsolvable=True)[:]
+    assert 0 < (batch.length == 0).sum() < 60
+    assert ((batch.cost == -1) == (batch.length == 0)).all()
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "split": ({"split": "training"}, "split: got 'training', expected one of train, val, test"),
+    "fields-name": ({"fields": ("map", "paths")}, "fields: got 'paths', expected a function or one of map, free"),
+    "fields-text": ({"fields": "map"}, "fields: got 'map', expected a sequence"),
+    "fields-none": ({"fields": ()}, r"fields: got \(\), expected a sequence"),
+    "fields-twice": ({"fields": ("map", "goal", "map")}, "fields: .*each name once"),
+    "fields-lambda": ({"fields": ("map", lambda sample: sample.map)}, "fields: .*use 'def', not 'lambda'"),
+    "fields-number": ({"fields": ("map", 3)}, "fields: got 3, expected a name or a function"),
+    "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, rooms, random"),
+    "search": ({"search": "dijkstra"}, "search: got 'dijkstra', expected one of bfs, astar"),
+    "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
+    "unsolvable": ({"problems": "random", "unsolvable": True}, "unsolvable: random problems always have a path"),
+    "min_distance": ({"min_distance": 5}, "min_distance.*'random' only"),
+    "min_hardness": ({"problems": "rooms", "min_hardness": 1.1}, "min_hardness.*'random' only"),
+    "augment-val": ({"split": "val", "augment": True}, "augment: would change the split 'val'"),
+    "augment-test": ({"split": "test", "augment": True}, "augment: would change the split 'test'"),
+    "sampling_seed": ({"sampling_seed": -1}, "seed: got -1, expected 0 to"),
+    "sampling_seed-text": ({"sampling_seed": "7"}, "seed: got '7', expected an integer"),
+    "max_length": ({"max_length": 0}, "max_length: got 0, expected at least 1"),
+    "max_length-nothing": ({"max_length": 9, "fields": ("map",)}, "max_length: .*'path' among the fields"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_arguments_name_themselves(root: str, case: str) -> None:
+    """What was got and what was expected, by both datasets."""
+    arguments, says = REFUSED[case]
+    with pytest.raises(ValueError, match=says):
+        MapDataset(root, **arguments)
+    with pytest.raises(ValueError, match=says):
+        OnlineMapDataset(samples.SPEC, **arguments)
+
+
+def test_refused_arguments_of_one_dataset(root: str) -> None:
+    """Those that only one of the two has."""
+    with pytest.raises(ValueError, match="root: got an empty list"):
+        MapDataset([])
+    with pytest.raises(ValueError, match="length: got 0, expected at least 1"):
+        OnlineMapDataset(samples.SPEC, length=0)
+    with pytest.raises(ValueError, match="seed: got -3"):
+        OnlineMapDataset(samples.SPEC, seed=-3)
+    with pytest.raises(ValueError, match=r"split: the spec gives no map to 'val'"):
+        OnlineMapDataset(replace(samples.SPEC, splits=(1.0, 0.0, 0.0)), split="val")
+    dataset = MapDataset(root)
+    for conditions, says in (
+        ({}, "filter: got no condition, expected one of rooms, path_length"),
+        ({"rooms": (1, 2, 3)}, r"rooms: got \(1, 2, 3\), expected \(lowest, highest\)"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            dataset.filter(**conditions)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="filter: random problems are not stored; use min_distance"):
+        MapDataset(root, problems="random").filter(rooms=(2, 3))
+
+
+def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
+    """The folder, what is not there, and the command and the argument that make one."""
+    (tmp_path / "empty").mkdir()
+    for folder, why in ((tmp_path / "nowhere", "it does not exist"), (tmp_path / "empty", "no manifest.json there")):
+        with pytest.raises(DatasetNotFoundError) as error:
+            MapDataset(folder)
+        message = str(error.value)
+        assert f"no dataset at {folder}: {why}" in message
+        assert f"python scripts/build_shards.py {folder}" in message
+        assert "build='paper'" in message
+        assert isinstance(error.value, FileNotFoundError)
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+def twice_the_start(sample: Sample) -> torch.Tensor:
+    """Return a field of one's own that workers must find again."""
+    start: torch.Tensor = sample.start
+    return 2 * start
+
+
+@pytest.mark.parametrize("kind", ["route", "random", "filtered", "online", "online-split"])
+def test_datasets_pickle_as_their_arguments(root: str, kind: str) -> None:
+    """Under 10 kB after use, however large; what comes back gives equal data."""
+    fields = (*samples.ALL_FIELDS, twice_the_start)
+    dataset: MapDataset | OnlineMapDataset
+    if kind.startswith("online"):
+        split = "train" if kind == "online-split" else None
+        dataset = OnlineMapDataset(samples.SPEC, 3, 100_000, split, fields, augment=True, sampling_seed=4)
+    else:
+        problems = "random" if kind == "random" else "route"
+        dataset = MapDataset(root, "train", fields, problems=problems, augment=True, sampling_seed=4, max_length=200)
+        dataset = dataset.filter(rooms=(3, 5)) if kind == "filtered" else dataset
+    before = dataset[:40]
+    data = pickle.dumps(dataset)
+    assert len(data) < 10_000
+    again = pickle.loads(data)
+    assert len(again) == len(dataset)
+    assert repr(again) == repr(dataset)
+    samples.assert_same(again[:40], before)
+
+
+few_cores = pytest.mark.filterwarnings("ignore:This DataLoader will create 3 worker:UserWarning")
+
+
+@few_cores
+@pytest.mark.parametrize(("workers", "method"), [(1, "fork"), (3, "fork"), (1, "spawn"), (1, "forkserver")])
+def test_workers_change_nothing(root: str, workers: int, method: str) -> None:
+    """Batches from any number of workers, however they start, are those of the process itself."""
+    dataset = MapDataset(root, "train", (*samples.ALL_FIELDS, twice_the_start), problems="random", augment=True)
+    _ = dataset[0]  # opened before the workers start
+    expected = list(DataLoader(dataset, 16))
+    loader = DataLoader(dataset, 16, num_workers=workers, multiprocessing_context=method)
+    samples.assert_all_same(list(loader), expected)
+
+
+@few_cores
+def test_online_workers_change_nothing() -> None:
+    """The same of maps made in the workers."""
+    dataset = OnlineMapDataset(samples.SPEC, 5, 50, "train", augment=True)
+    expected = list(DataLoader(dataset, 16))
+    for workers in (1, 3):
+        loader = DataLoader(dataset, 16, num_workers=workers, multiprocessing_context="fork")
+        samples.assert_all_same(list(loader), expected)
+
+
+# --- damaged and hostile files ----------------------------------------------------------------------------------------
+
+
+def rewrite(manifest: Manifest, root: Path, **changes: Any) -> None:  # noqa: ANN401
+    """Write the manifest with another first entry, its own hash sound."""
+    entry = replace(manifest.shards[0], **changes)
+    (root / MANIFEST).write_text(replace(manifest, shards=(entry, *manifest.shards[1:])).to_json())
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root whose one shard is that of tests/helpers/hostile.py."""
+    root = tmp_path_factory.mktemp("sound") / "maps"
+    samples.build_small(root, test_shard.SPEC, maps=3, seed=test_shard.SEED, shard_size=3)
+    return root
+
+
+FAULTS: dict[str, hostile.Member] = {
+    **{name: fault.member for name, fault in hostile.DATASETS.items()},
+    **hostile.ELSEWHERE,
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_hostile_shards_are_refused_at_first_touch(sound: Path, tmp_path: Path, fault: str) -> None:
+    """Opening reads only the manifest; the first sample names the file."""
+    root = tmp_path / "maps"
+    shutil.copytree(sound, root)
+    manifest = read_manifest(root)
+    shard = root / manifest.shards[0].name
+    contents = hostile.read_contents(shard)
+    outside = tmp_path / "outside.h5"
+    shutil.copy(shard, outside)
+    name = hostile.DATASETS[fault].dataset if fault in hostile.DATASETS else "maps"
+    hostile.write(shard, contents, outside, {name: FAULTS[fault]})
+    rewrite(manifest, root, bytes=shard.stat().st_size)
+    dataset = MapDataset(root)
+    with pytest.raises(ShardError, match=re.escape(str(shard))):
+        dataset[0]
+    with pytest.raises(ShardError):
+        dataset.table()
+
+
+def test_truncated_and_swapped_shards_are_refused(root: str, tmp_path: Path) -> None:
+    """A file of another size, and a sound file under another's name."""
+    for kind in ("truncated", "swapped", "missing"):
+        copy = tmp_path / kind
+        shutil.copytree(root, copy)
+        manifest = read_manifest(copy)
+        first, second = (copy / entry.name for entry in manifest.shards[:2])
+        if kind == "truncated":
+            first.write_bytes(first.read_bytes()[:-1])
+        elif kind == "swapped":
+            shutil.copy(second, first)
+            rewrite(manifest, copy, bytes=first.stat().st_size)
+        else:
+            first.unlink()
+        dataset = MapDataset(copy)
+        with pytest.raises((ShardError, FileNotFoundError), match=re.escape(str(first))):
+            dataset[0]
+        assert dataset[-1].map.shape == (1, 20, 20)  # the others are sound
+
+
+def test_manifests_that_lead_elsewhere_are_refused(root: str, tmp_path: Path) -> None:
+    """Names of shards are names of shards: no folder, no `..`."""
+    copy = tmp_path / "maps"
+    shutil.copytree(root, copy)
+    manifest = read_manifest(copy)
+    for name in ("../maps-000000000000-000000000016.h5", "/etc/passwd", "manifest.json", "a/maps-0-1.h5"):
+        rewrite(manifest, copy, name=name)
+        with pytest.raises(ShardError, match="is not the name of a shard"):
+            MapDataset(copy)
+
+
+def test_manifests_that_count_otherwise_are_refused(root: str, tmp_path: Path) -> None:
+    """Counts that the shard does not hold are found when it is opened."""
+    copy = tmp_path / "maps"
+    shutil.copytree(root, copy)
+    manifest = read_manifest(copy)
+    counts = manifest.shards[0].counts
+    rewrite(manifest, copy, counts={**counts, "train": {**counts["train"], "route": counts["train"]["route"] + 1}})
+    with pytest.raises(ShardError, match="the manifest says"):
+        MapDataset(copy)[0]
+
+
+def test_manifests_that_cannot_be_are_refused(root: str, tmp_path: Path) -> None:
+    """No memory is asked for by what a manifest claims."""
+    copy = tmp_path / "maps"
+    shutil.copytree(root, copy)
+    manifest = read_manifest(copy)
+    counts = manifest.shards[0].counts
+    for count in (-1, 10**15):
+        rewrite(manifest, copy, counts={**counts, "train": {**counts["train"], "route": count}})
+        with pytest.raises(ShardError, match=str(count)):
+            MapDataset(copy, "train")
+
+
+def test_a_map_of_more_rooms_than_stated_is_refused(sound: Path, tmp_path: Path) -> None:
+    """Matrices have room for as many as the manifest says: more would be written beyond them."""
+    root = tmp_path / "maps"
+    shutil.copytree(sound, root)
+    manifest = read_manifest(root)
+    entry = manifest.shards[0]
+    few = replace(entry, counts={**entry.counts, "most_rooms": 1})
+    (root / MANIFEST).write_text(replace(manifest, spec=None, seed=None, shards=(few,)).to_json())
+    with pytest.raises(ShardError, match="more rooms than the manifest says"):
+        MapDataset(root, fields=("connection_matrix",))[0]
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_damaged_paths_are_refused(roots: dict[str, str], name: str) -> None:
+    """Moves of any value give a path inside the map from start to goal, or an error: nothing beyond the map is used."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "maps"
+        shutil.copytree(roots[name], copy)
+        manifest = read_manifest(copy)
+        shard = copy / manifest.shards[0].name
+        contents = hostile.read_contents(shard)
+        source = np.random.default_rng(1)
+        refused, messages = 0, set[str]()
+        for trial in range(8):
+
+            def member(file: Any, key: str, array: Array, _: Path, trial: int = trial) -> None:  # noqa: ANN401
+                changed = array.copy()
+                where = source.integers(0, len(array), size=(1, 5, len(array))[trial % 3])
+                changed[where] = 0x77 if trial == 7 else source.integers(0, 256, size=len(where))
+                file.create_dataset(key, data=changed)
+
+            hostile.write(shard, contents, shard, {"astar_moves": member, "bfs_moves": member})
+            rewrite(manifest, copy, bytes=shard.stat().st_size)
+            for search in ("bfs", "astar"):
+                dataset = MapDataset(copy, fields=("path", "path_mask", "start", "goal"), search=search)
+                for k in range(20):
+                    try:
+                        sample = dataset[k]
+                    except ShardError as error:
+                        messages.add(re.sub(r"map \d+", "map", str(error)))
+                        refused += 1
+                        continue
+                    cells = samples.cells_of(sample.path)
+                    assert cells[0] == samples.cell_of(sample.start)
+                    assert cells[-1] == samples.cell_of(sample.goal)
+                    assert all(0 <= row < dataset.map_size[0] for row, _ in cells)
+                    assert all(0 <= column < dataset.map_size[1] for _, column in cells)
+        assert refused > 20
+        assert messages == {f"{shard}: a stored path of map is damaged"}

@@ -1,0 +1,194 @@
+"""The documentation runs, names what exists, lists all that is public, and builds without a warning."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from contextlib import redirect_stdout
+from importlib import import_module
+from importlib.util import find_spec
+from io import StringIO
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+from helpers import pages, samples
+from helpers.pages import DOCS, ROOT
+from matplotlib.figure import Figure
+
+import mapdata
+from mapdata.datasets.fields import FIELDS
+
+ELSEWHERE = {
+    "benchmarks.md": "benchmarks/test_benchmarks.py",
+    "format.md": "shards/test_format.py",
+    "formats.md": "formats/test_formats.py",
+    "promises.md": "docs/test_promises.py",
+    "scale.md": "docs/test_scale.py",
+}
+"""Pages with a test of their own."""
+
+SLOW = {"tutorial.md"}
+PAGES = sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+NOTEBOOK = DOCS / "first_look.ipynb"
+LOOPS = sorted(ROOT.glob("scripts/loop_*.py"))
+
+quiet = pytest.mark.filterwarnings(
+    "ignore:.*does not have many workers which may be a bottleneck",
+    "ignore:.*isinstance.treespec, LeafSpec.* is deprecated",
+    "ignore:The number of training batches .* is smaller than the logging interval",
+    "ignore:Starting from v1.9.0, `tensorboardX` has been removed",
+    "ignore:.*TF32",
+)
+
+
+@pytest.fixture
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@quiet
+@pytest.mark.usefixtures("_in_an_empty_folder")
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in PAGES if name not in ELSEWHERE],
+)
+def test_every_block_runs(name: str) -> None:
+    """In an empty folder, in the order of the page, and the pictures that it names are there."""
+    page = DOCS / name
+    pages.run(page)
+    for picture in re.findall(r'(?:savefig\(|-o )"?([\w.]+\.png)', page.read_text(encoding="utf-8")):
+        assert Path(picture).read_bytes().startswith(b"\x89PNG"), picture
+
+
+def test_pages_with_a_test_of_their_own_have_one() -> None:
+    """It names its page."""
+    for page, test in ELSEWHERE.items():
+        assert page in (ROOT / "tests" / test).read_text(encoding="utf-8"), page
+
+
+@pytest.mark.usefixtures("_in_an_empty_folder")
+def test_what_cannot_run_is_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The runner itself can fail: another language, another output, a failing command."""
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    for text in ("yaml\na: 1", "python\nprint(1)\n```\n```text\n2", "sh\nmapdata info nowhere", "sh\nrm -r /"):
+        page = tmp_path / "page.md"
+        page.write_text(f"```{text}\n```\n", encoding="utf-8")
+        with pytest.raises(AssertionError):
+            pages.run(page)
+
+
+def test_the_loops_are_short_and_shown() -> None:
+    """15 lines without docstring, imports and blank lines, and docs/loading.md includes each."""
+    assert len(LOOPS) == 3
+    page = (DOCS / "loading.md").read_text(encoding="utf-8")
+    for script in LOOPS:
+        assert f'--8<-- "scripts/{script.name}"' in page
+        source = script.read_text(encoding="utf-8")
+        first = next(node for node in ast.parse(source).body[1:] if not isinstance(node, (ast.Import, ast.ImportFrom)))
+        assert len([line for line in source.splitlines()[first.lineno - 1 :] if line.strip()]) <= 15, script.name
+
+
+def test_the_table_of_fields_is_complete() -> None:
+    """Each field has a row, each row a field, with the types that the code's docstrings state."""
+    table = (DOCS / "loading.md").read_text(encoding="utf-8").split("## Fields")[1].split("## ")[0]
+    rows = re.findall(r"^\| (`.*?) \| \((.*?)\) (\w+) \|", table, re.MULTILINE)
+    found = {name: (shape, dtype) for names, shape, dtype in rows for name in re.findall(r"`(\w+)`", names)}
+    assert set(found) == set(FIELDS) == set(samples.ALL_FIELDS)
+    for name, (shape, dtype) in found.items():
+        assert f"({shape}) {dtype}" in (FIELDS[name].__doc__ or ""), name
+
+
+def test_the_reference_has_every_public_name() -> None:
+    """Each under the module that it comes from, and nothing that is not there."""
+    listed = re.findall(r"^::: (mapdata\.[\w.]+)$", (DOCS / "reference.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(listed) == len(set(listed))
+    assert {f"mapdata.{module}.{name}" for name, module in mapdata._HOME.items()} <= set(listed)
+    for name in listed:
+        assert lookup(name).__doc__, name
+
+
+def lookup(name: str) -> object:
+    """Return what a dotted name names; a field of a dataclass is enough."""
+    parts = name.split(".")
+    k = max(k for k in range(1, len(parts) + 1) if _is_module(".".join(parts[:k])))
+    found: object = import_module(".".join(parts[:k]))
+    for part in parts[k:]:
+        if not hasattr(found, part) and part in getattr(found, "__dataclass_fields__", {}):
+            return found
+        found = getattr(found, part)
+    return found
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except (AttributeError, ModuleNotFoundError):  # its parent is no package
+        return False
+
+
+def test_the_paper_page_names_what_exists() -> None:
+    """Every function, attribute and test; and every row of a table names one."""
+    page = (DOCS / "paper.md").read_text(encoding="utf-8")
+    names = re.findall(r"`((?:mapdata|models)\.[\w.]+)`", page)
+    assert len(names) > 60
+    for name in names:
+        lookup(name)
+    tests = re.findall(r"`([\w/]+\.py)::(\w+)`", page)
+    assert len(tests) > 40
+    for file, test in tests:
+        assert f"def {test}(" in (ROOT / "tests" / file).read_text(encoding="utf-8"), f"{file}::{test}"
+    rows = [line for line in page.splitlines() if line.startswith("|") and not line.startswith("|---")]
+    heads = [page.splitlines()[k - 1] for k, line in enumerate(page.splitlines()) if line.startswith("|---")]
+    for row in set(rows) - set(heads):
+        assert "`mapdata." in row or ".py::" in row, row
+
+
+def test_the_paper_page_has_every_column() -> None:
+    """The columns that formats/paper.py writes, and no other."""
+    table = (DOCS / "paper.md").read_text(encoding="utf-8").split("the CSV")[1].split("## ")[0]
+    cells = re.findall(r"^\| [^|]* \| (`[^|]*) \|", table, re.MULTILINE)
+    written = {name for cell in cells for name in cell.split(", ")}
+    doc = import_module("mapdata.formats.paper").__doc__ or ""
+    columns = {name for line in re.findall(r"^\| ([a-z_, ]+) \|", doc, re.MULTILINE)[1:] for name in line.split(", ")}
+    assert {name.strip("`") for name in written} == columns
+
+
+@quiet
+@pytest.mark.usefixtures("_in_an_empty_folder")
+def test_the_notebook_runs_and_ends_in_pictures() -> None:
+    """Cell by cell, with the text that is kept in it, up to a figure with something in each of its axes."""
+    notebook = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    session: dict[str, object] = {"__name__": "__main__"}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            output = StringIO()
+            with redirect_stdout(output), mpl.rc_context({"backend": "Agg"}):
+                exec(compile("".join(cell["source"]), NOTEBOOK.name, "exec"), session)
+            kept = "".join("".join(out["text"]) for out in cell["outputs"] if out["output_type"] == "stream")
+            assert output.getvalue() == kept
+    figure = session["figure"]
+    assert isinstance(figure, Figure)
+    assert len(figure.axes) >= 4
+    assert all(axes.has_data() for axes in figure.axes)
+    assert "image/png" in notebook["cells"][-1]["outputs"][-1]["data"]
+
+
+@pytest.mark.skipif(find_spec("material") is None, reason='needs pip install -e ".[docs]"')
+@pytest.mark.skipif(find_spec("mkdocstrings_handlers") is None, reason='needs pip install -e ".[docs]"')
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    """Strict: each warning is an error; each public name has its place."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(tmp_path / "site")]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    process = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, textwrap.shorten(process.stderr, 4000)
+    reference = (tmp_path / "site" / "reference" / "index.html").read_text(encoding="utf-8")
+    assert all(f'id="mapdata.{module}.{name}"' in reference for name, module in mapdata._HOME.items())
+    loading = (tmp_path / "site" / "loading" / "index.html").read_text(encoding="utf-8")
+    assert "LightningModule" in loading  # scripts are included

@@ -1,0 +1,41 @@
+"""docs/promises.md names tests that exist, and a test for each promise."""
+
+from __future__ import annotations
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+TESTS = Path(__file__).parents[1]
+PAGE = (TESTS.parent / "docs" / "promises.md").read_text(encoding="utf-8")
+NAMED = re.compile(r"`([\w/]+\.py)::(\w+)`")
+
+
+@cache
+def functions(file: str) -> dict[str, list[str]]:
+    """Return the names of the test functions of a file, and what decorates each."""
+    tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
+    return {
+        node.name: [ast.unparse(each) for each in node.decorator_list]
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    }
+
+
+def test_every_named_test_exists() -> None:
+    """And is called slow where it is."""
+    named = NAMED.findall(PAGE)
+    assert len(named) > 50
+    assert PAGE.count("::") == len(named)
+    assert [f"{file}::{name}" for file, name in named if name not in functions(file)] == []
+    for file, name in named:
+        slow = "pytest.mark.slow" in functions(file)[name]
+        assert slow == (f"`{file}::{name}` (slow)" in PAGE), name
+
+
+def test_every_promise_has_a_test() -> None:
+    """Each bold line before the last section is followed by one."""
+    promises = PAGE.split("## What is not promised")[0].split("\n- **")[1:]
+    assert len(promises) > 20
+    assert [promise.split("**")[0] for promise in promises if not NAMED.search(promise)] == []

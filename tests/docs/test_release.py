@@ -1,0 +1,137 @@
+"""What a release holds: a wheel of `mapdata` alone that works outside the checkout, and sources that can be tested."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import yaml
+from helpers.pages import ROOT
+
+import mapdata
+
+UNTOLD = {".git", ".hypothesis", ".venv", "build", "data", "dist", "lightning_logs", "runs"}
+"""What git does not keep and a release does not hold."""
+
+
+def files(root: Path, *folders: str) -> set[str]:
+    """Return the files of ``folders`` below ``root``, without what Python left."""
+    found = (path for folder in folders for path in (root / folder).rglob("*") if path.is_file())
+    return {str(path.relative_to(root)) for path in found if "__pycache__" not in path.parts}
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of an sdist and of the wheel built from it, in a copy of the sources."""
+    if find_spec("build") is None or find_spec("setuptools") is None:
+        pytest.skip('needs pip install -e ".[test]"')
+    copy = tmp_path_factory.mktemp("release") / "mapdata"
+    copy.mkdir()
+    for path in ROOT.iterdir():
+        if path.is_dir() and path.name not in UNTOLD and not path.name.endswith(("_cache", ".egg-info")):
+            shutil.copytree(path, copy / path.name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif path.is_file():
+            shutil.copy(path, copy)
+    command = [sys.executable, "-m", "build", "--no-isolation", "--skip-dependency-check"]
+    command += ["--outdir", str(copy / "out"), str(copy)]
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "BackendUnavailable" in process.stderr:
+        pytest.skip("setuptools cannot build here")
+    assert process.returncode == 0, process.stdout + process.stderr
+    return copy / "out"
+
+
+def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
+    """Every file of the package, and nothing else but what pip needs."""
+    (wheel,) = dist.glob("*.whl")
+    assert wheel.name == f"mapdata-{mapdata.__version__}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    info = {name for name in names if name.startswith(f"mapdata-{mapdata.__version__}.dist-info/")}
+    assert names - info == files(ROOT, "mapdata")
+    assert any(name.endswith("LICENSE") for name in info)
+
+
+def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
+    """All folders as they are, and what the tests read at the top."""
+    (sdist,) = dist.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    wanted = files(ROOT, ".ci", "benchmarks", "docs", "mapdata", "models", "scripts", "tests")
+    wanted |= {path.name for path in ROOT.glob("*.*") if path.is_file() and path.suffix in {".md", ".toml", ".txt"}}
+    assert wanted | {"LICENSE", "CITATION.cff", "mkdocs.yml"} <= names
+    assert not [name for name in names if "__pycache__" in name]
+
+
+OUTSIDE = """
+import sys
+site, checkout, *verbs = sys.argv[1:]
+sys.path[:] = [site, *(path for path in sys.path if path not in ("", checkout))]
+sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in getattr(finder, "__module__", "")]
+import mapdata
+from mapdata.cli.app import main
+for name in mapdata.__all__:
+    getattr(mapdata, name)
+for verb in verbs:
+    try:
+        main(verb.split())
+    except SystemExit as stop:
+        assert not stop.code, verb
+files = [getattr(module, "__file__", None) or "" for module in list(sys.modules.values())]
+assert not [file for file in files if file.startswith(checkout)]
+assert mapdata.__file__.startswith(site)
+"""
+"""Uses the wheel unpacked in a folder, and nothing of the checkout."""
+
+
+@pytest.mark.parametrize(
+    "verbs",
+    [
+        ("--version", "build --help"),
+        pytest.param(  # compiles all kernels: their files are elsewhere
+            ("build maps --maps 20", "verify maps", "show maps --index 3", "report maps -o report.html"),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_the_wheel_works_outside_the_checkout(verbs: tuple[str, ...], dist: Path, tmp_path: Path) -> None:
+    """Unpacked elsewhere all public names are there and the command runs; nothing comes from the checkout."""
+    (wheel,) = dist.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    command = [sys.executable, "-c", OUTSIDE, str(tmp_path / "site"), str(ROOT), *verbs]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+
+
+def test_the_citation_is_that_of_the_readme() -> None:
+    """Title, authors, number and version, said twice and alike."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["cff-version"], citation["version"]) == ("1.2.0", mapdata.__version__)
+    assert {"title", "message", "authors"} <= set(citation)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    paper = citation["preferred-citation"]
+    (title,) = re.findall(r"^  title += \{(.*)\},$", readme, re.MULTILINE)
+    assert paper["title"] == title.replace("{", "").replace("}", "")
+    assert paper["url"] in readme
+    (authors,) = re.findall(r"^  author += \{(.*?)\},$", readme, re.MULTILINE | re.DOTALL)
+    accents = {r"{\'i}": "í", r"{\'o}": "ó", r"{\~n}": "ñ", r"{\'u}": "ú"}
+    for written, letter in accents.items():
+        authors = authors.replace(written, letter)
+    cited = [f"{one['family-names']}, {one['given-names']}" for one in paper["authors"]]
+    assert cited == [" ".join(one.split()) for one in authors.split(" and ")]
+
+
+def test_the_changelog_knows_this_version() -> None:
+    """The version has a heading of its own."""
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\n## [{mapdata.__version__}]" in changelog
+    assert importlib.metadata.version("mapdata") == mapdata.__version__

@@ -1,0 +1,326 @@
+"""The table of planners: metrics by hand, cheats found out, intervals, the classical rows near their known values."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from helpers.reference import Cell
+
+from mapdata.evaluation.metrics import METRICS, Plan, Planner, evaluate, to_text
+from mapdata.evaluation.planners import classical
+from mapdata.generators.rooms import MapSpec
+from mapdata.plotting.plot import plot_planners
+from mapdata.problems.problem_set import Problems
+from mapdata.search.api import astar
+from mapdata.shards.builder import build
+from mapdata.spec import Movement
+
+DUNGEON = MapSpec.preset("dungeon")
+Grid = npt.NDArray[np.uint8]
+Cells = npt.NDArray[np.int64]
+
+
+@dataclass
+class Scripted:
+    """A planner that answers the k-th problem of `three` with the k-th plan."""
+
+    plans: Sequence[tuple[Sequence[tuple[float, float]], int]]
+    name: str = "scripted"
+
+    def plan(self, grid: Grid, start: Cell, goal: Cell) -> Plan:
+        """Know a problem by its goal."""
+        path, expansions = self.plans[GOALS.index(goal)]
+        return Plan(np.array(path).reshape(-1, 2), expansions)
+
+
+@dataclass
+class Functional:
+    """A planner that is a function."""
+
+    function: Callable[[Grid, Cell, Cell], Plan]
+    name: str = "functional"
+
+    def plan(self, grid: Grid, start: Cell, goal: Cell) -> Plan:
+        """Call it."""
+        return self.function(grid, start, goal)
+
+
+GOALS = [(0, 2), (0, 3), (3, 0)]
+DETOUR = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2)]
+
+
+def three(movement: Movement = Movement()) -> Problems:
+    """Return three problems from (0, 0): around a wall (L* 4, E* 5, hard), along the top (6, 7), down (3, 4)."""
+    grids = np.zeros((3, 4, 4), np.uint8)
+    grids[0, 0, 1] = 1
+    grids[1, :3, 1] = 1
+    starts = [(0, 0), (3, 1), (0, 0)]
+    return Problems(grids, np.array(starts), np.array(GOALS), movement)
+
+
+def row(table: pd.DataFrame, planner: str, subset: str) -> dict[str, Any]:
+    """Return one row of a table."""
+    (found,) = table[(table["planner"] == planner) & (table["subset"] == subset)].to_dict("records")
+    return {str(name): value for name, value in found.items()}
+
+
+def test_the_metrics_by_hand() -> None:
+    """One detour with twice the expansions, one optimal path with half of them, one failure after one cell."""
+    problems = three()
+    assert problems.optimal.cost.tolist() == [4, 5, 3]
+    assert problems.optimal.iterations.tolist() == [5, 6, 4]
+    best = [(3, 1), (3, 2), (2, 2), (2, 3), (1, 3), (0, 3)]
+    planner = Scripted([(DETOUR, 10), (best, 3), ([(0, 0), (3, 0)], 1)])
+    every, hard = (row(evaluate([planner], problems), "scripted", subset) for subset in ("all", "hard"))
+    expected = {
+        "n": 3,
+        "success": 2 / 3,
+        "opt": 1 / 3,
+        "cost_ratio": (6 / 4 + 1) / 2,
+        "expansion_ratio": (2 + 0.5 + 0.25) / 3,
+        "p_exp": (0 + 0.5 + 0.75) / 3,
+        "hmean": 2 / (3 + 3 / 1.25),
+    }
+    assert {name: every[name] for name in expected} == pytest.approx(expected, rel=1e-12)
+    expected = {"n": 1, "success": 1, "opt": 0, "cost_ratio": 1.5, "expansion_ratio": 2, "p_exp": 0, "hmean": 0}
+    assert {name: hard[name] for name in expected} == expected
+
+
+CHEATS: dict[str, list[tuple[float, float]]] = {
+    "through a wall": [(0, 0), (0, 1), (0, 2)],
+    "a jump": [(0, 0), (0, 2)],
+    "a cut corner": [(0, 0), (1, 1), (0, 2)],
+    "ends elsewhere": [(0, 0), (1, 0), (1, 1), (1, 2)],
+    "starts elsewhere": [(1, 0), (1, 1), (1, 2), (0, 2)],
+    "backwards": [(0, 2), (1, 2), (1, 1), (1, 0), (0, 0)],
+    "leaves the map": [(0, 0), (-1, 0), (-1, 1), (-1, 2), (0, 2)],
+    "between cells": [(0, 0), (1, 0), (1, 0.5), (1, 1), (1, 2), (0, 2)],
+    "stands still": [(0, 0), (0, 0), (1, 0), (1, 1), (1, 2), (0, 2)],
+    "nothing": [],
+}
+
+
+@pytest.mark.parametrize("path", CHEATS.values(), ids=CHEATS)
+@pytest.mark.parametrize("movement", [Movement(), Movement(8)], ids=["4", "8"])
+def test_cheats_fail(path: list[tuple[float, float]], movement: Movement) -> None:
+    """Success 0, not optimal, no cost; what was expanded counts."""
+    problems = three(movement)
+    one = Problems(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
+    found = row(evaluate([Scripted([(path, 1)])], one, bootstrap=5), "scripted", "all")
+    assert (found["success"], found["opt"], found["expansion_ratio"]) == (0, 0, 1 / one.optimal.iterations[0])
+    assert np.isnan(found["cost_ratio"])
+
+
+def test_a_path_of_another_rank_fails() -> None:
+    """What is no list of cells is no path."""
+    problems = three()
+    for path in (np.array(3), np.zeros((1, 2, 2), np.int64), np.zeros(4, np.int64)):
+        planner = Functional(lambda grid, start, goal, path=path: Plan(path, 1))  # type: ignore[misc]
+        assert row(evaluate([planner], problems, bootstrap=5), "functional", "all")["success"] == 0
+
+
+@pytest.mark.parametrize("movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"])
+def test_the_row_of_astar_is_exact(movement: Movement) -> None:
+    """Everything is measured with A*: 1, 1, 1, 1, 0, 0, and so are both ends of its intervals."""
+    table = evaluate(classical(movement), Problems.draw(DUNGEON, 3, 80, movement=movement), bootstrap=20)
+    for subset in ("all", "hard"):
+        found = row(table, "A*", subset)
+        for suffix in ("", "_low", "_high"):
+            assert [found[name + suffix] for name in METRICS] == [1, 1, 1, 1, 0, 0]
+        assert row(table, "Dijkstra", subset)["opt"] == row(table, "limit", subset)["opt"] == 1
+        for planner, bound in (("weighted A* (1.5)", 1.5), ("weighted A* (2)", 2)):
+            assert 1 <= row(table, planner, subset)["cost_ratio_high"] <= bound
+    assert table["success"].eq(1).all()
+
+
+def test_the_table() -> None:
+    """Two rows a planner, planners in their order; without plan_batch there is no time in batches."""
+    planners: list[Planner] = [*classical(Movement()), Scripted([(DETOUR, 1), ([], 1), ([], 1)])]
+    table = evaluate(planners, three(), bootstrap=10)
+    assert table["planner"].tolist() == [planner.name for planner in planners] * 2
+    assert table["subset"].tolist() == ["all"] * 8 + ["hard"] * 8
+    columns = ["planner", "subset", "n", *METRICS, "ms", "ms_batched"]
+    assert table.columns.tolist() == columns + [f"{name}_{end}" for name in METRICS for end in ("low", "high")]
+    assert (table["ms"] > 0).all()
+    assert table["ms_batched"].isna().tolist() == ([False] * 7 + [True]) * 2
+    text = to_text(table)
+    assert "all: 3 problems" in text
+    assert "hard: 1 problems, hardness at least 1.05" in text
+    assert max(map(len, text.splitlines())) < 130
+
+
+def test_no_hard_problem() -> None:
+    """The row is there, with n = 0 and NaN."""
+    easy = Problems(np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement())
+    table = evaluate(classical(Movement()), easy, bootstrap=5)
+    found = row(table, "A*", "hard")
+    assert found["n"] == 0
+    assert all(np.isnan(found[name]) for name in (*METRICS, "opt_low", "hmean_high", "ms"))
+    assert plot_planners(table, subset="hard").get_title() == "hard problems: 0"
+
+
+def test_the_interval_is_that_of_a_share() -> None:
+    """For a share the percentile interval is close to the normal one, and the same with the same seed."""
+    problems = Problems.draw(MapSpec(), 2, 400)
+    wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
+
+    def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:
+        found = astar(grid, start, goal, Movement(8))
+        return Plan(found.path[:-1] if goal in wrong else found.path, found.iterations)
+
+    planner = Functional(plan)
+    found, again, other = (row(evaluate([planner], problems, seed=seed), "functional", "all") for seed in (0, 0, 1))
+    share = found["success"]
+    half = 1.96 * (share * (1 - share) / 400) ** 0.5
+    assert 0.6 < share <= 0.75
+    assert found["success_low"] == pytest.approx(share - half, abs=0.008)
+    assert found["success_high"] == pytest.approx(share + half, abs=0.008)
+    timeless = [name for name in found if not name.startswith("ms")]
+    assert [found[name] for name in timeless] == [again[name] for name in timeless]
+    assert found["success_low"] != other["success_low"] or found["success_high"] != other["success_high"]
+
+
+def test_what_a_planner_does_to_its_arguments_stays_with_it() -> None:
+    """A planner that paints over its grid hurts nobody else; one that raises is heard."""
+
+    def paint(grid: Grid, start: Cell, goal: Cell) -> Plan:
+        grid[:] = 0
+        return Plan(np.array([start, goal]), 1)
+
+    table = evaluate([Functional(paint, "painter"), *classical(Movement())], three(), bootstrap=5)
+    assert row(table, "painter", "all")["success"] == 0
+    assert row(table, "A*", "all")["success"] == 1
+
+    def fail(grid: Grid, start: Cell, goal: Cell) -> Plan:
+        raise ZeroDivisionError("out of paint")
+
+    with pytest.raises(ZeroDivisionError, match="out of paint"):
+        evaluate([Functional(fail)], three())
+
+
+def test_bad_arguments_are_refused() -> None:
+    """No planner, a name twice, no resample, a batch with too few plans."""
+    planners = classical(Movement())
+    with pytest.raises(ValueError, match="planners"):
+        evaluate([], three())
+    with pytest.raises(ValueError, match=r"'A\*', 'A\*'"):
+        evaluate([planners[2], planners[2]], three())
+    with pytest.raises(ValueError, match="0 resamples"):
+        evaluate(planners, three(), bootstrap=0)
+
+    class Lazy(Scripted):
+        def plan_batch(self, grids: Grid, starts: Cells, goals: Cells) -> list[Plan]:
+            return []
+
+    with pytest.raises(ValueError, match="lazy: plan_batch gave 0 plans for 3 problems"):
+        evaluate([Lazy([(DETOUR, 1), ([], 1), ([], 1)], "lazy")], three())
+
+
+@pytest.mark.parametrize(
+    ("movement", "greedy", "weighted", "limit"),
+    [(Movement(8), 0.44, 0.53, 0.827), (Movement(8, corner_cutting=True), 0.38, 0.49, 0.829)],
+    ids=["8", "cutting"],
+)
+def test_the_classical_rows_are_where_they_were(
+    movement: Movement, greedy: float, weighted: float, limit: float
+) -> None:
+    """Hmean on hard problems of "dungeon", as a prototype with another A* order measured it on other maps."""
+    table = evaluate(classical(movement), Problems.draw(DUNGEON, 77, 600, movement=movement), bootstrap=10)
+    for planner, expected in (("greedy best-first", greedy), ("weighted A* (2)", weighted), ("limit", limit)):
+        assert row(table, planner, "hard")["hmean"] == pytest.approx(expected, abs=0.03)
+
+
+# --- the script -------------------------------------------------------------------------------------------------------
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "evaluate_planners.py"
+
+
+def run(*arguments: str) -> None:
+    """Run the script in this process."""
+    runpy.run_path(str(SCRIPT))["main"](list(arguments))
+
+
+def test_the_script_writes_a_list_of_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """JSON, CSV and figure; the same numbers on a second run; the table in the terminal."""
+    outputs = {name: tmp_path / f"out.{name}" for name in ("json", "csv", "png")}
+    arguments = ["--preset", "dungeon", "--maps", "12", "--seed", "77", "--json", str(outputs["json"])]
+    run(*arguments, "--csv", str(outputs["csv"]), "--figure", str(outputs["png"]))
+    rows = json.loads(outputs["json"].read_text())
+    assert isinstance(rows, list)
+    for found in rows:
+        assert isinstance(found["planner"], str)
+        assert found["subset"] in ("all", "hard")
+        assert {name: type(found[name]) for name in ("n", *METRICS, "ms")} == {
+            "n": int,
+            **dict.fromkeys((*METRICS, "ms"), float),
+        }
+    of_all = {found["planner"]: found["n"] for found in rows if found["subset"] == "all"}
+    learned = {name for name in of_all if name.startswith("path_predictor")}
+    assert learned
+    assert len(set(of_all) - learned) == 7
+    assert set(of_all.values()) == {12}
+    table = pd.read_csv(outputs["csv"])
+    assert table["planner"].tolist() == [found["planner"] for found in rows]
+    np.testing.assert_allclose(table["hmean"], [found["hmean"] for found in rows], atol=1e-9)
+    assert outputs["png"].read_bytes().startswith(b"\x89PNG")
+    assert "greedy best-first" in capsys.readouterr().out
+    run(*arguments)
+    again = json.loads(outputs["json"].read_text())
+    for one, other in zip(rows, again, strict=True):
+        assert {name: one[name] for name in one if name[:2] != "ms"} == {
+            name: other[name] for name in other if name[:2] != "ms"
+        }
+
+
+def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A root in place of preset and seed: one problem on each map of its test split."""
+    build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
+    run(str(tmp_path / "maps"), "--connectivity", "4", "--json", str(tmp_path / "out.json"))
+    rows = json.loads((tmp_path / "out.json").read_text())
+    assert rows[0]["n"] == len(Problems.read(tmp_path / "maps", movement=Movement()))
+    assert "connectivity=4" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--preset", "castle"],
+        ["--maps", "0"],
+        ["--connectivity", "4", "--corner-cutting"],
+        ["--connectivity", "5"],
+        ["no/such/dataset"],
+        ["no/such/dataset", "--seed", "1"],
+        ["--seed", "-1"],
+        ["--maps", "2", "--json", "no/such/folder/out.json"],
+        ["--until-hard", "5", "--maps", "1"],
+    ],
+    ids=" ".join,
+)
+def test_the_script_says_what_is_wrong_in_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2 and one line, no traceback."""
+    with pytest.raises(SystemExit) as error:
+        run(*arguments)
+    captured = capsys.readouterr()
+    assert (error.value.code, captured.out, captured.err.count("\n")) == (2, "", 1)
+    assert captured.err.startswith("mapdata: ")
+
+
+def test_the_figure_shows_every_planner() -> None:
+    """One mark with its own shape or colour and one name a planner, and axes that say what they are."""
+    table = evaluate(classical(Movement()), three(), bootstrap=5)
+    axes = plot_planners(table, subset="all")
+    handles, names = axes.get_legend_handles_labels()
+    assert names == [planner.name for planner in classical()]
+    marks = {(line.get_marker(), line.get_color()) for line in handles}  # type: ignore[attr-defined]
+    assert len(marks) == len(names)
+    assert "expansions" in axes.get_xlabel()
+    assert "cost" in axes.get_ylabel()

@@ -1,0 +1,181 @@
+"""The classical planners: the reference's search with another f, scipy's costs, Pohl's bound, and bad input refused."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import reference
+from helpers.reference import Cell
+from search.test_api import scipy_distances
+
+from mapdata.evaluation.metrics import Plan
+from mapdata.evaluation.planners import BestFirst, Limit, Search, classical
+from mapdata.generators.rooms import MapSpec
+from mapdata.problems.problem_set import Problems
+from mapdata.search.api import astar, bfs, check_path
+from mapdata.spec import Movement
+
+MOVEMENTS = [Movement(), Movement(8), Movement(8, corner_cutting=True), Movement(8, diagonal_cost=1)]
+movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-cutting", "8-one"])
+WEIGHTS = [(0, True), (1, True), (1.5, True), (2, True), (1, False)]
+
+Grid = npt.NDArray[np.uint8]
+
+
+def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
+    """Yield scattered grids of any shape with two free cells, connected or not."""
+    source = np.random.default_rng(seed)
+    for _ in range(count):
+        shape = source.integers(1, 24, size=2)
+        grid = (source.random(shape) < source.uniform(0, 0.5)).astype(np.uint8)
+        (row, column), (goal_row, goal_column) = source.integers(0, shape, size=(2, 2)).tolist()
+        grid[row, column] = grid[goal_row, goal_column] = 0
+        yield grid, (row, column), (goal_row, goal_column)
+
+
+def reference_best_first(
+    grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, counts_way: bool
+) -> Plan:
+    """Pop the least f = g + weight * h, among equal f the most recently pushed: exact fractions, plain Python."""
+
+    def f(cost: reference.Pair, cell: Cell) -> Fraction:
+        estimate = Fraction(weight) * reference.weigh(reference.heuristic(cell, goal, movement), movement)
+        return estimate + (reference.weigh(cost, movement) if counts_way else 0)
+
+    rows = grid.tolist()
+    frontier, costs, parents = [(f((0, 0), start), 0, start)], {start: (0, 0)}, {start: start}
+    taken, pushes = set[Cell](), 0
+    while frontier and goal not in taken:
+        cell = heapq.heappop(frontier)[2]
+        if cell in taken:
+            continue
+        taken.add(cell)
+        for neighbour, step in reference.neighbours(rows, cell, movement) if cell != goal else ():
+            cost = reference.add(costs[cell], step)
+            known = neighbour in taken or neighbour in costs
+            if neighbour in taken or (
+                known and reference.weigh(cost, movement) >= reference.weigh(costs[neighbour], movement)
+            ):
+                continue
+            costs[neighbour], parents[neighbour] = cost, cell
+            pushes += 1
+            heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
+    path = reference.trace(parents, goal) if goal in taken else []
+    return Plan(np.array(path, np.int64).reshape(-1, 2), len(taken))
+
+
+def assert_same(found: Plan, expected: Plan) -> None:
+    """Compare paths and expansions."""
+    np.testing.assert_array_equal(found.path, expected.path)
+    assert (found.path.shape[1], found.expansions, type(found.expansions)) == (2, expected.expansions, int)
+
+
+@movements
+@pytest.mark.parametrize(("weight", "counts_way"), WEIGHTS)
+def test_best_first_equals_the_reference(movement: Movement, weight: float, counts_way: bool) -> None:
+    """Path and expansions, cell by cell: Dijkstra, A*, weighted A* and greedy search, with and without a path."""
+    planner = BestFirst("it", movement, weight, counts_way)
+    for grid, start, goal in grids(60, 1):
+        expected = reference_best_first(grid, start, goal, movement, weight, counts_way)
+        assert_same(planner.plan(grid, start, goal), expected)
+
+
+@movements
+def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
+    """With f = g + h the generic search takes the very cells that the format's A* takes."""
+    problems = Problems.draw(MapSpec.preset("dungeon"), 5, 100, movement=movement)
+    plans = BestFirst("A*", movement, 1).plan_batch(problems.grids, problems.starts, problems.goals)
+    same = Search("A*", movement, "astar").plan_batch(problems.grids, problems.starts, problems.goals)
+    for found, expected in zip(plans, same, strict=True):
+        assert_same(found, expected)
+
+
+@movements
+def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
+    """The cost of Dijkstra's path is the shortest distance on scipy's graph; no path where scipy finds none."""
+    planner = BestFirst("Dijkstra", movement, 0)
+    for grid, start, goal in grids(60, 2):
+        path = planner.plan(grid, start, goal).path
+        cost = check_path(grid, path, movement) if len(path) else -1
+        assert cost == pytest.approx(scipy_distances(grid, [goal], movement)[0][start], rel=1e-12)
+
+
+@movements
+@pytest.mark.parametrize("weight", [0, 0.5, 1, 1.5, 2, 5])
+def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
+    """The cost is at most max(1, weight) times the optimal one."""
+    problems = Problems.draw(MapSpec.preset("dungeon"), 6, 100, movement=movement)
+    plans = BestFirst("weighted", movement, weight).plan_batch(problems.grids, problems.starts, problems.goals)
+    costs = [check_path(grid, plan.path, movement) for grid, plan in zip(problems.grids, plans, strict=True)]
+    ratios = costs / problems.optimal.cost
+    assert ratios.max() <= max(1, weight) + 1e-12
+    assert (ratios.max() > 1) == (weight > 1)
+
+
+@movements
+def test_the_rows_that_come_along(movement: Movement) -> None:
+    """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched answer the same."""
+    problems = Problems.draw(MapSpec(), 7, 30, movement=movement)
+    ends = list(zip(map(tuple, problems.starts.tolist()), map(tuple, problems.goals.tolist()), strict=True))
+    rows = {planner.name: planner for planner in classical(movement)}
+    assert list(rows) == ["BFS", "Dijkstra", "A*", "weighted A* (1.5)", "weighted A* (2)", "greedy best-first", "limit"]
+    for planner in rows.values():
+        batch = planner.plan_batch(problems.grids, problems.starts, problems.goals)
+        for grid, (start, goal), expected in zip(problems.grids, ends, batch, strict=True):
+            assert_same(planner.plan(grid, start, goal), expected)
+    for grid, (start, goal) in zip(problems.grids, ends, strict=True):
+        by_bfs, by_astar = bfs(grid, start, goal, movement), astar(grid, start, goal, movement)
+        assert_same(rows["BFS"].plan(grid, start, goal), Plan(by_bfs.path, by_bfs.iterations))
+        assert_same(rows["A*"].plan(grid, start, goal), Plan(by_astar.path, by_astar.iterations))
+        assert_same(rows["limit"].plan(grid, start, goal), Plan(by_astar.path, len(by_astar.path)))
+
+
+def test_no_path_and_start_is_goal() -> None:
+    """A wall between gives an empty path after all cells of the start's side; start = goal is one cell."""
+    grid = np.zeros((5, 9), np.uint8)
+    grid[:, 6] = 1
+    for planner in classical():
+        nothing, alone = planner.plan(grid, (2, 2), (2, 8)), planner.plan(grid, (2, 2), (2, 2))
+        assert nothing.path.shape == (0, 2)
+        assert nothing.expansions == (0 if isinstance(planner, Limit) else 30)
+        assert (alone.path.tolist(), alone.expansions) == ([[2, 2]], 1)
+
+
+def test_a_large_grid_works_and_a_too_large_one_is_refused() -> None:
+    """On the largest maps costs fit into 64 bits; where a weighted one would not, the grid is refused."""
+    grid = np.zeros((1024, 1024), np.uint8)
+    grid[1::2] = 1
+    grid[np.arange(1, 1024, 2), np.where(np.arange(512) % 2, 0, 1023)] = 0
+    found = BestFirst("weighted", Movement(8), 5).plan(grid, (0, 0), (1022, 1023))
+    assert check_path(grid, found.path, Movement(8)) == astar(grid, (0, 0), (1022, 1023), Movement(8)).cost
+    with pytest.raises(ValueError, match="too large"):
+        BestFirst("weighted", Movement(), 2).plan(np.zeros((1, 2**20), np.uint8), (0, 0), (0, 1))
+
+
+@pytest.mark.parametrize("weight", [-1, float("nan"), float("inf")])
+def test_a_weight_is_a_number_from_zero(weight: float) -> None:
+    """Others are refused."""
+    with pytest.raises(ValueError, match="weight"):
+        BestFirst("weighted", Movement(), weight)
+
+
+@pytest.mark.parametrize(
+    ("grid", "start", "goal", "why"),
+    [
+        ([[0, 0]], (0, 0), (0, 2), "outside"),
+        ([[0, 0]], (-1, 0), (0, 1), "outside"),
+        ([[0, 1]], (0, 0), (0, 1), "occupied"),
+        ([[0, 2, 0]], (0, 0), (0, 2), "0 and 1"),
+        ([[[0, 0]]], (0, 0), (0, 1), "expected"),
+    ],
+)
+def test_bad_problems_are_refused(grid: npt.ArrayLike, start: Cell, goal: Cell, why: str) -> None:
+    """A cell outside or in a wall, other values, another rank: never a crash in a kernel."""
+    for planner in classical():
+        with pytest.raises(ValueError, match=why if isinstance(planner, BestFirst) else None):
+            planner.plan(np.array(grid, np.uint8), start, goal)

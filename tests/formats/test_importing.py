@@ -1,0 +1,239 @@
+"""Imported grids: seed points by the page of the format, one dataset a size, and a root that only goes on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import reference
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy import ndimage
+
+from mapdata.datasets.dataset import MapDataset
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.importing import import_maps
+from mapdata.generators.maps import pack
+from mapdata.generators.points import draw_points, largest_component
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import read_shard
+from mapdata.spec import Movement
+
+SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=100)
+Bytes = npt.NDArray[np.uint8]
+GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
+SPLIT, IMPORT = 2, 5
+
+
+def collection(*grids: Bytes, **fields: object) -> Collection:
+    """Return grids as a format would."""
+    return Collection([ForeignMap(f"g{k}", grid, **fields) for k, grid in enumerate(grids)])  # type: ignore[arg-type]
+
+
+def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
+    """Return grids with a third of the cells occupied."""
+    return list((np.random.default_rng(0).random((count, rows, columns)) < 0.3).astype(np.uint8))
+
+
+@SETTINGS
+@given(GRIDS, st.booleans())
+def test_largest_component(grid: Bytes, cut: bool) -> None:
+    """The component is scipy's largest, of equals the one that holds the first cell in row-major order."""
+    labels, count = ndimage.label(grid == 0, np.ones((3, 3)) if cut else None)
+    cells = largest_component(grid, 2 if cut else 1)
+    assert np.array_equal(cells, largest_component(grid, 2 if cut else 0))
+    if count == 0:
+        assert len(cells) == 0
+        return
+    sizes = np.bincount(labels.ravel())[1:]  # scipy numbers components in row-major order too
+    assert np.array_equal(cells, np.flatnonzero(labels == 1 + int(np.argmax(sizes))))
+
+
+@SETTINGS
+@given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 30), st.data())
+def test_draws(seed: int, index: int, cells: int, data: st.DataObject) -> None:
+    """Draw k of stream 5 is one of the cells left, in their order, as docs/format.md says."""
+    count = data.draw(st.integers(0, cells))
+    left, expected = list(range(100, 100 + cells)), []
+    for k in range(count):
+        word = reference.block(seed, index, 0, IMPORT, k)[0]
+        expected.append(left.pop(word * len(left) >> 32))
+    found = draw_points(np.arange(100, 100 + cells), np.uint64(seed), np.uint64(index), count)
+    assert found.tolist() == expected
+
+
+@SETTINGS
+@given(
+    arrays.arrays(np.uint8, st.tuples(st.just(2), st.integers(1, 4), st.integers(1, 130)), elements=st.integers(0, 1))
+)
+def test_pack(grids: Bytes) -> None:
+    """Bit k of word j is column 64 j + k; spare bits are 0."""
+    packed = pack(grids)
+    for m, row in np.ndindex(grids.shape[:2]):
+        value = sum(int(word) << 64 * j for j, word in enumerate(packed[m, row]))
+        assert value == sum(int(cell) << k for k, cell in enumerate(grids[m, row]))
+
+
+def test_a_dataset_of_grids(tmp_path: Path) -> None:
+    """Seeds and splits are the draws of streams 5 and 2; rooms unknown; verify, MapDataset and the recipe's absence."""
+    grids = random_grids(7)
+    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=4, seed=2**63 + 1, shard_size=3)
+    assert verify(made.root) == []
+    assert made.manifest.identity is None
+    with pytest.raises(ValueError, match="no recipe"):
+        made.manifest.recipe()
+    for entry in made.manifest.shards:
+        maps = read_shard(made.root / entry.name).maps
+        for k, i in enumerate(maps.index.tolist()):
+            assert np.array_equal(maps.occupancy[k], grids[i])
+            cells = largest_component(grids[i], 0).tolist()
+            seed_points = []
+            for draw in range(4):
+                word = reference.block(2**63 + 1, i, 0, IMPORT, draw)[0]
+                seed_points.append(list(divmod(cells.pop(word * len(cells) >> 32), 70)))
+            assert maps.seed_points[k].tolist() == seed_points
+            word = reference.block(2**63 + 1, i, 0, SPLIT, 0)[0]
+            assert maps.split[k] == (word >= reference.threshold(0.8)) + (word >= reference.threshold(0.9))
+        assert (maps.sizes == -1).all()
+        assert (maps.directions == -1).all()
+        assert (maps.passage_width == -1).all()
+    for problems, count in (("route", 21), ("rooms", 42), ("random", 7)):
+        dataset = MapDataset(made.root, problems=problems)
+        assert len(dataset) == count
+        assert dataset[0].map.shape == (1, 12, 70)
+    origin = json.loads((made.root / "import.json").read_text())
+    assert len(origin.pop("hash")) == 64
+    assert origin == {"seeds": 4, "seed": 2**63 + 1, "sources": [f"g{k}" for k in range(7)]}
+
+
+def test_the_content_is_what_it_was(tmp_path: Path) -> None:
+    """A golden hash: draws, labels and layout of imported maps do not change from one version to the next."""
+    rows, columns = np.indices((9, 33))
+    grids = [np.asarray((rows * (k + 3) + columns * 5) % 7 == 0, np.uint8) for k in range(3)]
+    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=3, seed=11, movement=Movement(8))
+    assert made.manifest.content_hash == GOLDEN
+
+
+GOLDEN = "c59b4fc7739def46dd4178e26c9fb987247ed352c62f6c0f5206307f9ef168e7"
+
+
+def test_small_components_and_given_seeds(tmp_path: Path) -> None:
+    """Less cells than seeds: all of them; given seeds come first; grids without two connected cells are left out."""
+    two: Bytes = np.array([[0, 0, 1, 0]], np.uint8)
+    source = collection(two, np.ones((1, 4), np.uint8), np.array([[0, 1, 0, 1]], np.uint8))
+    source.maps.append(ForeignMap("given", two, seed_points=np.array([[0, 3]])))
+    (made,) = import_maps(tmp_path / "out", source, seed_points=5)
+    maps = read_shard(made.root / made.manifest.shards[0].name).maps
+    assert maps.rooms.tolist() == [2, 3]
+    assert maps.seed_points[1, 0].tolist() == [0, 3]
+    assert [name for name, _ in source.left_out] == ["g1", "g2"]
+
+
+@pytest.mark.parametrize(
+    ("seed_points", "why"),
+    [([[0, 9]], "outside the map"), ([[-1, 0]], "outside the map"), ([[0, 2]], "on an occupied cell"), ([], "0 rooms")],
+)
+def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path: Path) -> None:
+    """Seed points that cannot be: the map is left out, with the reason."""
+    grid: Bytes = np.array([[0, 0, 1]], np.uint8)
+    bad = ForeignMap("bad", grid, seed_points=np.array(seed_points, np.int64).reshape(-1, 2), rooms_known=True)
+    source = Collection([bad, ForeignMap("good", grid)])
+    import_maps(tmp_path / "out", source)
+    assert source.left_out[0][0] == "bad"
+    assert why in source.left_out[0][1]
+
+
+def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
+    """One dataset a size, and a resolution; one given resolution joins them; tiles bring all to one size."""
+    source = collection(*random_grids(2, 8, 8), *random_grids(1, 16, 9))
+    source.maps.append(ForeignMap("fine", random_grids(1, 8, 8)[0], resolution=0.05))
+    made = import_maps(tmp_path / "a", source)
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["16x9", "8x8-0.05m", "8x8-0.1m"]
+    assert [one.manifest.maps for one in made] == [2, 1, 1]
+    assert len(import_maps(tmp_path / "b", source, resolution=0.2)) == 2
+    (tiled,) = import_maps(tmp_path / "c", source, resolution=0.2, tile=(8, 8))
+    assert (tiled.root, tiled.manifest.maps, tiled.manifest.map_size) == (tmp_path / "c", 5, (8, 8))
+    with pytest.raises(ValueError, match="tile: got 0x8"):
+        import_maps(tmp_path / "d", source, tile=(0, 8))
+
+
+def test_the_same_import_goes_on(tmp_path: Path) -> None:
+    """A second time nothing changes; a lost shard or manifest is made again; another import is refused."""
+    grids = random_grids(5)
+    (made,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
+    before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")}
+    import_maps(tmp_path / "out", collection(*grids), shard_size=2)
+    assert {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")} == before
+    next(iter(made.root.glob("*.h5"))).unlink()
+    import_maps(tmp_path / "out", collection(*grids), shard_size=2)
+    assert {path.name: path.read_bytes() for path in made.root.glob("*.h5")} == {n: d for n, (d, _) in before.items()}
+    assert verify(made.root) == []
+    for source, options in (
+        (collection(*grids), {"shard_size": 3}),
+        (collection(*grids), {"shard_size": 2, "seed": 1}),
+        (collection(*(1 - grid for grid in grids)), {"shard_size": 2}),
+    ):
+        with pytest.raises(ValueError, match="holds another dataset"):
+            import_maps(tmp_path / "out", source, **options)  # type: ignore[arg-type]
+    assert verify(made.root) == []
+    assert read_manifest(made.root).content_hash == made.manifest.content_hash
+
+
+def test_a_strange_root_is_refused(tmp_path: Path) -> None:
+    """A folder with something else, a file: refused before anything is written."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    for root in (tmp_path / "mine", tmp_path / "mine" / "thesis.tex"):
+        with pytest.raises(ValueError, match=r"holds something else|is a file"):
+            import_maps(root, collection(*random_grids(1)))
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"seed_points": 1},
+        {"seed_points": 256},
+        {"seed_points": True},
+        {"seed": -1},
+        {"splits": (1, 1, 1)},
+        {"shard_size": 0},
+        {"resolution": 0.0},
+        {"resolution": float("nan")},
+    ],
+)
+def test_bad_arguments(options: dict[str, object], tmp_path: Path) -> None:
+    """Each is named, and nothing is written."""
+    with pytest.raises(ValueError, match=next(iter(options))):
+        import_maps(tmp_path / "out", collection(*random_grids(1)), **options)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="no map to import"):
+        import_maps(tmp_path / "out", Collection())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_of_the_source(tmp_path: Path) -> None:
+    """Numbers 0 to N - 1 give the order; others are dropped, and that is told."""
+    grids = random_grids(3)
+    source = Collection([ForeignMap("x", grid, number=2 - k) for k, grid in enumerate(grids)])
+    (made,) = import_maps(tmp_path / "a", source)
+    maps = read_shard(made.root / made.manifest.shards[0].name).maps
+    assert all(np.array_equal(maps.occupancy[k], grids[2 - k]) for k in range(3))
+    source = Collection([ForeignMap("x", grid, number=5 + k) for k, grid in enumerate(grids)])
+    import_maps(tmp_path / "b", source)
+    assert "numbered anew" in source.notes[0]
+
+
+def test_maps_are_kept_as_bits() -> None:
+    """100,000 maps of 512 x 512 cells are 3.3 GB in memory, not 26; what is not a grid is refused."""
+    grid = random_grids(1, 5, 13)[0]
+    one = ForeignMap("x", grid)
+    assert one.grid.tolist() == grid.tolist()
+    assert (one.shape, one._bits.nbytes) == ((5, 13), 5 * 2)
+    for bad in (grid[0], 255 * grid):
+        with pytest.raises(ValueError, match="cells: x: got"):
+            ForeignMap("x", bad)

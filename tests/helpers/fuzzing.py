@@ -1,0 +1,229 @@
+"""Changes real files at random and reads them: `PYTHONPATH=tests python -m helpers.fuzzing shards` (or `formats`).
+
+A case is a function of (target, seed, number). Its files stand in the folder while it is read, so that a crash leaves
+them behind; a case that takes longer than ten seconds ends the program with a traceback, one that takes more than 200
+MB of address space runs out of memory. Expected are data, or the one error that the reader names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import random
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+import h5py
+
+from helpers.samples import ALL_FIELDS
+from mapdata.datasets.dataset import PROBLEMS, MapDataset
+from mapdata.formats import export, read_any
+from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.movingai import check_scen
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.manifest import MANIFEST, read_manifest
+from mapdata.shards.reader import open_shard
+from mapdata.shards.shard import ShardError, decode
+from mapdata.spec import Movement
+
+SPEC = MapSpec((12, 20), (2, 4), (2, 5), (2, 7), passage_width=(1, 2), skip_probability=0.4, splits=(0.4, 0.3, 0.3))
+ROOM = 200 << 20
+"""Address space that the cases may take, in bytes."""
+SECONDS_A_CASE = 10
+
+Case: TypeAlias = Callable[[random.Random, Path], str]
+"""Writes one case into an empty folder and reads it; returns what became of it."""
+
+
+def changed(draw: random.Random, data: bytes) -> bytes:
+    """Return ``data`` after one to four changes."""
+    out = bytearray(data)
+    for _ in range(draw.randint(1, 4)):
+        at, more = draw.randrange(len(out) + 1), draw.randint(1, 16)
+        what = draw.choice(("flip", "byte", "word", "copy", "insert", "delete", "cut", "number"))
+        if what == "flip" and at < len(out):
+            out[at] ^= 1 << draw.randrange(8)
+        elif what == "byte":
+            out[at : at + 1] = draw.choice((b"\0", b"\xff", b"\x7f", b"-", b"9", b'"', b",", b"\n", b"[", b"e"))
+        elif what == "word":
+            word = draw.choice((0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1, len(out), at))
+            size = draw.choice((2, 4, 8))
+            out[at : at + size] = (word % 256**size).to_bytes(size, draw.choice(("little", "big")))
+        elif what == "copy":
+            source = draw.randrange(len(out) + 1)
+            out[at : at + more] = out[source : source + more]
+        elif what == "insert":
+            out[at:at] = draw.randbytes(more)
+        elif what == "delete":
+            del out[at : at + more]
+        elif what == "number":
+            out[at:at] = draw.choice((b"-1", b"1e999", b"nan", b"99999999999999999999", b"0x1", b"65536"))
+        elif draw.random() < 0.2:
+            del out[at:]
+    return bytes(out)
+
+
+# --- shards -----------------------------------------------------------------------------------------------------------
+
+
+def shard_cases(folder: Path) -> Iterator[tuple[str, Case]]:
+    """Yield the cases of each kind of shard: of both movements, as written and in HDF5's old form without checksums."""
+    for connectivity in (4, 8):
+        root = folder / f"maps{connectivity}"
+        build(root, replace(SPEC, movement=Movement(connectivity)), maps=4, seed=1)
+        yield f"{connectivity}-connected", _shard_case(root)
+        old = folder / f"old{connectivity}"
+        shutil.copytree(root, old)
+        _in_old_form(old)
+        yield f"{connectivity}-connected, old form", _shard_case(old)
+
+
+def _in_old_form(root: Path) -> None:
+    """Write the shard of ``root`` again as HDF5 1.6 would have."""
+    manifest = read_manifest(root)
+    path = root / manifest.shards[0].name
+    with h5py.File(path, "r") as source:
+        attributes, arrays = dict(source.attrs), {name: source[name][()] for name in source}
+    path.unlink()
+    with h5py.File(path, "w", libver=("earliest", "v110"), alignment_threshold=1, alignment_interval=64) as target:
+        for name, value in attributes.items():
+            text = isinstance(value, bytes)
+            target.attrs.create(name, value, dtype=h5py.string_dtype("utf-8", max(len(value), 1)) if text else None)
+        for name, array in arrays.items():
+            target.create_dataset(name, data=array)
+    entry = replace(manifest.shards[0], bytes=path.stat().st_size)
+    (root / MANIFEST).write_text(replace(manifest, shards=(entry,)).to_json())
+
+
+def _read_all(root: Path, search: str, movement: Movement) -> None:
+    """Read every problem of a dataset, with every field."""
+    for problems in PROBLEMS:
+        MapDataset(root, fields=ALL_FIELDS, problems=problems, search=search, movement=movement)[:]
+
+
+def _shard_case(root: Path) -> Case:
+    manifest = read_manifest(root)
+    entry = manifest.shards[0]
+    image = (root / entry.name).read_bytes()
+    choices = [(search, Movement(connectivity)) for search in ("bfs", "astar") for connectivity in (4, 8)]
+    for choice in choices:  # compiles what there is to compile
+        _read_all(root, *choice)
+
+    def case(draw: random.Random, folder: Path) -> str:
+        data = changed(draw, image)
+        (folder / entry.name).write_bytes(data)
+        shards = (replace(entry, bytes=max(len(data), 1)),)
+        (folder / MANIFEST).write_text(replace(manifest, shards=shards).to_json())
+        try:
+            decode(open_shard(folder / entry.name))
+            _read_all(folder, *draw.choice(choices))
+        except ShardError as error:
+            return _one_line(error)
+        except ValueError as error:  # a map that is all walls now has no random problem
+            if "none on 100 maps in a row" not in str(error):
+                raise
+        return "read"
+
+    return case
+
+
+# --- formats ----------------------------------------------------------------------------------------------------------
+
+LIMITS = Limits(pixels=2**16, unpacked=2**22)
+
+
+def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
+    """Yield the cases of each foreign format: what mapdata exports, and small files of other kinds."""
+    root = folder / "maps"
+    build(root, SPEC, maps=6, seed=2)
+    for kind in ("paper", "movingai", "planning-datasets"):
+        target = folder / ("maps.npz" if kind == "planning-datasets" else kind)
+        export(root, target, kind)
+        yield kind, _format_case(target, kind)
+    for image in ("pgm", "png", "bmp"):
+        export(root, folder / image, "ros", image=image)
+        yield f"ros, {image}", _format_case(folder / image, "ros")
+        yield f"images, {image}", _format_case(folder / image, "images")
+
+
+def _format_case(source: Path, kind: str) -> Case:
+    paths = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.is_file())
+    files = {str(path.relative_to(source.parent)): path.read_bytes() for path in paths}
+
+    def case(draw: random.Random, folder: Path) -> str:
+        chosen = draw.choice(sorted(files))
+        for name, data in files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(changed(draw, data) if name == chosen else data)
+        try:
+            found = read_any(folder / source.name, kind, LIMITS)
+            for scen in folder.rglob("*.scen"):
+                check_scen(scen, limits=LIMITS)
+        except FormatError as error:
+            return _one_line(error)
+        return "left out" if found.left_out else "read"
+
+    return case
+
+
+def _one_line(error: Exception) -> str:
+    if "\n" in str(error):
+        raise AssertionError(f"an error of several lines: {error}")
+    return "refused"
+
+
+# --- the loop ---------------------------------------------------------------------------------------------------------
+
+TARGETS = {"shards": shard_cases, "formats": format_cases}
+
+
+def main() -> None:
+    """Run cases until there are enough of them or the time is over, and print what became of them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("target", choices=TARGETS)
+    parser.add_argument("--cases", type=int, default=10**9)
+    parser.add_argument("--seconds", type=float, default=1e9)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="fuzzing-"))
+    kinds = list(TARGETS[arguments.target](folder / "sound"))
+    counts: Counter[str] = Counter()
+    here, end, slowest, limited = folder / "case", time.monotonic() + arguments.seconds, 0.0, False
+    for number in range(arguments.cases):
+        kind, case = kinds[number % len(kinds)]
+        shutil.rmtree(here, ignore_errors=True)
+        here.mkdir()
+        faulthandler.dump_traceback_later(SECONDS_A_CASE, exit=True)
+        began = time.monotonic()
+        try:
+            result = case(random.Random(f"{arguments.target} {arguments.seed} {number}"), here)
+        except BaseException:
+            print(f"{arguments.target}, seed {arguments.seed}, case {number} ({kind}): see {here}", file=sys.stderr)
+            raise
+        faulthandler.cancel_dump_traceback_later()
+        counts[f"{kind}: {result}"] += 1
+        if number == 8 * len(kinds) and not limited:  # everything is imported and compiled by now
+            size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            resource.setrlimit(resource.RLIMIT_AS, (size + ROOM, size + ROOM))
+            limited = True
+        elif limited:
+            slowest = max(slowest, time.monotonic() - began)
+        if time.monotonic() > end:
+            break
+    shutil.rmtree(folder)
+    for name, count in sorted(counts.items()):
+        print(f"{name}: {count}")
+    print(f"cases: {sum(counts.values())}, slowest: {slowest:.2f} s")
+
+
+if __name__ == "__main__":
+    main()

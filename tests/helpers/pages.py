@@ -1,0 +1,100 @@
+"""Run the code blocks of a page, one after another, as a reader would."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+import sys
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+from mapdata.cli.app import main
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+
+class Block(NamedTuple):
+    """A fenced block: its language, its text with included files, and the number of its first line."""
+
+    language: str
+    text: str
+    line: int
+
+
+def blocks(page: Path) -> list[Block]:
+    """Return the fenced blocks of a page, files that it includes in place of the lines that name them."""
+    text = page.read_text(encoding="utf-8")
+    found = re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    return [Block(one[1], _included(one[2]), text.count("\n", 0, one.start()) + 2) for one in found]
+
+
+def _included(text: str) -> str:
+    return re.sub(
+        r'^--8<-- "(.*)"\n', lambda one: (ROOT / one[1]).read_text(encoding="utf-8"), text, flags=re.MULTILINE
+    )
+
+
+def run(page: Path) -> list[str]:
+    """Run all blocks of ``page`` in the working folder: Python in one session, commands of the shell, JSON as recipes.
+    A block of text after one of Python is what that prints.
+
+    Returns:
+        What each line of shell printed.
+
+    Raises:
+        AssertionError: a command fails, a text differs, or a language that nothing runs.
+    """
+    session: dict[str, object] = {"__name__": page.stem}
+    shown: list[str] = []
+    printed = ""
+    for language, text, line in blocks(page):
+        where = f"{page.relative_to(ROOT)}, line {line}"
+        if language == "python":
+            output = StringIO()
+            with redirect_stdout(output):
+                exec(compile("\n" * (line - 1) + text, str(page), "exec"), session)
+            printed = output.getvalue()
+        elif language == "sh":
+            shown += [shell(command, where) for command in text.splitlines()]
+        elif language == "text":
+            assert printed == text, where
+        elif language == "json":
+            json.loads(text)
+        else:
+            assert language == "bibtex", f"{where}: nothing runs {language or 'a block without a language'}"
+    return shown
+
+
+def shell(command: str, where: str) -> str:
+    """Run one line of shell, ``mapdata ...`` or ``python scripts/...``, in this process; return what it printed."""
+    program, *arguments = shlex.split(command, comments=True)
+    target = arguments.pop() if ">" in arguments else None
+    arguments = [word for word in arguments if word != ">"]
+    output = StringIO()
+    with redirect_stdout(output):
+        code = _exit_code(program, arguments, where)
+    assert code in (None, 0), f"{where}: {command}: exit code {code}"
+    if target is not None:
+        Path(target).write_text(output.getvalue(), encoding="utf-8")
+    return output.getvalue()
+
+
+def _exit_code(program: str, arguments: list[str], where: str) -> object:
+    assert program == "mapdata" or arguments[0].startswith("scripts/"), f"{where}: nothing runs {program}"
+    before = sys.argv
+    try:
+        if program == "mapdata":
+            main(arguments)
+        else:
+            sys.argv = [str(ROOT / arguments[0]), *arguments[1:]]
+            runpy.run_path(sys.argv[0], run_name="__main__")
+    except SystemExit as stop:
+        return stop.code
+    finally:
+        sys.argv = before
+    return None

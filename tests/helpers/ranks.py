@@ -1,0 +1,46 @@
+"""Trains on two processes; each writes what it saw: python -m helpers.ranks ROOT OUT DEVICES."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from pathlib import Path
+
+from pytorch_lightning.callbacks import ModelCheckpoint
+
+from helpers.training import Model, module, trainer
+
+BATCH = 4
+MIDDLE = 3
+"""The step at which the checkpoint is made that is gone on from."""
+
+
+def main(root: str, out: Path, devices: int) -> None:
+    """Fit, validate, test, predict; then go on from the middle of an epoch."""
+    ranks = {"devices": devices, "strategy": "ddp" if devices > 1 else "auto"}
+    model = Model()
+    every = ModelCheckpoint(out / "steps", "{step}", every_n_train_steps=MIDDLE, save_top_k=-1)
+    run = trainer(callbacks=[every], enable_checkpointing=True, num_sanity_val_steps=0, **ranks)
+    run.fit(model, datamodule=module(root, batch_size=BATCH))
+    trained, model.others["val"] = model.others["val"], []
+    run.validate(model, datamodule=module(root, batch_size=BATCH), verbose=False)
+    run.test(model, datamodule=module(root, batch_size=BATCH), verbose=False)
+    run.predict(model, datamodule=module(root, batch_size=BATCH), return_predictions=False)
+    resumed = Model()
+    again = trainer(num_sanity_val_steps=0, **ranks)
+    again.fit(resumed, datamodule=module(root, batch_size=BATCH), ckpt_path=out / "steps" / f"step={MIDDLE}.ckpt")
+    result = {
+        "seen": [(one.epoch, one.problems) for one in model.seen],
+        "resumed": [(one.epoch, one.problems) for one in resumed.seen],
+        "trained": trained,
+        "others": model.others,
+        "means": model.means,
+    }
+    (out / f"rank{os.environ.get('LOCAL_RANK', '0')}.json").write_text(json.dumps(result))
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")  # Lightning's advice on workers and on metrics of several ranks
+    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]))

@@ -1,0 +1,297 @@
+"""Slow, obviously right plain Python: what `mapdata` must equal, written from the words of the design.
+
+Nothing here imports `mapdata` and nothing is clever: lists, a deque, a heap, Python's unbounded integers; numpy only
+holds results. A grid is a list of rows, 1 occupied and 0 free; a cell is `(row, col)`; a cost is the exact integer pair
+`(straight, diagonal)` until it is asked for as a float.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from math import isqrt
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from mapdata.generators.rooms import MapSpec
+    from mapdata.spec import Movement
+
+Cell: TypeAlias = tuple[int, int]
+Grid: TypeAlias = Sequence[Sequence[int]]
+Pair: TypeAlias = tuple[int, int]  # (straight, diagonal) moves: a cost, exactly
+Words: TypeAlias = tuple[int, int, int, int]
+
+# --- random numbers ---------------------------------------------------------------------------------------------------
+
+WORD = 0xFFFFFFFF
+MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER = range(5)
+
+
+def philox4x32(counter: Sequence[int], key: Sequence[int]) -> Words:
+    """Philox4x32-10 as Random123 publishes it (Salmon et al., SC11): ten rounds, the key bumped between them."""
+    c0, c1, c2, c3 = counter
+    k0, k1 = key
+    for _ in range(10):
+        first, second = 0xD2511F53 * c0, 0xCD9E8D57 * c2
+        c0, c1, c2, c3 = (second >> 32) ^ c1 ^ k0, second & WORD, (first >> 32) ^ c3 ^ k1, first & WORD
+        k0, k1 = (k0 + 0x9E3779B9) & WORD, (k1 + 0xBB67AE85) & WORD
+    return c0, c1, c2, c3
+
+
+def block(seed: int, index: int, epoch: int, stream: int, number: int) -> Words:
+    """Return a block: key = the 64-bit seed, counter = (index low, index high, epoch, stream and number)."""
+    return philox4x32((index & WORD, index >> 32, epoch, stream << 24 | number), (seed & WORD, seed >> 32))
+
+
+def bounded(word: int, low: int, high: int) -> int:
+    """Map a 32-bit word to low..high, both ends included, by multiply-high."""
+    return low + ((word * (high - low + 1)) >> 32)
+
+
+def threshold(probability: float) -> int:
+    """Return the integer that a 32-bit word must stay below for the event to happen."""
+    return round(probability * 2**32)
+
+
+# --- Algorithm 1 ------------------------------------------------------------------------------------------------------
+
+
+class ReferenceMap(NamedTuple):
+    """One map: occupancy as rows, seeds and drawn sizes a room, directions a passage, split 0 train, 1 val, 2 test."""
+
+    occupancy: list[list[int]]
+    passage_width: int
+    seed_points: list[Cell]
+    sizes: list[tuple[int, int]]
+    directions: list[tuple[int, int]]
+    split: int
+
+
+def carve(grid: list[list[int]], rows: range, columns: range) -> None:
+    """Free every cell of rows x columns that lies inside the map."""
+    for row in rows:
+        for column in columns:
+            if 0 <= row < len(grid) and 0 <= column < len(grid[0]):
+                grid[row][column] = 0
+
+
+def across(seed: int, width: int) -> range:
+    """Return the cells that a room side or a passage of this width covers about its seed, before clipping."""
+    return range(seed - width // 2, seed - width // 2 + width)
+
+
+def between(one: int, other: int) -> range:
+    """Return the cells from one coordinate to the other, both included, whatever their order."""
+    return range(min(one, other), max(one, other) + 1)
+
+
+def carve_passage(grid: list[list[int]], start: Cell, goal: Cell, width: int, horizontal_first: bool) -> None:
+    """Carve both legs of the passage between two seeds and the full square at its corner."""
+    corner = (start[0], goal[1]) if horizontal_first else (goal[0], start[1])
+    carve(grid, across(corner[0], width), between(start[1], goal[1]))  # the horizontal leg lies in the corner's row
+    carve(grid, between(start[0], goal[0]), across(corner[1], width))  # the vertical leg lies in the corner's column
+    carve(grid, across(corner[0], width), across(corner[1], width))
+
+
+def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
+    """Draw and carve one map with Algorithm 1: all rooms, then the passages between consecutive rooms."""
+    height, width = spec.map_size
+    first = block(seed, index, 0, MAP, 0)
+    rooms, passage = bounded(first[0], *spec.rooms), bounded(first[1], *spec.passage_width)
+    grid = [[1] * width for _ in range(height)]
+    seed_points, sizes, directions = [], [], []
+    for q in range(rooms):
+        words = block(seed, index, 0, MAP, 1 + 2 * q)
+        seed_points.append((bounded(words[0], 0, height - 1), bounded(words[1], 0, width - 1)))
+        sizes.append((bounded(words[2], *spec.room_rows), bounded(words[3], *spec.room_columns)))
+        carve(grid, across(seed_points[q][0], sizes[q][0]), across(seed_points[q][1], sizes[q][1]))
+    for q in range(rooms - 1):
+        words = block(seed, index, 0, MAP, 2 + 2 * q)
+        if words[0] < threshold(spec.skip_probability):
+            directions.append((-1, -1))
+            continue
+        horizontal_first = bounded(words[1], 0, 1) == 1
+        directions.append((1, 0) if horizontal_first else (0, 1))
+        carve_passage(grid, seed_points[q], seed_points[q + 1], passage, horizontal_first)
+    return ReferenceMap(grid, passage, seed_points, sizes, directions, reference_split(spec, seed, index))
+
+
+def reference_split(spec: MapSpec, seed: int, index: int) -> int:
+    """Draw a map's split: 0 train, 1 val, 2 test."""
+    word = block(seed, index, 0, SPLIT, 0)[0]
+    train, validation, _ = spec.splits
+    if word < threshold(train):
+        return 0
+    return 1 if word < threshold(train + validation) else 2
+
+
+# --- moves and costs --------------------------------------------------------------------------------------------------
+
+STRAIGHT = ((-1, 0), (0, 1), (1, 0), (0, -1))  # N, E, S, W
+DIAGONAL = ((-1, 1), (1, 1), (1, -1), (-1, -1))  # NE, SE, SW, NW
+
+
+def is_free(grid: Grid, cell: Cell) -> bool:
+    """Tell whether the cell lies inside the grid and is free."""
+    row, column = cell
+    return 0 <= row < len(grid) and 0 <= column < len(grid[0]) and grid[row][column] == 0
+
+
+def neighbours(grid: Grid, cell: Cell, movement: Movement) -> Iterator[tuple[Cell, Pair]]:
+    """Yield the cells one move away and the move's cost, in the order N, E, S, W, NE, SE, SW, NW."""
+    row, column = cell
+    for down, right in STRAIGHT:
+        if is_free(grid, (row + down, column + right)):
+            yield (row + down, column + right), (1, 0)
+    for down, right in DIAGONAL if movement.connectivity == 8 else ():
+        beside = is_free(grid, (row + down, column)) and is_free(grid, (row, column + right))
+        if is_free(grid, (row + down, column + right)) and (beside or movement.corner_cutting):
+            yield (row + down, column + right), (0, 1)
+
+
+def weigh(cost: Pair, movement: Movement) -> int:
+    """Order costs exactly: cost * 2**64 as an integer.
+
+    The root of 2 is cut after 64 binary places, an error below 2**-64 a diagonal move; two different pairs below 2**21
+    differ by more than 2**-24.
+    """
+    one = 1 << 64
+    return cost[0] * one + cost[1] * (one if movement.diagonal_cost == 1 else isqrt(2 * one * one))
+
+
+def as_float(cost: Pair, movement: Movement) -> float:
+    """Turn a cost into a float, once."""
+    return cost[0] + cost[1] * movement.diagonal_cost
+
+
+def add(one: Pair, other: Pair) -> Pair:
+    """Add two costs."""
+    return one[0] + other[0], one[1] + other[1]
+
+
+def heuristic(cell: Cell, goal: Cell, movement: Movement) -> Pair:
+    """Return the cost of the way to the goal on an empty map: Manhattan or octile."""
+    rows, columns = abs(cell[0] - goal[0]), abs(cell[1] - goal[1])
+    return (rows + columns, 0) if movement.connectivity == 4 else (abs(rows - columns), min(rows, columns))
+
+
+# --- searches ---------------------------------------------------------------------------------------------------------
+
+
+class ReferenceResult(NamedTuple):
+    """A path (empty when there is none), its cost (-1 when there is none), and the cells taken from the frontier."""
+
+    path: list[Cell]
+    cost: float
+    iterations: int
+
+
+def trace(parents: dict[Cell, Cell], goal: Cell) -> list[Cell]:
+    """Follow the parents back from the goal; the start is its own parent."""
+    path = [goal]
+    while parents[path[-1]] != path[-1]:
+        path.append(parents[path[-1]])
+    return path[::-1]
+
+
+def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
+    """First in, first out; the cost counts moves."""
+    frontier, parents, iterations = deque([start]), {start: start}, 0
+    while frontier:
+        cell = frontier.popleft()
+        iterations += 1
+        if cell == goal:
+            path = trace(parents, goal)
+            return ReferenceResult(path, float(len(path) - 1), iterations)
+        for neighbour, _ in neighbours(grid, cell, movement):
+            if neighbour not in parents:
+                parents[neighbour] = cell
+                frontier.append(neighbour)
+    return ReferenceResult([], -1.0, iterations)
+
+
+def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
+    """Pop the least f, among equal f the most recently pushed; a parent changes only for a smaller g."""
+    frontier = [(weigh(heuristic(start, goal, movement), movement), 0, start)]
+    costs: dict[Cell, Pair] = {start: (0, 0)}
+    parents, taken, pushes = {start: start}, set[Cell](), 0
+    while frontier:
+        cell = heapq.heappop(frontier)[2]
+        if cell in taken:
+            continue  # a stale entry: the cell was pushed again with a smaller g, and does not count twice
+        taken.add(cell)
+        if cell == goal:
+            return ReferenceResult(trace(parents, goal), as_float(costs[goal], movement), len(taken))
+        for neighbour, step in neighbours(grid, cell, movement):
+            cost = add(costs[cell], step)
+            if neighbour not in costs or weigh(cost, movement) < weigh(costs[neighbour], movement):
+                costs[neighbour], parents[neighbour] = cost, cell
+                pushes += 1
+                estimate = weigh(add(cost, heuristic(neighbour, goal, movement)), movement)
+                heapq.heappush(frontier, (estimate, -pushes, neighbour))
+    return ReferenceResult([], -1.0, len(taken))
+
+
+def reference_distances(grid: Grid, goal: Cell, movement: Movement) -> dict[Cell, Pair]:
+    """Dijkstra: the exact cost from every cell that reaches the goal."""
+    costs: dict[Cell, Pair] = {goal: (0, 0)}
+    frontier, taken = [(0, goal)], set[Cell]()
+    while frontier:
+        cell = heapq.heappop(frontier)[1]
+        if cell in taken:
+            continue
+        taken.add(cell)
+        for neighbour, step in neighbours(grid, cell, movement):
+            cost = add(costs[cell], step)
+            if neighbour not in costs or weigh(cost, movement) < weigh(costs[neighbour], movement):
+                costs[neighbour] = cost
+                heapq.heappush(frontier, (weigh(cost, movement), neighbour))
+    return costs
+
+
+def reference_field(grid: Grid, goal: Cell, movement: Movement) -> npt.NDArray[np.float32]:
+    """Return the distance field: float32, -1 where the goal cannot be reached."""
+    field = np.full((len(grid), len(grid[0])), -1, dtype=np.float32)
+    for cell, cost in reference_distances(grid, goal, movement).items():
+        field[cell] = as_float(cost, movement)
+    return field
+
+
+def first_bad_step(grid: Grid, path: Sequence[Cell], movement: Movement) -> int | None:
+    """Return the place in a non-empty path of the first cell that cannot be walked to, or None when all is well."""
+    if not is_free(grid, path[0]):
+        return 0
+    for place in range(1, len(path)):
+        if path[place] not in [neighbour for neighbour, _ in neighbours(grid, path[place - 1], movement)]:
+            return place
+    return None
+
+
+def path_cost(path: Sequence[Cell], movement: Movement) -> float:
+    """Return the cost of a good path."""
+    diagonal = sum(a[0] != b[0] and a[1] != b[1] for a, b in pairwise(path))
+    return as_float((len(path) - 1 - diagonal, diagonal), movement)
+
+
+# --- labels -----------------------------------------------------------------------------------------------------------
+
+Search: TypeAlias = Callable[[Grid, Cell, Cell, "Movement"], ReferenceResult]
+
+
+def reference_route(
+    search: Search, grid: Grid, seed_points: Sequence[Cell], movement: Movement
+) -> list[ReferenceResult]:
+    """Search the segments 1 -> 2, ..., n-1 -> n of the route through all seeds."""
+    return [search(grid, start, goal, movement) for start, goal in pairwise(seed_points)]
+
+
+def reference_matrix(
+    search: Search, grid: Grid, seed_points: Sequence[Cell], movement: Movement
+) -> npt.NDArray[np.float64]:
+    """Search every entry of the n x n connection matrix: the path cost between two seeds, -1 when there is no path."""
+    return np.array([[search(grid, start, goal, movement).cost for goal in seed_points] for start in seed_points])

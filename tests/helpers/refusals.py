@@ -1,0 +1,64 @@
+"""Reads hostile files, named as ``loader=path``, and prints what each costs: run by shards/test_hostile.py.
+
+A line for each: loader, path, name of the error, bytes of memory that it took at most, seconds of processor time.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from mapdata.datasets.dataset import MapDataset
+from mapdata.formats import read_any
+from mapdata.formats.files import FormatError
+from mapdata.shards.manifest import read_manifest
+from mapdata.shards.reader import open_shard
+from mapdata.shards.recipe import Recipe
+from models.path_predictor import PathPredictor
+
+
+def read_format(path: str) -> None:
+    """Import a file; files that are left out with a reason count as refused."""
+    found = read_any(path)
+    if not found.maps:
+        raise FormatError(found.left_out[0][1])
+
+
+LOADERS: dict[str, Callable[[str], object]] = {
+    "shard": open_shard,
+    "manifest": lambda path: read_manifest(Path(path)),
+    "dataset": lambda path: MapDataset(path)[:],
+    "recipe": Recipe.load,
+    "format": read_format,
+    "model": PathPredictor.load,
+}
+
+
+def memory(what: str) -> int:
+    """Return VmHWM, the most memory since it was reset, or VmRSS, what is held now, in bytes."""
+    match = re.search(rf"{what}:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    return 1024 * int(match[1]) if match else 0
+
+
+def main() -> None:
+    """Read all files, in the order given."""
+    resource.setrlimit(resource.RLIMIT_CPU, (120, 120))  # a loader that hangs ends here
+    for argument in sys.argv[1:]:
+        loader, path = argument.split("=", 1)
+        Path("/proc/self/clear_refs").write_text("5")  # resets VmHWM
+        before, began = memory("VmRSS"), time.process_time()
+        name = "nothing"
+        try:
+            LOADERS[loader](path)
+        except Exception as error:  # its name is what the test looks at
+            name = type(error).__name__ if "\n" not in str(error) else f"{type(error).__name__} of several lines"
+        print(json.dumps([loader, path, name, memory("VmHWM") - before, time.process_time() - began]))
+
+
+if __name__ == "__main__":
+    main()

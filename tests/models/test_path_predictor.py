@@ -1,0 +1,302 @@
+"""The path predictor: any map size, valid paths, what it learns, resuming, the weights that ship."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.callbacks import ModelCheckpoint
+
+from mapdata import DatasetNotFoundError, MapDataModule, MapSpec, Movement, OnlineMapDataset, astar, check_path
+from mapdata.evaluation.metrics import BatchPlanner, evaluate
+from mapdata.evaluation.planners import classical
+from mapdata.problems.problem_set import Problems
+from mapdata.search.lattice import STEPS
+from models.learned_planners import LearnedPlanner, planners
+from models.path_predictor import FIELDS, MixedBatches, PathPredictor, legal_moves
+
+ROOT = Path(__file__).parents[2]
+WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"
+PAPER, DUNGEON = MapSpec.preset("paper"), MapSpec.preset("dungeon")
+WIDE = MapSpec((48, 80), rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3))
+MOVEMENTS = [Movement(4), Movement(8), Movement(8, corner_cutting=True), Movement(8, True, 1.0)]
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:The '.*dataloader' does not have many workers",
+    "ignore:.*TF32",
+    "ignore:.*LeafSpec",
+    "ignore:Checkpoint directory",
+    "ignore:.*resuming from a checkpoint",
+)
+
+
+def confused(movement: Movement = Movement(8)) -> PathPredictor:
+    """Return a model with random answers, whose walks go astray."""
+    torch.manual_seed(0)
+    rule = movement.connectivity, movement.corner_cutting, movement.diagonal_cost
+    model = PathPredictor(*rule, widths=(8, 8, 8), passes=1)
+    torch.nn.init.normal_(model.network.head.weight, std=3.0)
+    return model.eval()
+
+
+def module(spec: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
+    """Return online maps of a spec, as the training script has them."""
+    recipe = json.dumps({"spec": spec.to_dict(), "seed": 901, "maps": 20_000})
+    return MapDataModule(
+        None,
+        build=recipe,
+        batch_size=batch_size,
+        fields=FIELDS,
+        problems="random",
+        movement=movement,
+        augment=True,
+    )
+
+
+def trainer(folder: Path, **arguments: Any) -> pl.Trainer:  # noqa: ANN401
+    """Return a quiet Trainer on the CPU."""
+    quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False, "num_sanity_val_steps": 0}
+    return pl.Trainer(default_root_dir=folder, accelerator="cpu", **(quiet | arguments))
+
+
+@cache
+def problems(name: str, hard: int) -> Problems:
+    """Return problems that no training has seen."""
+    spec = {"paper": PAPER, "dungeon": DUNGEON, "wide": WIDE}[name]
+    return Problems.draw(spec, seed=314159, until_hard=hard)
+
+
+def scores(rows: list[BatchPlanner], on: Problems) -> pd.DataFrame:
+    """Return the hard rows of the table, by planner."""
+    table = evaluate(rows, on, bootstrap=1)
+    return table[table["subset"] == "hard"].set_index("planner")
+
+
+def test_any_map_size() -> None:
+    """Every cell of any map gets its scores and a ratio; padding with walls changes nothing."""
+    model = confused()
+    for rows, columns in ((1, 1), (7, 9), (8, 8), (48, 80), (61, 59), (100, 130)):
+        occupied = (torch.rand(2, 1, rows, columns) < 0.3).to(torch.uint8)
+        goals = torch.tensor([[0, 0], [rows - 1, columns - 1]])
+        moves, ratios = model(occupied, goals)
+        assert moves.shape == (2, 8, rows, columns)
+        assert ratios.shape == (2, rows, columns)
+        assert ((ratios >= 0) & (ratios <= 1)).all()
+        walled = torch.nn.functional.pad(occupied, (0, -columns % 8, 0, -rows % 8), value=1)
+        assert torch.equal(model(walled, goals)[0][..., :rows, :columns], moves)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_legal_moves_are_those_of_check_path(movement: Movement) -> None:
+    """A move is legal where the path of its two cells passes the check."""
+    grid = (np.random.default_rng(5).random((9, 11)) < 0.4).astype(np.uint8)
+    legal = legal_moves(torch.from_numpy(grid)[None, None], movement)[0].numpy()
+    for move, step in enumerate(STEPS[: movement.connectivity]):
+        for cell in np.argwhere(grid == 0):
+            path = np.stack([cell, cell + step])
+            inside = bool((path[1] >= 0).all() and (path[1] < grid.shape).all())
+            assert legal[move, cell[0], cell[1]] == (inside and _passes(grid, path, movement))
+
+
+def _passes(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: Movement) -> bool:
+    try:
+        check_path(grid, path, movement)
+    except ValueError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_the_loss_is_zero_for_any_optimal_policy(movement: Movement, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever of the optimal moves gets the probability: the target does not depend on how ties are broken."""
+    data = OnlineMapDataset(DUNGEON, 3, 4, fields=FIELDS, problems="random", movement=movement)
+    batch = next(iter(torch.utils.data.DataLoader(data, 4)))
+    bits = 2 ** torch.arange(movement.connectivity).view(1, -1, 1, 1)
+    good = (batch.optimal_moves & bits) != 0
+    model = PathPredictor(movement.connectivity, movement.corner_cutting, movement.diagonal_cost, (8, 8, 8), 1)
+    first = good & (good.cumsum(1) == 1)
+    for policy in (good, first):
+        answer = (policy * 40.0, batch.heuristic_ratio[:, 0])
+        monkeypatch.setattr(model, "forward", lambda *_, answer=answer: answer)
+        losses = model.losses(batch)
+        assert float(losses["loss"]) == pytest.approx(0, abs=1e-6)
+        assert float(losses["accuracy"]) == 1
+    monkeypatch.setattr(model, "forward", lambda *_: (~good * 40.0, batch.heuristic_ratio[:, 0]))
+    assert model.losses(batch)["loss"] > 9
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
+    """A model with random answers gives valid paths or none, falls back to A*, and counts both."""
+    drawn = Problems.draw(DUNGEON, 8, 40, movement=movement)
+    model = confused(movement)
+    walk, safe, search = planners(model)
+    walks = walk.plan_batch(drawn.grids, drawn.starts, drawn.goals)
+    plans = safe.plan_batch(drawn.grids, drawn.starts, drawn.goals)
+    for plan, grid, *ends in zip(
+        search.plan_batch(drawn.grids, drawn.starts, drawn.goals), drawn.grids, drawn.starts, drawn.goals, strict=True
+    ):
+        check_path(grid, plan.path, movement)
+        assert np.array_equal(plan.path[[0, -1]], ends)
+        assert 1 <= plan.expansions <= (grid == 0).sum()
+        assert len(plan.path) <= 2 * plan.expansions + 1  # of each two neighbours on it one was expanded
+    stuck = [len(plan.path) == 0 for plan in walks]
+    assert any(stuck)
+    for k, (alone, plan) in enumerate(zip(walks, plans, strict=True)):
+        check_path(drawn.grids[k], plan.path, movement)
+        assert np.array_equal(plan.path[[0, -1]], [drawn.starts[k], drawn.goals[k]])
+        if stuck[k]:
+            assert plan.expansions == alone.expansions + drawn.optimal.iterations[k]
+        else:
+            assert plan.expansions == alone.expansions
+            assert len(plan.path) == len(np.unique(plan.path, axis=0))
+            assert check_path(drawn.grids[k], plan.path, movement) <= (plan.expansions - 1) * movement.diagonal_cost
+
+
+@pytest.mark.parametrize("size", [(64, 64), (37, 50)])
+def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
+    """One at a time or all at once, in float32 or bfloat16: the same paths, up to rounding."""
+    spec = MapSpec(size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3))
+    drawn = Problems.draw(spec, 9, 12)
+    for planner in planners(PathPredictor.load(WEIGHTS)):
+        together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
+        alone = [
+            planner.plan(grid, (int(start[0]), int(start[1])), (int(goal[0]), int(goal[1])))
+            for grid, start, goal in zip(drawn.grids, drawn.starts, drawn.goals, strict=True)
+        ]
+        same = [np.array_equal(a.path, b.path) for a, b in zip(alone, together, strict=True)]
+        assert sum(same) >= 11
+
+
+def test_start_at_the_goal_and_walls() -> None:
+    """A path of one cell; no path between two halves; a start in a wall is refused."""
+    model = confused()
+    grid = np.zeros((9, 9), np.uint8)
+    assert model.predict_path(grid, (3, 4), (3, 4)).tolist() == [[3, 4]]
+    grid[:, 4] = 1
+    assert model.predict_path(grid[None], [0, 0], [8, 8]).shape == (0, 2)
+    safe = LearnedPlanner("safe", model)
+    plan = safe.plan(grid, (0, 0), (8, 8))
+    assert plan.path.shape == (0, 2)
+    assert plan.expansions > astar(grid, (0, 0), (8, 8), Movement(8)).iterations
+    for start in ((0, 4), (-1, 0), (9, 0)):
+        with pytest.raises(ValueError, match="outside its map or on an occupied cell"):
+            safe.plan(grid, start, (8, 8))
+
+
+def test_learns_quickly(tmp_path: Path) -> None:
+    """A short run beats greedy best-first search on maps of the paper."""
+    pl.seed_everything(0)
+    model = PathPredictor(learning_rate=0.02)
+    steps = trainer(tmp_path, max_steps=180, limit_val_batches=0, gradient_clip_val=1.0, enable_checkpointing=False)
+    steps.fit(model, MixedBatches([module(PAPER, 6), module(DUNGEON, 20)]))
+    drawn = problems("paper", 60)
+    table = scores([*classical(), *planners(model.eval())], drawn)
+    assert table.hmean["path_predictor (walk, else A*)"] > table.hmean["greedy best-first"] + 0.02
+    assert table.success["path_predictor (walk, else A*)"] == 1
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_resumes(tmp_path: Path, connectivity: int) -> None:
+    """Two steps, a checkpoint, two more: as four in one go. Sizes mix; both connectivities train."""
+
+    def fit(steps: int, ckpt: Path | None) -> PathPredictor:
+        pl.seed_everything(1)
+        model = PathPredictor(connectivity, widths=(8, 8, 8), passes=1)
+        parts = [module(spec, 2, Movement(connectivity)) for spec in (PAPER, WIDE, DUNGEON)]
+        saver = ModelCheckpoint(tmp_path, f"{connectivity}-{{step}}", every_n_train_steps=2, save_top_k=-1)
+        run = trainer(tmp_path, max_steps=steps, callbacks=[saver], limit_val_batches=0, max_epochs=-1)
+        run.fit(model, MixedBatches(parts), ckpt_path=ckpt)
+        return model
+
+    whole, half = fit(4, None), tmp_path / f"{connectivity}-step=2.ckpt"
+    resumed = fit(4, half)
+    for name, weight in whole.state_dict().items():
+        assert torch.equal(weight, resumed.state_dict()[name]), name
+    assert PathPredictor.load_from_checkpoint(half, weights_only=True).movement == Movement(connectivity)
+
+
+def test_saves_plain_types(tmp_path: Path) -> None:
+    """What is saved loads with the safe default, and is the same model."""
+    model = confused(Movement(4))
+    model.save(tmp_path / "weights.pt")
+    saved = torch.load(tmp_path / "weights.pt", weights_only=True)
+    assert saved["arguments"] == {**model.hparams, "widths": [8, 8, 8]}
+    again = PathPredictor.load(tmp_path / "weights.pt")
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True))
+    assert again.movement == Movement(4)
+
+
+@pytest.mark.slow
+def test_the_weights_that_ship() -> None:
+    """They load safely, are small, and reach what the table of the README says, on problems not seen."""
+    assert WEIGHTS.stat().st_size < 4_000_000
+    model = PathPredictor.load(WEIGHTS)
+    paper = scores(planners(model), problems("paper", 100))
+    dungeon = scores(planners(model), problems("dungeon", 200))
+    name, best = "path_predictor (walk, else A*)", "path_predictor (search)"
+    for table, opt, hmean in ((paper, 0.95, 0.84), (dungeon, 0.89, 0.77)):
+        assert table.opt[best] >= opt
+        assert table.hmean[best] >= hmean
+        assert table.hmean[name] >= hmean - 0.04
+        assert table.success[name] == table.success[best] == 1
+    assert dungeon.success["path_predictor (walk)"] >= 0.98
+    wide = scores([*classical(), *planners(model)], problems("wide", 100))
+    others = ("greedy best-first", "weighted A* (1.5)", "weighted A* (2)")
+    assert wide.hmean[name] > max(wide.hmean[other] for other in others)
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[str]], None]:
+    """Return the main function of the training script, which is to write into a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    main: Callable[[list[str]], None] = runpy.run_path(str(ROOT / "scripts" / "train_path_predictor.py"))["main"]
+    return main
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None:
+    """Its file of arguments works; it leaves checkpoints, a CSV log, a figure an epoch, and weights."""
+    short = {"max_epochs": 2, "limit_train_batches": 2, "limit_val_batches": 2, "precision": 32, "log_every_n_steps": 1}
+    flags = [f"--trainer.{name}={value}" for name, value in short.items()]
+    script(["fit", *flags, "--model.widths=[8,8,8]", "--model.passes=1", "--weights=weights.pt"])
+    (logs,) = (tmp_path / "runs" / "path_predictor").glob("version_0")
+    assert len(list(logs.glob("predictions-*.png"))) == 2
+    assert {"train_loss", "val_accuracy/dataloader_idx_1"} <= set(pd.read_csv(logs / "metrics.csv"))
+    assert (logs / "checkpoints" / "last.ckpt").exists()
+    assert PathPredictor.load("weights.pt").hparams["passes"] == 1
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--weights=nowhere/weights.pt"], "there is no folder nowhere"),
+        (["--data=mapdata.MapDataModule", "--data.root=maps", "--data.movement=[4,false,1.4142135]"], "movement: got"),
+    ],
+)
+def test_the_script_refuses_before_it_trains(
+    script: Callable[[list[str]], None], flags: list[str], said: str, tmp_path: Path
+) -> None:
+    """Weights that could not be written; data that move otherwise than the model."""
+    with pytest.raises(SystemExit, match=said):
+        script(["fit", *flags])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("movement", ["[8,false,1.4142136]", '{"connectivity":8}'])
+def test_the_script_takes_data_that_move_as_the_model(script: Callable[[list[str]], None], movement: str) -> None:
+    """A rounded sqrt(2) and names are the same movement: it goes on, to find that there are no data."""
+    with pytest.raises(DatasetNotFoundError):
+        script(["fit", "--data=mapdata.MapDataModule", "--data.root=maps", f"--data.movement={movement}"])

@@ -1,0 +1,148 @@
+"""Figures of a dataset: the gallery shows what its captions say, the distributions show every value."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.samples import SPEC, WIDE, build_small
+from plotting.test_plot import assert_tidy, figure_of
+
+from mapdata import MapSpec, generate
+from mapdata.cli.app import main
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.importing import import_maps
+from mapdata.plotting.figures import FIGURES, pick_examples, plot_distributions, plot_figure, plot_gallery
+from mapdata.shards.root import read_map
+from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> DatasetStatistics:
+    """Return a look at a small dataset."""
+    return dataset_statistics(build_small(tmp_path_factory.mktemp("small") / "d"))
+
+
+def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
+    """Examples are what their captions say."""
+    examples = pick_examples(small)
+    assert list(examples) == [
+        "two rooms",
+        "three rooms",
+        "four rooms",
+        "not connected",
+        "redundant",
+        "five rooms",
+        f"hardness {small.hardest.max():.2f}",
+    ]
+    assert len(set(examples.values())) == len(examples)
+    words = {"two": 2, "three": 3, "four": 4, "five": 5}
+    for caption, index in examples.items():
+        labels, i = read_map(small.root, index)
+        n = int(labels.maps.rooms[i])
+        if caption.endswith("rooms"):
+            assert n == words[caption.split()[0]]
+        if caption not in {"not connected", "five rooms"} and not caption.startswith("hardness"):
+            assert (labels.matrix("astar", i) >= 0).all()
+        if caption == "not connected":
+            assert (labels.matrix("astar", i) < 0).any()
+        if caption == "redundant":
+            assert not labels.maps.connected[i, : n - 1].all()
+    assert pick_examples(dataset_statistics(small.root)) == examples
+
+
+def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
+    """Gallery draws the maps."""
+    axes, examples = plot_gallery(small), pick_examples(small)
+    for ax, (caption, index) in zip(axes, examples.items(), strict=False):
+        assert ax.get_title() == f"{caption}\nmap{index}"
+        np.testing.assert_array_equal(ax.get_images()[0].get_array(), generate(SPEC, 5, [index]).occupancy[0])
+    assert not axes[-1].axison
+    assert_tidy(figure_of(axes[0]))
+
+
+def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
+    """Distributions draw every value."""
+    axes = plot_distributions(small)
+    for ax, (name, values) in zip(axes, small.distributions().items(), strict=True):
+        assert ax.get_xlabel() == name
+        assert sum(bar.get_height() for bar in ax.containers[0].patches) == len(values)  # type: ignore[attr-defined]
+    assert_tidy(figure_of(axes[0]))
+
+
+@pytest.mark.parametrize("spec", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"])
+def test_all_figures_are_tidy_and_the_same_again(tmp_path: Path, spec: MapSpec) -> None:
+    """All figures are tidy and the same again."""
+    root = build_small(tmp_path / "d", spec)
+    for kind in FIGURES:
+        assert_tidy(plot_figure(root, kind, index=7))
+    first, second = (tmp_path / name for name in ("a.png", "b.png"))
+    for path in (first, second):
+        plot_figure(root, "map", index=3).savefig(path, dpi=50)
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_imported_maps_are_drawn_without_rooms(tmp_path: Path) -> None:
+    """Imported maps are drawn without rooms."""
+    grids = generate(WIDE, 5, range(6)).occupancy
+    one = ForeignMap("one", grids[5], seed_points=np.argwhere(grids[5] == 0)[:1], rooms_known=True)
+    maps = [*(ForeignMap(str(k), grid) for k, grid in enumerate(grids[:5])), one]
+    import_maps(tmp_path / "d", Collection(maps), seed_points=3)
+    for kind in FIGURES:
+        for index in (0, 5):
+            assert_tidy(plot_figure(tmp_path / "d", kind, index=index))
+    of = dataset_statistics(tmp_path / "d")
+    assert [axes.get_title().split("\n")[0] for axes in plot_gallery(of)][:2] == ["one seed point", "three seed points"]
+
+
+def test_maps_with_equally_many_seed_points(tmp_path: Path) -> None:
+    """The gallery goes from easy to hard, each map once; the only number of seed points is the only tick."""
+    grids = generate(MapSpec.preset("dungeon"), 5, range(40)).occupancy
+    import_maps(tmp_path / "d", Collection([ForeignMap(str(k), grid) for k, grid in enumerate(grids)]), seed_points=4)
+    of = dataset_statistics(tmp_path / "d")
+    examples = pick_examples(of)
+    captions = [caption for caption in examples if caption.startswith("hardness")]
+    assert len(captions) == 6
+    assert captions == sorted(captions)
+    assert len(set(examples.values())) == len(examples)
+    for caption in captions:
+        assert caption == f"hardness {of.hardest[examples[caption]]:.2f}"
+    (rooms, *_) = plot_distributions(of)
+    figure_of(rooms).canvas.draw()
+    low, high = rooms.get_xlim()
+    assert [tick for tick in rooms.get_xticks() if low <= tick <= high] == [4]
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, kind: str) -> None:
+    """Command writes every figure."""
+    path = tmp_path / f"{kind}.png"
+    main(["show", str(small.root), "--figure", kind, "-o", str(path)])
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--figure", "gallery", "--index", "3"], "--index: does nothing"),
+        (["--figure", "matrix", "--paper-colours"], "--paper-colours: does nothing"),
+        (["--figure", "pie"], "invalid choice"),
+        (["--index", "60"], "holds maps 0 to 59"),
+        (["-o", "map.xyz"], "xyz"),
+    ],
+)
+def test_command_refuses(
+    small: DatasetStatistics, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+) -> None:
+    """Command refuses."""
+    with pytest.raises(SystemExit) as ended:
+        main(["show", str(small.root), *arguments])
+    assert ended.value.code == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_unknown_figure_is_refused(small: DatasetStatistics) -> None:
+    """Unknown figure is refused."""
+    with pytest.raises(ValueError, match="expected one of map, gallery"):
+        plot_figure(small.root, "pie")

@@ -1,0 +1,183 @@
+"""Figures of one map: what is drawn is what is stored, and nothing is cut off or covers something else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers.samples import SPEC, WIDE
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+
+from mapdata import MapSpec, generate, label
+from mapdata.plotting.plot import COLOURS, PALETTE, plot_grid, plot_map, plot_matrix, plot_path
+from mapdata.search.labels import Labels
+
+OKABE_ITO = {"#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7"}
+
+
+def some(spec: MapSpec, maps: int = 30) -> Labels:
+    """Return labelled maps."""
+    return label(generate(spec, 5, range(maps)))
+
+
+def figure_of(axes: Axes) -> Figure:
+    """Return the figure that holds axes."""
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    return figure
+
+
+def assert_tidy(figure: Figure) -> None:
+    """Check that all words are inside the figure and that none covers another, or a map."""
+    figure.draw_without_rendering()
+    page, boxes = figure.bbox.padded(0.5), {}
+    for k, axes in enumerate(figure.axes):
+        ticks = [
+            tick.label1
+            for axis in (axes.xaxis, axes.yaxis)
+            for tick in axis.get_major_ticks()
+            if axes.axison and min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
+        ]
+        words = [axes.title, axes.xaxis.label, axes.yaxis.label, *ticks, axes.get_legend()]
+        for number, word in enumerate(words):
+            if word is not None and word.get_visible() and (not isinstance(word, Text) or word.get_text()):
+                boxes[k, number] = word.get_window_extent()
+        if axes.axison:
+            boxes[k, -1] = axes.get_window_extent()
+    for name, box in boxes.items():
+        assert page.x0 <= box.x0 and box.x1 <= page.x1, f"{name} is cut off at the side"  # noqa: PT018
+        assert page.y0 <= box.y0 and box.y1 <= page.y1, f"{name} is cut off above or below"  # noqa: PT018
+    for (a, first), (b, second) in combinations(boxes.items(), 2):
+        shared = Bbox.intersection(first.padded(-1), second.padded(-1))
+        assert shared is None or shared.width * shared.height <= 0, f"{a} covers {b}"
+
+
+def drawn(axes: Axes, colour: str) -> list[npt.NDArray[np.int64]]:
+    """Return the lines of a colour as cells (row, col)."""
+    lines = [line for line in axes.get_lines() if to_hex(line.get_color()).upper() == colour and line.get_linestyle()]
+    return [np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64) for line in lines]
+
+
+def assert_lines(found: list[npt.NDArray[np.int64]], expected: list[npt.NDArray[np.int64]]) -> None:
+    """Compare lists of paths."""
+    assert len(found) == len(expected)
+    for line, path in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(line, path)
+
+
+@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["square", "wide"])
+def test_map_shows_both_stored_routes_and_numbered_seeds(spec: MapSpec) -> None:
+    """Map shows both stored routes and numbered seeds."""
+    labels = some(spec)
+    for i in range(3):
+        axes = plot_map(labels, i)
+        for search in ("bfs", "astar"):
+            assert_lines(drawn(axes, COLOURS[search]), labels.route(search, i))
+        n = int(labels.maps.rooms[i])
+        assert [text.get_text() for text in axes.texts] == [str(k + 1) for k in range(n)]
+        places = [(text.get_position()[1], text.get_position()[0]) for text in axes.texts]
+        np.testing.assert_array_equal(places, labels.maps.seed_points[i, :n])
+        state = "all connected" if labels.all_connected[i] else "not all connected"
+        assert axes.get_title() == f"map{i}: {n} rooms, {state}"
+
+
+@pytest.mark.parametrize("spec", [SPEC, WIDE, MapSpec()], ids=["square", "wide", "paper"])
+@pytest.mark.parametrize("layout", [None, "constrained"])
+def test_map_fits_into_any_figure(spec: MapSpec, layout: str | None) -> None:
+    """Map fits into any figure."""
+    figure = Figure() if layout is None else Figure(layout="constrained")
+    plot_map(some(spec, 1), 0, figure.add_subplot())
+    assert_tidy(figure)
+
+
+@pytest.mark.parametrize("rooms", [2, 5, 9, 120])
+def test_own_figures_are_tidy(rooms: int) -> None:
+    """Own figures are tidy."""
+    spec = MapSpec((64, 64), (rooms, rooms), (3, 9), (3, 9), (1, 2))
+    labels = some(spec, 1)
+    for axes in (plot_map(labels, 0), plot_path(labels, 0), plot_matrix(labels, 0, "bfs"), plot_path(labels, 0, "bfs")):
+        assert_tidy(figure_of(axes))
+
+
+def test_grid_is_white_where_free_and_the_other_way_round_on_request() -> None:
+    """Grid is white where free and the other way round on request."""
+    grid = np.array([[0, 1], [1, 1]])
+    for paper, free, occupied in ((False, 1.0, 0.2), (True, 0.0, 1.0)):
+        image = plot_grid(grid, paper_colours=paper).get_images()[0]
+        shades = np.asarray(image.to_rgba(grid))[..., 0]
+        assert shades[0, 0] == pytest.approx(free)
+        assert shades[0, 1] == pytest.approx(occupied, abs=0.05)
+
+
+def test_path_shows_each_segment_with_its_iterations() -> None:
+    """Path shows each segment with its iterations."""
+    labels = some(SPEC)
+    i = int(np.flatnonzero(~labels.all_connected)[0])
+    for search in ("bfs", "astar"):
+        axes = plot_path(labels, i, search)
+        found = [np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64) for line in axes.get_lines()]
+        assert_lines(found, labels.route(search, i))
+        legend = axes.get_legend()
+        assert legend is not None
+        expected = [
+            f"{q + 1} to {q + 2}: {f'{len(path) - 1} moves' if len(path) else 'no path'}, {count} iterations"
+            for q, (path, count) in enumerate(
+                zip(labels.route(search, i), labels.iterations(search, i).tolist(), strict=True)
+            )
+        ]
+        assert [text.get_text() for text in legend.get_texts()] == expected
+        assert any("no path" in text for text in expected)
+
+
+def test_path_of_many_rooms_lists_some() -> None:
+    """Path of many rooms lists some."""
+    labels = some(MapSpec((64, 64), (40, 40), (3, 5), (3, 5), (1, 2)), 1)
+    legend = plot_path(labels, 0).get_legend()
+    assert legend is not None
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert len(texts) == 16
+    assert texts[-1] == "... and 24 more"
+
+
+@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
+def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) -> None:
+    """Matrix shows each cost and hatches pairs without a path."""
+    labels = some(spec)
+    i = int(np.flatnonzero(~labels.all_connected)[0])
+    for search in ("bfs", "astar"):
+        axes, matrix = plot_matrix(labels, i, search), labels.matrix(search, i)
+        texts = {(round(text.get_position()[1]), round(text.get_position()[0])): text.get_text() for text in axes.texts}
+        assert texts == {(r, c): f"{matrix[r, c]:.4g}" for r, c in np.argwhere(matrix >= 0).tolist()}
+        hatched = [patch.get_xy() for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_hatch()]
+        assert {(round(y + 0.5), round(x + 0.5)) for x, y in hatched} == set(
+            map(tuple, np.argwhere(matrix < 0).tolist())
+        )
+        legend = axes.get_legend()
+        assert legend is not None
+        assert [text.get_text() for text in legend.get_texts()] == ["no connection"]
+        assert_tidy(figure_of(axes))
+    connected = int(np.flatnonzero(labels.all_connected)[0])
+    assert plot_matrix(labels, connected).get_legend() is None
+
+
+def test_colours_are_those_of_okabe_and_ito() -> None:
+    """Colours are those of okabe and ito."""
+    assert {colour.lower() for colour in (*COLOURS.values(), *PALETTE)} <= OKABE_ITO
+
+
+def test_matplotlib_is_imported_when_drawing() -> None:
+    """Matplotlib is imported when drawing."""
+    names = ", ".join(f"mapdata.{name}" for name in ("plotting", "shards"))
+    script = f"import sys, {names}; print('matplotlib' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path.cwd())
+    assert found.stdout == "False\n"

@@ -1,0 +1,73 @@
+"""Figures of what models do: the paths and roadmaps drawn are those given, and nothing is cut off or covered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.samples import WIDE, build_small
+from matplotlib.collections import LineCollection, PathCollection
+from plotting.test_plot import assert_lines, assert_tidy, drawn, figure_of
+
+from mapdata import MapDataset
+from mapdata.plotting.plot import COLOURS
+from mapdata.plotting.plot_models import plot_prediction, plot_roadmap, plot_sample
+
+
+def test_sample_shows_what_it_holds(tmp_path: Path) -> None:
+    """Sample shows what it holds."""
+    root = build_small(tmp_path / "d", WIDE)
+    for fields in (("map", "start", "goal", "path", "cost", "hardness"), ("path", "free")):
+        ds = MapDataset(root, split=None, fields=fields)
+        sample = ds[4]
+        values = sample._asdict()
+        axes = plot_sample(sample)
+        image = axes.get_images()[0].get_array()
+        np.testing.assert_array_equal(image, values["map"][0] if "map" in values else 1 - values["free"][0])
+        path = np.asarray(values["path"])
+        assert_lines(drawn(axes, COLOURS["astar"]), [path[path[:, 0] >= 0]])
+        marks = {text.get_text(): text.get_position()[::-1] for text in axes.texts}
+        expected = {"S": values["start"], "G": values["goal"]} if "start" in values else {}
+        assert marks == {letter: tuple(cell.tolist()) for letter, cell in expected.items()}
+        assert_tidy(figure_of(axes))
+
+
+def test_sample_without_a_map_and_batches_are_refused(tmp_path: Path) -> None:
+    """Sample without a map and batches are refused."""
+    root = build_small(tmp_path / "d")
+    with pytest.raises(ValueError, match="got fields start"):
+        plot_sample(MapDataset(root, fields=("start",))[0])
+    with pytest.raises(ValueError, match=r"shape \(3, 1, 20, 20\)"):
+        plot_sample(MapDataset(root)[0:3])
+
+
+def test_prediction_lies_over_the_truth_and_marks_walls() -> None:
+    """Prediction lies over the truth and marks walls."""
+    grid = np.zeros((6, 8), np.uint8)
+    grid[2, 2:5] = 1
+    truth = np.array([[2, 1], [1, 1], [1, 2], [1, 3], [1, 4], [1, 5], [2, 5], [-1, -1]])
+    predicted = np.array([[2, 1], [2, 2], [2, 3], [2, 4], [2, 5], [2, 9]])  # through the wall, and out of the map
+    axes = plot_prediction(grid, predicted, truth, scores=np.linspace(0, 1, 48).reshape(6, 8))
+    assert_lines(drawn(axes, COLOURS["astar"]), [truth[:-1]])
+    assert_lines(drawn(axes, COLOURS["bfs"]), [predicted])
+    assert_lines(drawn(axes, "#CC79A7"), [predicted[1:4]])
+    assert_tidy(figure_of(axes))
+    legend = plot_prediction(grid, np.empty((0, 2)), truth).get_legend()
+    assert legend is not None
+    assert "predicted: no path" in [text.get_text() for text in legend.get_texts()]
+    plot_prediction(grid, np.empty((0, 2)), np.empty((0, 2)))
+
+
+def test_roadmap_shows_samples_edges_and_path() -> None:
+    """Roadmap shows samples edges and path."""
+    grid = np.zeros((6, 8), np.uint8)
+    vertices, edges = np.array([[0.5, 1], [3, 4], [5, 7]]), np.array([[0, 1], [1, 2]])
+    axes = plot_roadmap(grid, vertices, edges, path=[[0, 1], [3, 4]])
+    (lines,) = [one for one in axes.collections if isinstance(one, LineCollection)]
+    (points,) = [one for one in axes.collections if isinstance(one, PathCollection)]
+    np.testing.assert_array_equal(np.array(lines.get_segments())[..., ::-1], vertices[edges])
+    np.testing.assert_array_equal(np.asarray(points.get_offsets())[:, ::-1], vertices)
+    assert_lines(drawn(axes, COLOURS["bfs"]), [np.array([[0, 1], [3, 4]])])
+    assert_tidy(figure_of(axes))
+    plot_roadmap(grid, np.empty((0, 2)), np.empty((0, 2), np.int64))

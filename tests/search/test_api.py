@@ -1,0 +1,461 @@
+"""BFS, A*, distance fields and the path check: equal to the reference and to scipy, and bad input named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import reference
+from helpers.reference import Cell, Pair
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mapdata.search.api import SearchResult, astar, bfs, check_path, distance_field
+from mapdata.spec import Movement
+
+SETTINGS = settings(derandomize=True, deadline=None, database=None)
+OCTILE, CUTTING = Movement(8), Movement(8, corner_cutting=True)
+MOVEMENTS = [
+    pytest.param(Movement(), id="4"),
+    pytest.param(OCTILE, id="8"),
+    pytest.param(CUTTING, id="8-cutting"),
+    pytest.param(Movement(8, diagonal_cost=1), id="8-one"),
+    pytest.param(Movement(8, corner_cutting=True, diagonal_cost=1), id="8-cutting-one"),
+]
+movements = pytest.mark.parametrize("movement", MOVEMENTS)
+planners = pytest.mark.parametrize(
+    ("search", "truth"), [(bfs, reference.reference_bfs), (astar, reference.reference_astar)], ids=["bfs", "astar"]
+)
+Planner: TypeAlias = Callable[..., SearchResult]
+Truth: TypeAlias = Callable[..., reference.ReferenceResult]
+Array: TypeAlias = npt.NDArray[Any]
+
+SHAPES = [(1, 1), (1, 2), (1, 17), (17, 1), (1, 130), (130, 1), (2, 2), (5, 8), (8, 5), (9, 9), (12, 21), (16, 16)]
+SHAPES += [(20, 20), (6, 70), (70, 6), (3, 64), (3, 65), (4, 129)]
+
+
+class Problem(NamedTuple):
+    """A grid with two free cells."""
+
+    grid: npt.NDArray[np.uint8]
+    start: Cell
+    goal: Cell
+
+
+def serpentine(height: int, width: int, source: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """Return rows of wall with one gap each: long detours, where A* changes its mind."""
+    grid = np.zeros((height, width), dtype=np.uint8)
+    grid[1::2] = 1
+    grid[np.arange(1, height, 2), source.integers(0, width, size=height // 2)] = 0
+    return grid
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> Problem:
+    """Draw a grid of any kind: all free, scattered, a serpentine, all occupied except the ends."""
+    height, width = draw(st.sampled_from(SHAPES) | st.tuples(st.integers(1, 12), st.integers(1, 12)))
+    source = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    kind = draw(st.sampled_from([0.0, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.6, 1.0, "serpentine"]))
+    if isinstance(kind, float):
+        grid = (source.random((height, width)) < kind).astype(np.uint8)
+    else:
+        grid = serpentine(height, width, source)
+    cells = [(int(row), int(column)) for row, column in source.integers(0, (height, width), size=(2, 2))]
+    start, goal = draw(st.sampled_from([cells, [(0, 0), (height - 1, width - 1)], [(height - 1, 0), (0, width - 1)]]))
+    grid[start], grid[goal] = 0, 0
+    return Problem(grid, start, goal)
+
+
+def assert_same(found: SearchResult, expected: reference.ReferenceResult) -> None:
+    """Compare path, cost and iterations, their types included."""
+    assert found.path.dtype == np.int64
+    assert found.path.shape == (len(expected.path), 2)
+    assert [tuple(cell) for cell in found.path.tolist()] == expected.path
+    assert (found.cost, found.iterations) == (expected.cost, expected.iterations)
+    assert (type(found.cost), type(found.iterations)) == (float, int)
+
+
+# --- equal to the reference -------------------------------------------------------------------------------------------
+
+
+@planners
+@movements
+@settings(SETTINGS, max_examples=400)
+@given(problem=problems())
+def test_search_equals_the_reference(search: Planner, truth: Truth, movement: Movement, problem: Problem) -> None:
+    """Path, cost and iterations are the reference's, cell by cell, on any grid."""
+    grid, start, goal = problem
+    assert_same(search(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement))
+
+
+@planners
+@movements
+@pytest.mark.parametrize("density", [0.02, 0.3])
+def test_search_equals_the_reference_far_away(
+    search: Planner, truth: Truth, movement: Movement, density: float
+) -> None:
+    """Hundreds of diagonal moves: a rounded root of 2 or a sum of floats would put cells in another order."""
+    grid = (np.random.default_rng(2).random((181, 257)) < density).astype(np.uint8)
+    for start, goal in (((3, 5), (180, 250)), ((178, 2), (0, 256))):
+        grid[start] = grid[goal] = 0
+        assert_same(search(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement))
+
+
+@movements
+@settings(SETTINGS, max_examples=200)
+@given(problem=problems())
+def test_distance_field_equals_the_reference(movement: Movement, problem: Problem) -> None:
+    """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be reached."""
+    found = distance_field(problem.grid, problem.goal, movement)
+    expected = reference.reference_field(problem.grid.tolist(), problem.goal, movement)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, expected)
+
+
+def scipy_distances(grid: Array, cells: Sequence[Cell], movement: Movement) -> npt.NDArray[np.float64]:
+    """Return (n, H, W) distances from n cells, -1 unreachable: scipy on a graph of shifted copies of the grid."""
+    height, width = grid.shape
+    free = np.pad(grid == 0, 1)
+    number = np.pad(np.arange(height * width).reshape(height, width), 1)
+
+    def shifted(array: Array, down: int, right: int) -> Array:
+        """Return, per cell, the array's value at its neighbour."""
+        return array[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+    rows, columns, costs = [], [], []
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            if (down, right) == (0, 0) or (movement.connectivity == 4 and down and right):
+                continue
+            usable = shifted(free, 0, 0) & shifted(free, down, right)
+            if down and right and not movement.corner_cutting:
+                usable = usable & shifted(free, down, 0) & shifted(free, 0, right)
+            rows.append(shifted(number, 0, 0)[usable])
+            columns.append(shifted(number, down, right)[usable])
+            costs.append(np.full(int(usable.sum()), movement.diagonal_cost if down and right else 1.0))
+    edges = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
+    graph = sparse.csr_array(edges, shape=(grid.size, grid.size))
+    distances = csgraph.dijkstra(graph, indices=[row * width + column for row, column in cells])
+    distances = distances.reshape(len(cells), height, width)
+    return np.where(np.isinf(distances), -1.0, distances)
+
+
+@movements
+@settings(SETTINGS, max_examples=200)
+@given(problem=problems())
+def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> None:
+    """A*'s cost, the distance field, and (on hops) the BFS cost are the shortest there are."""
+    grid, start, goal = problem
+    distances = scipy_distances(grid, [goal], movement)[0]
+    assert astar(grid, start, goal, movement).cost == pytest.approx(distances[start], rel=1e-12)
+    np.testing.assert_allclose(distance_field(grid, goal, movement), distances, rtol=1e-6)
+    if movement.connectivity == 4 or movement.diagonal_cost == 1:
+        assert bfs(grid, start, goal, movement).cost == distances[start]
+
+
+pairs = st.tuples(st.integers(0, 2**21), st.integers(0, 2**21))
+
+
+@settings(SETTINGS, max_examples=500)
+@given(one=pairs, other=pairs)
+def test_the_reference_orders_costs_exactly(one: Pair, other: Pair) -> None:
+    """Its integers order a + b sqrt 2 as the squares of a - c and (d - b) sqrt 2 do."""
+    straight, diagonal = one[0] - other[0], other[1] - one[1]  # one < other when straight < diagonal * sqrt 2
+    signed_squares = straight * abs(straight), 2 * diagonal * abs(diagonal)
+    assert (reference.weigh(one, OCTILE) < reference.weigh(other, OCTILE)) == (signed_squares[0] < signed_squares[1])
+
+
+# --- what a result is -------------------------------------------------------------------------------------------------
+
+
+@planners
+@movements
+def test_no_path_is_an_empty_path(search: Planner, truth: Truth, movement: Movement) -> None:
+    """A wall between start and goal gives (0, 2), cost -1 and all cells that the start reaches; no exception."""
+    grid = np.zeros((5, 70), dtype=np.uint8)
+    grid[:, 66] = 1
+    found = search(grid, (2, 3), (4, 69), movement)
+    assert (found.path.shape, found.cost, found.iterations) == ((0, 2), -1.0, 5 * 66)
+    assert_same(found, truth(grid.tolist(), (2, 3), (4, 69), movement))
+
+
+@planners
+@movements
+def test_start_is_goal(search: Planner, truth: Truth, movement: Movement) -> None:
+    """One cell, cost 0, one cell taken."""
+    for grid in (np.zeros((1, 1)), np.zeros((4, 6))):
+        found = search(grid, (0, 0), (0, 0), movement)
+        assert_same(found, truth(grid.tolist(), (0, 0), (0, 0), movement))
+        assert (found.path.tolist(), found.cost, found.iterations) == ([[0, 0]], 0.0, 1)
+
+
+def test_movement_defaults_to_the_papers() -> None:
+    """Without a movement all four functions use 4-connectivity."""
+    grid = np.zeros((3, 3), dtype=np.uint8)
+    assert (bfs(grid, (0, 0), (2, 2)).cost, astar(grid, (0, 0), (2, 2)).cost) == (4.0, 4.0)
+    assert distance_field(grid, (0, 0))[2, 2] == 4
+    assert check_path(grid, [(0, 0), (0, 1)]) == 1.0
+    with pytest.raises(ValueError, match="1"):
+        check_path(grid, [(0, 0), (1, 1)])
+
+
+def test_the_order_by_hand() -> None:
+    """On an empty 3 x 3 map BFS runs E before S, and A* goes on from the cell it pushed last."""
+    grid = np.zeros((3, 3), dtype=np.uint8)
+    by_bfs, by_astar = bfs(grid, (0, 0), (2, 2)), astar(grid, (0, 0), (2, 2))
+    assert by_bfs.path.tolist() == [[0, 0], [0, 1], [0, 2], [1, 2], [2, 2]]
+    assert by_bfs.iterations == 9
+    assert by_astar.path.tolist() == [[0, 0], [1, 0], [2, 0], [2, 1], [2, 2]]
+    assert by_astar.iterations == 5
+
+
+def test_bfs_counts_moves_and_astar_costs() -> None:
+    """One diagonal move is 1 for BFS and the root of 2 for A* and for the check."""
+    grid = np.zeros((4, 6), dtype=np.uint8)
+    assert bfs(grid, (0, 0), (3, 5), OCTILE).cost == 5.0
+    assert astar(grid, (0, 0), (3, 5), OCTILE).cost == 2 + 3 * 2**0.5
+    assert check_path(grid, bfs(grid, (0, 0), (3, 5), OCTILE).path, OCTILE) == 2 + 3 * 2**0.5
+
+
+@pytest.mark.parametrize("shape", [(1, 2**21), (2**21, 1)])
+def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
+    """A corridor of the limit's two million cells is walked from end to end."""
+    grid = np.zeros(shape, dtype=np.uint8)
+    end = (shape[0] - 1, shape[1] - 1)
+    for search in (bfs, astar):
+        found = search(grid, (0, 0), end)
+        assert (found.cost, found.iterations, len(found.path)) == (2**21 - 1, 2**21, 2**21)
+    assert distance_field(grid, (0, 0))[end] == 2**21 - 1
+
+
+# --- the path check ---------------------------------------------------------------------------------------------------
+
+
+@movements
+@settings(SETTINGS, max_examples=200)
+@given(problem=problems())
+def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) -> None:
+    """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost 1)."""
+    grid, start, goal = problem
+    for search in (bfs, astar):
+        found = search(grid, start, goal, movement)
+        if not len(found.path):
+            continue
+        cells = [(int(row), int(column)) for row, column in found.path]
+        cost = check_path(grid, found.path, movement)
+        assert cost == reference.path_cost(cells, movement)
+        assert type(cost) is float
+        if search is astar or movement.connectivity == 4 or movement.diagonal_cost == 1:
+            assert cost == found.cost
+
+
+@movements
+@settings(SETTINGS, max_examples=300)
+@given(problem=problems(), source=st.randoms(use_true_random=False))
+def test_check_path_agrees_with_the_reference(movement: Movement, problem: Problem, source: Random) -> None:
+    """A path with one or two cells moved by a little is refused, naming its first bad step, exactly when it is bad."""
+    grid, start, goal = problem
+    walk = bfs(grid, start, goal, CUTTING).path.tolist() or [start]
+    cells = [(row, column) for row, column in walk]
+    for _ in range(source.randrange(3)):
+        place = source.randrange(len(cells))
+        cells[place] = (cells[place][0] + source.randint(-1, 1), cells[place][1] + source.randint(-1, 1))
+    bad = reference.first_bad_step(grid.tolist(), cells, movement)
+    if bad is None:
+        assert check_path(grid, np.array(cells), movement) == reference.path_cost(cells, movement)
+        return
+    with pytest.raises(ValueError, match=named(cells[bad])):
+        check_path(grid, np.array(cells), movement)
+
+
+def named(cell: Sequence[float]) -> str:
+    """Return a pattern for a cell in a message, such as (3, 4) or [3 4]."""
+    return r"(?<![\d-])" + r"\D+?".join(re.escape(str(value)) for value in cell) + r"(?!\d)"
+
+
+WALLED = np.array([[0, 0, 0, 0, 0], [0, 1, 0, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 0]], dtype=np.uint8)
+BAD_PATHS = [
+    pytest.param([(0, 0), (-1, 0), (9, 9)], Movement(), (-1, 0), id="off the grid, above"),
+    pytest.param([(0, 0), (0, -1), (9, 9)], Movement(), (0, -1), id="off the grid, left"),
+    pytest.param([(3, 0), (4, 0), (9, 9)], Movement(), (4, 0), id="off the grid, below"),
+    pytest.param([(0, 4), (0, 5), (9, 9)], Movement(), (0, 5), id="off the grid, right"),
+    pytest.param([(7, 8), (0, 0)], Movement(), (7, 8), id="starts off the grid"),
+    pytest.param([(1, 1), (1, 2)], Movement(), (1, 1), id="starts in a wall"),
+    pytest.param([(1, 0), (1, 1), (1, 2)], Movement(), (1, 1), id="through a wall"),
+    pytest.param([(0, 0), (0, 1), (0, 3), (9, 9)], Movement(), (0, 3), id="a jump"),
+    pytest.param([(0, 0), (0, 1), (3, 1), (9, 9)], CUTTING, (3, 1), id="a jump down"),
+    pytest.param([(0, 0), (0, 1), (0, 1), (9, 9)], Movement(), (0, 1), id="a repeated cell"),
+    pytest.param([(0, 0), (0, 0)], CUTTING, (0, 0), id="a repeated start"),
+    pytest.param([(0, 3), (1, 4), (9, 9)], Movement(), (1, 4), id="a diagonal under 4"),
+    pytest.param([(0, 2), (0, 1), (1, 0), (9, 9)], OCTILE, (1, 0), id="a cut corner"),
+    pytest.param([(1, 2), (2, 1), (9, 9)], OCTILE, (2, 1), id="a cut corner, the other side"),
+    pytest.param([(2, 4), (1, 3), (9, 9)], OCTILE, (1, 3), id="a cut corner upwards"),
+    pytest.param([(0, 0), (1, 1)], CUTTING, (1, 1), id="a diagonal into a wall"),
+    pytest.param([(0, 0), (2**40, 0)], Movement(), (2**40, 0), id="far off the grid"),
+]
+
+
+@pytest.mark.parametrize(("path", "movement", "bad"), BAD_PATHS)
+def test_check_path_names_the_first_bad_step(path: list[Cell], movement: Movement, bad: Cell) -> None:
+    """The message is one line that names the first bad cell, and not a later one."""
+    with pytest.raises(ValueError, match=named(bad)) as error:
+        check_path(WALLED, np.array(path), movement)
+    assert "\n" not in str(error.value)
+    assert not re.search(named((9, 9)), str(error.value))
+
+
+def test_check_path_allows_what_the_movement_allows() -> None:
+    """The same corner is free to cut with corner cutting, and a diagonal beside no wall without it."""
+    assert check_path(WALLED, [(0, 2), (0, 1), (1, 0)], CUTTING) == 1 + 2**0.5
+    assert check_path(WALLED, [(0, 3), (1, 4)], OCTILE) == 2**0.5
+    assert check_path(WALLED, [(0, 3), (1, 4)], Movement(8, diagonal_cost=1)) == 1.0
+    assert check_path(WALLED, [(3, 3)], OCTILE) == 0.0
+
+
+NO_PATHS: dict[str, Any] = {
+    "empty": np.empty((0, 2), dtype=np.int64),
+    "empty list": [],
+    "1-D": [0, 1],
+    "one column": [[0], [1]],
+    "three columns": [[0, 0, 0], [0, 1, 0]],
+    "3-D": [[[0, 0]]],
+    "halves": [[0, 0], [0, 0.5]],
+    "NaN": [[0, np.nan]],
+}
+
+
+@pytest.mark.parametrize("path", NO_PATHS.values(), ids=NO_PATHS)
+def test_check_path_refuses_what_is_no_path(path: npt.ArrayLike) -> None:
+    """An empty path, another shape and broken cells are ValueErrors that speak of the path."""
+    with pytest.raises(ValueError, match="path") as error:
+        check_path(WALLED, path)
+    assert "\n" not in str(error.value)
+
+
+# --- grids and cells at the door --------------------------------------------------------------------------------------
+
+
+def read_only(grid: Array) -> Array:
+    """Return a copy that cannot be written."""
+    copy = grid.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+FLAVOURS: dict[str, Callable[[Array], Any]] = {
+    "bool": lambda grid: grid.astype(np.bool_),
+    "int64": lambda grid: grid.astype(np.int64),
+    "int8": lambda grid: grid.astype(np.int8),
+    "float": lambda grid: grid.astype(np.float64),
+    "float32": lambda grid: grid.astype(np.float32),
+    "big-endian": lambda grid: grid.astype(">i4"),
+    "Fortran": np.asfortranarray,
+    "sliced": lambda grid: np.repeat(np.repeat(grid, 2, axis=0), 3, axis=1)[::2, ::3],
+    "reversed": lambda grid: grid[::-1, ::-1].copy()[::-1, ::-1],
+    "transposed": lambda grid: grid.T.copy().T,
+    "read-only": read_only,
+    "read-only bool": lambda grid: read_only(grid.astype(np.bool_)),
+    "nested list": lambda grid: grid.tolist(),
+}
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_any_array_of_zeros_and_ones_is_a_grid(flavour: str) -> None:
+    """The answers do not depend on dtype, order, strides or writability, and the caller's grid is left as it was."""
+    base = (np.random.default_rng(5).random((13, 71)) < 0.2).astype(np.uint8)
+    base[0, 0] = base[12, 70] = 0
+    grid = FLAVOURS[flavour](base.copy())
+    for search in (bfs, astar):
+        found, expected = search(grid, (0, 0), (12, 70), OCTILE), search(base, (0, 0), (12, 70), OCTILE)
+        np.testing.assert_array_equal(found.path, expected.path)
+        assert found[1:] == expected[1:]
+        assert expected.cost > 0
+        assert check_path(grid, found.path, OCTILE) == check_path(base, expected.path, OCTILE)
+    np.testing.assert_array_equal(distance_field(grid, (0, 0), OCTILE), distance_field(base, (0, 0), OCTILE))
+    np.testing.assert_array_equal(np.array(grid), base)
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array, lambda cell: np.array(cell, dtype=np.uint8)])
+def test_cells_may_be_any_pair_of_integers(kind: Callable[[Cell], Any]) -> None:
+    """Lists, tuples and arrays of any integer type are cells."""
+    grid = np.zeros((3, 4), dtype=np.uint8)
+    assert bfs(grid, kind((0, 1)), kind((2, 3))).cost == 4.0
+    assert astar(grid, kind((0, 1)), kind((2, 3))).cost == 4.0
+    assert distance_field(grid, kind((0, 1)))[2, 3] == 4.0
+
+
+DOORS: dict[str, Callable[[Any], Any]] = {
+    "bfs": lambda grid: bfs(grid, (0, 0), (0, 0)),
+    "astar": lambda grid: astar(grid, (0, 0), (0, 0)),
+    "distance_field": lambda grid: distance_field(grid, (0, 0)),
+    "check_path": lambda grid: check_path(grid, np.zeros((1, 2), dtype=np.int64)),
+}
+BAD_GRIDS = [
+    pytest.param(np.zeros(5), "5|1-?D", id="1-D"),
+    pytest.param(np.zeros((2, 3, 4)), "2, 3, 4|3-?D", id="3-D"),
+    pytest.param(np.array(0), r"\(\)|0-?D", id="0-D"),
+    pytest.param(np.array([[0, 2]]), "2", id="a two"),
+    pytest.param(np.array([[0, -1]]), "-1", id="minus one"),
+    pytest.param(np.array([[0, 255]], dtype=np.uint8), "255", id="an image"),
+    pytest.param(np.array([[0, 256]]), "256", id="256, which is 0 as a byte"),
+    pytest.param(np.array([[0, 0.5]]), r"0\.5", id="a half"),
+    pytest.param(np.array([[0, np.nan]]), "(?i)nan", id="NaN"),
+    pytest.param(np.zeros((0, 5)), "0", id="no rows"),
+    pytest.param(np.zeros((5, 0)), "0", id="no columns"),
+    pytest.param([[0, 0], [0]], "", id="ragged"),
+    pytest.param([["a", "b"]], "", id="text"),
+    pytest.param(np.zeros((1, 2**21 + 1), dtype=np.uint8), "2", id="beyond the limit"),
+]
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize(("grid", "value"), BAD_GRIDS)
+def test_a_bad_grid_is_refused(door: str, grid: object, value: str) -> None:
+    """Another rank, other values, no cells or too many: one line that speaks of the grid and says what was found."""
+    with pytest.raises(ValueError, match="grid") as error:
+        DOORS[door](grid)
+    assert re.search(value, str(error.value))
+    assert "\n" not in str(error.value)
+
+
+BAD_CELLS: list[tuple[float, ...]] = [
+    (-1, 0),
+    (0, -1),
+    (4, 0),
+    (0, 5),
+    (2**40, 0),
+    (1, 1),
+    (0.5, 1.0),
+    (np.nan, 0),
+    (0,),
+    (0, 0, 0),
+    (),
+]
+
+
+@pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
+@pytest.mark.parametrize("search", [bfs, astar])
+def test_a_bad_start_or_goal_is_named(search: Planner, cell: tuple[float, ...]) -> None:
+    """Outside, negative, occupied, broken, of another length: the message names which of the two, and its value."""
+    for name, ends in (("start", (cell, (0, 0))), ("goal", ((0, 0), cell))):
+        with pytest.raises(ValueError, match=rf"\b{name}\b") as error:
+            search(WALLED, *ends)
+        message = str(error.value)
+        assert re.search(named(cell) if cell else r"\(\)|\[\]", message), message
+        assert {"start", "goal"} & set(re.findall(r"\w+", message)) == {name}
+        assert "\n" not in message
+
+
+@pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
+def test_a_bad_goal_of_a_field_is_named(cell: tuple[Any, ...]) -> None:
+    """The distance field checks its goal as the planners do."""
+    with pytest.raises(ValueError, match="goal") as error:
+        distance_field(WALLED, cell)
+    assert re.search(named(cell) if cell else r"\(\)|\[\]", str(error.value))

@@ -1,0 +1,210 @@
+"""Labels: route, iterations and connection matrices equal the reference, for all presets and movements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import reference
+from scipy import ndimage
+from search.test_api import scipy_distances
+
+from mapdata.generators.generator import generate
+from mapdata.generators.maps import Maps
+from mapdata.generators.rooms import MapSpec
+from mapdata.search.labels import Labels, label
+from mapdata.spec import Movement
+
+SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
+MOVEMENTS = [
+    pytest.param(Movement(), id="4"),
+    pytest.param(Movement(8), id="8"),
+    pytest.param(Movement(8, corner_cutting=True), id="8-cutting"),
+    pytest.param(Movement(8, diagonal_cost=1), id="8-one"),
+    pytest.param(Movement(8, corner_cutting=True, diagonal_cost=1), id="8-cutting-one"),
+]
+SPECS = {
+    # Small rooms and few passages: many seeds without a path between them.
+    "islands": MapSpec((20, 24), (2, 5), (2, 6), (2, 6), passage_width=(1, 2), skip_probability=0.6),
+    # Wider than a machine word, thin: detours.
+    "wide": MapSpec((9, 70), (2, 5), (1, 4), (3, 12), passage_width=(1, 2), skip_probability=0.2),
+    # One row of four cells: most maps have seeds that coincide.
+    "line": MapSpec((1, 4), (2, 6), (1, 1), (1, 2), passage_width=(1, 1), skip_probability=0.5),
+    "column": MapSpec((5, 1), (2, 6), (1, 2), (1, 1), passage_width=(1, 1), skip_probability=0.5),
+    "cell": MapSpec((1, 1), (2, 4), (1, 1), (1, 1), passage_width=(1, 1)),
+    "open": MapSpec((15, 15), (2, 6), (5, 15), (5, 15), passage_width=(1, 5)),
+}
+PRESETS = {"paper": 16, "narrow": 16, "dungeon": 6, "dungeon128": 1}
+
+
+def seed_points_of(maps: Maps, place: int) -> list[reference.Cell]:
+    """Return the seed points of the batch's map at this place."""
+    return [(int(row), int(column)) for row, column in maps.seed_points[place, : maps.rooms[place]]]
+
+
+def assert_route(maps: Maps, labels: Labels, search: str, place: int) -> list[reference.ReferenceResult]:
+    """Compare one planner's segments and iterations on one map, and return the reference's."""
+    grid, seed_points = maps.occupancy[place].tolist(), seed_points_of(maps, place)
+    route = reference.reference_route(SEARCHES[search], grid, seed_points, maps.movement)
+    segments = labels.route(search, place)
+    assert len(segments) == len(route)
+    for q, expected in enumerate(route):
+        segment = labels.segment(search, place, q)
+        np.testing.assert_array_equal(segments[q], segment)
+        assert segment.dtype == np.int64
+        assert segment.shape == (len(expected.path), 2)
+        assert [tuple(cell) for cell in segment.tolist()] == expected.path
+    iterations = [expected.iterations for expected in route]
+    first, last = maps.segment_offsets[place : place + 2]
+    assert labels.iterations(search, place).tolist() == iterations
+    assert labels.of(search).iterations[first:last].tolist() == iterations
+    return route
+
+
+def assert_equals_reference(maps: Maps, labels: Labels, place: int, every_pair: bool) -> None:
+    """Compare all labels of one map; every_pair searches each matrix entry, scipy fills the large ones faster."""
+    grid, seed_points, movement = maps.occupancy[place].tolist(), seed_points_of(maps, place), maps.movement
+    route = assert_route(maps, labels, "astar", place)
+    assert_route(maps, labels, "bfs", place)
+    if every_pair:
+        costs = reference.reference_matrix(reference.reference_astar, grid, seed_points, movement)
+        moves = reference.reference_matrix(reference.reference_bfs, grid, seed_points, movement)
+    else:
+        rows, columns = np.array(seed_points).T
+        costs = moves = scipy_distances(maps.occupancy[place], seed_points, movement)[:, rows, columns]
+        if movement.connectivity == 8:
+            hops = replace(movement, diagonal_cost=1)
+            moves = scipy_distances(maps.occupancy[place], seed_points, hops)[:, rows, columns]
+    for search, expected in (("astar", costs), ("bfs", moves)):
+        assert labels.matrix(search, place).dtype == np.float64
+        np.testing.assert_allclose(labels.matrix(search, place), expected, rtol=0 if every_pair else 1e-12)
+    first, last = maps.segment_offsets[place : place + 2]
+    assert labels.reachable[first:last].tolist() == [bool(expected.path) for expected in route]
+    assert labels.all_connected[place] == (costs >= 0).all()
+
+
+# --- equal to the reference -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize("name", SPECS)
+def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
+    """Everything that `label` gives, both matrices searched entry by entry, on twenty maps of each kind."""
+    maps = generate(replace(SPECS[name], movement=movement), 6, range(20))
+    labels = label(maps)
+    for place in range(20):
+        assert_equals_reference(maps, labels, place, every_pair=True)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_equal_the_reference(name: str, movement: Movement) -> None:
+    """Everything that `label` gives, for maps of all presets."""
+    maps = generate(replace(MapSpec.preset(name), movement=movement), 1, range(PRESETS[name]))
+    labels = label(maps)
+    for place in range(PRESETS[name]):
+        assert_equals_reference(maps, labels, place, every_pair=False)
+
+
+def test_the_kinds_of_map_are_what_they_are_for() -> None:
+    """Coinciding seeds, segments without a path, and routes that are whole all occur in the maps above."""
+    line = generate(SPECS["line"], 6, range(20))
+    coinciding = [len(set(seed_points_of(line, place))) < line.rooms[place] for place in range(20)]
+    assert sum(coinciding) > 10
+    islands = label(generate(SPECS["islands"], 6, range(20)))
+    assert 0.2 < islands.reachable.mean() < 0.8
+    assert 0 < islands.all_connected.sum() < 20
+
+
+# --- properties, without the reference --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spec", [*SPECS.values(), *map(MapSpec.preset, PRESETS)], ids=[*SPECS, *PRESETS])
+def test_four_connected_matrices(spec: MapSpec) -> None:
+    """BFS's and A*'s matrices are equal, symmetric, zero on the diagonal, and hold each segment's moves."""
+    maps = generate(spec, 21, range(200))
+    labels = label(maps)
+    for place in range(200):
+        matrix = labels.matrix("bfs", place)
+        np.testing.assert_array_equal(matrix, labels.matrix("astar", place))
+        np.testing.assert_array_equal(matrix, matrix.T)
+        assert matrix.shape == (maps.rooms[place], maps.rooms[place])
+        assert not matrix.diagonal().any()
+        for search in SEARCHES:
+            lengths = [len(segment) for segment in labels.route(search, place)]
+            assert matrix.diagonal(1).tolist() == [length - 1 for length in lengths]
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize("name", ["islands", "wide", "dungeon"])
+def test_no_connection_exactly_where_components_differ(name: str, movement: Movement) -> None:
+    """-1, `reachable` and `all_connected` follow scipy's connected components; the smallest other entry is 0."""
+    spec = SPECS[name] if name in SPECS else MapSpec.preset(name)
+    maps = generate(replace(spec, movement=movement), 22, range(200))
+    labels = label(maps)
+    structure = ndimage.generate_binary_structure(2, 2 if movement.corner_cutting else 1)
+    apart = 0
+    for place in range(200):
+        components, _ = ndimage.label(maps.occupancy[place] == 0, structure=structure)
+        rows, columns = np.array(seed_points_of(maps, place)).T
+        of_seed = components[rows, columns]
+        together = of_seed[:, None] == of_seed[None, :]
+        for search in SEARCHES:
+            matrix = labels.matrix(search, place)
+            np.testing.assert_array_equal(matrix != -1, together)
+            assert (matrix[together] >= 0).all()
+        first, last = maps.segment_offsets[place : place + 2]
+        np.testing.assert_array_equal(labels.reachable[first:last], together.diagonal(1))
+        assert labels.all_connected[place] == together.all()
+        apart += not together.all()
+    assert 0 < apart < 200
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_shapes_and_types(movement: Movement) -> None:
+    """Flat arrays hold n - 1 segments a map, in order, and an empty batch has none."""
+    for count in (0, 1, 25):
+        maps = generate(MapSpec(movement=movement), 2, range(count))
+        labels = label(maps)
+        segments = int((maps.rooms - 1).sum())
+        assert maps.segment_offsets.tolist() == [0, *np.cumsum(maps.rooms - 1).tolist()]
+        assert (labels.reachable.shape, labels.all_connected.shape) == ((segments,), (count,))
+        assert labels.reachable.dtype == labels.all_connected.dtype == np.bool_
+        for search in SEARCHES:
+            assert labels.of(search).iterations.dtype == np.int64
+            assert labels.of(search).iterations.shape == (segments,)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_labels_do_not_depend_on_the_batch(movement: Movement) -> None:
+    """A map alone, last or first in its batch, has the same labels."""
+    spec = replace(MapSpec.preset("narrow"), movement=movement)
+    together = label(generate(spec, 3, range(6)))
+    for place in range(6):
+        alone = label(generate(spec, 3, [place]))
+        for search in SEARCHES:
+            np.testing.assert_array_equal(alone.matrix(search, 0), together.matrix(search, place))
+            np.testing.assert_array_equal(alone.iterations(search, 0), together.iterations(search, place))
+            for one, other in zip(alone.route(search, 0), together.route(search, place), strict=True):
+                np.testing.assert_array_equal(one, other)
+
+
+def test_another_maps_labels_are_never_given() -> None:
+    """A map, segment or planner that is not there is an error, not a neighbour's label."""
+    maps = generate(MapSpec(), 3, range(4))
+    labels, last = label(maps), int(maps.rooms[0]) - 1
+    for i, q in ((0, last), (4, 0)):
+        with pytest.raises((IndexError, ValueError)):
+            labels.segment("bfs", i, q)
+    for search, i in (("bfs", 4), ("dijkstra", 0)):
+        for asked in (labels.matrix, labels.iterations, labels.route):
+            with pytest.raises((IndexError, ValueError)):
+                asked(search, i)
+
+
+def test_the_papers_shares() -> None:
+    """The design's figures: about 99 % of paper segments have a path, about 96 % of paper maps are one component."""
+    labels = label(generate(MapSpec(), 0, range(5000)))
+    assert labels.reachable.mean() == pytest.approx(0.99, abs=0.006)
+    assert labels.all_connected.mean() == pytest.approx(0.96, abs=0.015)

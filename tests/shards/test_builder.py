@@ -1,0 +1,558 @@
+"""Building: one content hash whatever the way, going on, extending, refusing, crashes, many builders, verifying."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple, TypeAlias
+
+import h5py
+import pytest
+from shards.test_manifest import restated
+from shards.test_shard import unprivileged_folder
+
+from mapdata.generators.generator import generate, identity
+from mapdata.generators.rooms import MapSpec
+from mapdata.search.labels import label
+from mapdata.shards.builder import build, headers, make_shard
+from mapdata.shards.content import content_hash
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import MANIFEST, Manifest, merge, read_manifest, shard_name
+from mapdata.shards.reader import read_shard
+from mapdata.shards.recipe import Recipe
+from mapdata.shards.shard import ShardError
+from mapdata.spec import Movement
+
+SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)
+OTHER = replace(SPEC, skip_probability=0.2)
+SEED, MAPS, SIZE = 5, 11, 4
+KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
+"""The arguments of the dataset of these tests."""
+
+SLOW = pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
+
+
+def make(
+    root: Path,
+    maps: int = MAPS,
+    shard_size: int = SIZE,
+    *,
+    workers: int | None = 1,
+    executor: Executor | None = None,
+) -> Manifest:
+    """Build the dataset of these tests."""
+    return build(root, SPEC, maps=maps, seed=SEED, shard_size=shard_size, workers=workers, executor=executor)
+
+
+Task: TypeAlias = Callable[..., Any]
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Give the path of a root that does not exist yet."""
+    return tmp_path / "maps"
+
+
+@pytest.fixture(scope="module")
+def truth() -> str:
+    """Return the content hash of the dataset of these tests, made without any file."""
+    return content_hash(label(generate(SPEC, SEED, range(MAPS))))
+
+
+class Stamp(NamedTuple):
+    """What changes when a file is written again."""
+
+    inode: int
+    modified: int
+    size: int
+
+
+def stamps(root: Path) -> dict[str, Stamp]:
+    """Return the stamps of all shards of a root."""
+    found = {path.name: path.stat() for path in root.glob("maps-*.h5")}
+    return {name: Stamp(status.st_ino, status.st_mtime_ns, status.st_size) for name, status in found.items()}
+
+
+def listing(root: Path) -> list[str]:
+    """Return the names in a root, without the lock."""
+    return sorted(name for name in os.listdir(root) if name != ".lock")
+
+
+def names(maps: int, shard_size: int) -> list[str]:
+    """Return the names that a finished root holds."""
+    starts = range(0, maps, shard_size)
+    return [MANIFEST, *(shard_name(start, min(start + shard_size, maps)) for start in starts)]
+
+
+# --- one content hash -------------------------------------------------------------------------------------------------
+
+# A change of one of these values is a change of the format: it needs a new format version, and a note in the changelog.
+GOLDEN = [
+    (
+        MapSpec(),
+        0,
+        10,
+        "acc4e87d864f40d108ebc739dec8aac123d2a8ac377ed6ac2a1f092e7e6119a5",
+        "356538d522b09c70e056be7ed6e395c79c2ae7e4b60549dac6914ade3b53fd87",
+    ),
+    (
+        MapSpec(),
+        0,
+        100,
+        "acc4e87d864f40d108ebc739dec8aac123d2a8ac377ed6ac2a1f092e7e6119a5",
+        "137b3996dadab6b4313682f91ebc3bc788e8dd30fd48af1908e110b9e4fd2e4c",
+    ),
+    (
+        MapSpec(movement=Movement(8)),
+        0,
+        10,
+        "8fd3f60d41ca94a01c982d9ed7d4b5a0b486caf83a18f1e9de5d6cd6e3ec3d48",
+        "9e79e8be216eb3ae5b8128eae987fd56934117e7109849fb3c83edb3138befa6",
+    ),
+    (
+        MapSpec.preset("narrow"),
+        2**64 - 1,
+        10,
+        "2aba7aa1a67976e2bc2e3a5e0be2da64a9c6368211315d31d70840f19e60e40a",
+        "fc4034de37cbd81a31ea814a7f7087fc6d67589ef8d9ae8b14f810b9c2fb55fb",
+    ),
+    (
+        MapSpec.preset("dungeon"),
+        1,
+        10,
+        "9415e5222aeef70afa1ee4df54312ece79d975008c45025bb4853c4114671b34",
+        "e4377922659a4f2f54b2e6b74c6c65abaa906159b8fad54ecf3fc9006be56c28",
+    ),
+    (
+        replace(MapSpec.preset("dungeon"), movement=Movement(8)),
+        1,
+        10,
+        "a714875c01ca8011d2951b80e8d82595d143d1e379708582a4f614e77557c21a",
+        "37f58febd11305c0dd955604d3d048130ab7eea4496acfd9040a0285807451fa",
+    ),
+    (
+        MapSpec.preset("dungeon128"),
+        2,
+        10,
+        "7467ed992708108e6b694004c866dbd9fee488bd5d6969da9f83eaea3f6c8f37",
+        "0f29073675eb1478e6350633f3034adde5be63a343fddd34a5e8c2628cb33d48",
+    ),
+    (
+        MapSpec(
+            (20, 70),
+            (2, 5),
+            (2, 8),
+            (3, 12),
+            (1, 2),
+            skip_probability=0.5,
+            movement=Movement(8, corner_cutting=True, diagonal_cost=1),
+        ),
+        3,
+        10,
+        "cc06891657fae2945870b84c10c2c6c7ec9f000be60fd06653c16b4f3fb74642",
+        "f2e0bb0b16b2cb126977da61e16322a827b42b7505814777480aaace54d5330a",
+    ),
+]
+
+
+@pytest.mark.parametrize(("spec", "seed", "maps", "name", "content"), GOLDEN)
+def test_golden_hashes(spec: MapSpec, seed: int, maps: int, name: str, content: str) -> None:
+    """The bytes of format version 1 are what they were, on every machine."""
+    assert identity(spec, seed) == name
+    assert content_hash(label(generate(spec, seed, range(maps)))) == content
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("shard_size", [1, 7, 1000])
+def test_shard_size_and_workers_do_not_matter(shard_size: int, workers: int, root: Path, truth: str) -> None:
+    """The content hash is that of the maps themselves; files lie where they should, and all is well."""
+    manifest = make(root, shard_size=shard_size, workers=workers)
+    assert manifest.content_hash == truth
+    assert manifest.complete
+    assert manifest == read_manifest(root)
+    assert listing(root) == names(MAPS, shard_size)
+    assert verify(root) == []
+
+
+class InTheCaller(Executor):
+    """Runs a task when it is submitted."""
+
+    def submit(self, function: Task, /, *arguments: object, **options: object) -> Future[Any]:
+        """Run ``function`` now."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*arguments, **options))
+        except BaseException as error:
+            future.set_exception(error)
+        return future
+
+
+class LastFirst(ThreadPoolExecutor):
+    """Holds tasks back until the last one is there, then runs them in reverse."""
+
+    def __init__(self, tasks: int = 3) -> None:
+        """Wait for this many tasks."""
+        super().__init__(1)
+        self.tasks: list[tuple[Future[Any], Task]] = []
+        self.awaited = tasks
+
+    def submit(self, function: Task, /, *arguments: object, **options: object) -> Future[Any]:
+        """Take a task."""
+        future: Future[Any] = Future()
+        self.tasks.append((future, lambda: function(*arguments, **options)))
+        if len(self.tasks) == self.awaited:
+            super().submit(self.run)
+        return future
+
+    def run(self) -> None:
+        """Run all tasks, the last one first."""
+        for future, task in self.tasks[::-1]:
+            future.set_result(task())
+
+
+@pytest.mark.parametrize("executor", [InTheCaller, LastFirst, ThreadPoolExecutor])
+def test_any_executor_gives_the_same(executor: Callable[[], Executor], root: Path, truth: str) -> None:
+    """Whatever runs the shards, in whatever order, the dataset is the same file by file."""
+    reference = make(root)
+    images = {name: (root / name).read_bytes() for name in names(MAPS, SIZE)}
+    shutil.rmtree(root)
+    with executor() as pool:
+        manifest = make(root, workers=None, executor=pool)
+    assert manifest == reference
+    assert manifest.content_hash == truth
+    assert {name: (root / name).read_bytes() for name in names(MAPS, SIZE)} == images
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str) -> None:
+    """Shards that other hands made, in random order and twice, become the dataset without being made again."""
+    planned = Manifest(SPEC, SEED, MAPS, 2, SPEC.map_size, SPEC.movement, SPEC.resolution)
+    root.mkdir()
+    todo = [*headers(planned)] * 2
+    Random(seed).shuffle(todo)
+    for header in todo:
+        make_shard(root, header)
+    before = stamps(root)
+    assert make(root, shard_size=2).content_hash == truth
+    assert stamps(root) == before
+    assert listing(root) == names(MAPS, 2)
+
+
+# --- going on and growing ---------------------------------------------------------------------------------------------
+
+
+def test_a_second_run_makes_nothing(root: Path) -> None:
+    """A finished dataset is left as it is, file by file."""
+    first = make(root)
+    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    assert make(root, workers=2) == first
+    assert stamps(root) == before
+    assert (root / MANIFEST).read_bytes() == text
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "missing",
+        "truncated",
+        "empty",
+        pytest.param("longer"),
+    ],
+)
+def test_only_what_is_missing_is_made_again(how: str, root: Path, truth: str) -> None:
+    """A shard that is gone or has another size than the manifest says is made again, and no other one."""
+    make(root)
+    before = stamps(root)
+    name = shard_name(4, 8)
+    image = (root / name).read_bytes()
+    (root / name).unlink()
+    if how != "missing":
+        (root / name).write_bytes({"truncated": image[:-1], "longer": image + b"x", "empty": b""}[how])
+    assert make(root).content_hash == truth
+    assert (root / name).read_bytes() == image
+    after = stamps(root)
+    assert after.pop(name) != before.pop(name)
+    assert after == before
+    assert verify(root) == []
+
+
+def test_a_finished_shard_that_missed_the_manifest_is_adopted(root: Path) -> None:
+    """A crash between a shard and the manifest costs nothing."""
+    whole = make(root)
+    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    (root / MANIFEST).write_text(replace(whole, shards=whole.shards[1:2]).to_json(), encoding="utf-8")
+    assert make(root) == whole
+    assert stamps(root) == before
+    assert (root / MANIFEST).read_bytes() == text
+
+
+@pytest.mark.parametrize("dataset", ["maps", "astar_moves", "bfs_iterations"])
+def test_a_damaged_shard_that_missed_the_manifest_is_made_again(dataset: str, root: Path) -> None:
+    """What is adopted was hashed: a flipped bit that HDF5 does not see is found."""
+    whole = make(root)
+    path = root / shard_name(4, 8)
+    image = path.read_bytes()
+    with h5py.File(path, "r") as file:
+        place = file[dataset].id.get_offset()
+    path.write_bytes(image[:place] + bytes([image[place] ^ 4]) + image[place + 1 :])
+    (root / MANIFEST).write_text(replace(whole, shards=whole.shards[::2]).to_json(), encoding="utf-8")
+    assert make(root) == whole
+    assert path.read_bytes() == image
+
+
+def test_a_lost_manifest_is_made_again(root: Path) -> None:
+    """It is derived from the shards, which are left as they are."""
+    make(root)
+    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    (root / MANIFEST).unlink()
+    make(root)
+    assert stamps(root) == before
+    assert (root / MANIFEST).read_bytes() == text
+
+
+def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
+    """Shards describe themselves: what they hold is not overwritten by another dataset."""
+    make(root)
+    before = stamps(root)
+    (root / MANIFEST).unlink()
+    with pytest.raises(ValueError, match="seed"):
+        build(root, SPEC, maps=MAPS, seed=SEED + 1, shard_size=SIZE, workers=1)
+    assert stamps(root) == before
+
+
+def test_more_maps_extend(root: Path, tmp_path: Path) -> None:
+    """Whole shards stay as they are, a partial last one becomes whole, and the result is what one build gives."""
+    make(root, maps=6)
+    before = stamps(root)
+    extended = make(root, maps=MAPS)
+    direct = make(tmp_path / "direct", maps=MAPS)
+    assert extended == direct
+    assert extended.shards[0].name == shard_name(0, 4)
+    assert stamps(root)[shard_name(0, 4)] == before[shard_name(0, 4)]
+    assert verify(root) == []
+
+
+def test_extending_in_steps(root: Path, truth: str) -> None:
+    """Growing map by map gives what one build gives, and every map keeps its split."""
+    splits: list[int] = []
+    for maps in range(1, MAPS + 1):
+        manifest = make(root, maps=maps)
+        found = [code for entry in manifest.shards for code in read_shard(root / entry.name).maps.split.tolist()]
+        assert found[: len(splits)] == splits
+        splits = found
+    assert manifest.content_hash == truth
+
+
+def test_extending_removes_the_partial_shard(root: Path) -> None:
+    """A last partial shard is rewritten: only the whole one is left."""
+    make(root, maps=6)
+    make(root, maps=MAPS)
+    assert listing(root) == names(MAPS, SIZE)
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("says", "arguments"),
+    [
+        (["spec", str(SPEC), str(OTHER)], {"spec": OTHER}),
+        (["seed", "5", "6"], {"seed": 6}),
+        (["shard size", "4", "5"], {"shard_size": 5}),
+        (["11", "10", "grows"], {"maps": 10}),
+    ],
+    ids=["spec", "seed", "shard size", "fewer maps"],
+)
+def test_another_dataset_under_the_root_is_refused(says: list[str], arguments: dict[str, Any], root: Path) -> None:
+    """The message names what the root holds and what was asked for; nothing changes."""
+    make(root)
+    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    with pytest.raises(ValueError, match=re.escape(str(root))) as caught:
+        build(root, **(KNOWN | arguments))
+    assert [word for word in says if word not in str(caught.value)] == []
+    assert stamps(root) == before
+    assert (root / MANIFEST).read_bytes() == text
+
+
+def test_a_root_that_is_a_file_is_refused(root: Path) -> None:
+    """The file stays as it is."""
+    root.write_text("notes", encoding="utf-8")
+    with pytest.raises(ValueError, match=re.escape(f"{root} is a file")):
+        make(root)
+    assert root.read_text(encoding="utf-8") == "notes"
+
+
+def test_a_root_below_a_file_is_refused(tmp_path: Path) -> None:
+    """A path that cannot be made is an OSError that names it."""
+    (tmp_path / "notes").write_text("notes", encoding="utf-8")
+    with pytest.raises(OSError, match="notes"):
+        make(tmp_path / "notes" / "maps")
+
+
+@pytest.mark.parametrize("other", ["notes.txt", ".git", "maps-0-3.h5", "maps.h5", "data"])
+def test_a_root_that_holds_something_else_is_refused(other: str, root: Path) -> None:
+    """What is there is named, and nothing is added."""
+    root.mkdir()
+    (root / other).touch()
+    with pytest.raises(ValueError, match=re.escape(f"{root} holds something else ('{other}')")):
+        make(root)
+    assert os.listdir(root) == [other]
+
+
+def test_an_empty_folder_is_welcome(root: Path, truth: str) -> None:
+    """Also one in which a builder died before it wrote anything."""
+    root.mkdir()
+    (root / ".lock").touch()
+    (root / f".{MANIFEST}.elsewhere.1.tmp").touch()
+    assert make(root).content_hash == truth
+
+
+def test_no_permission() -> None:
+    """A root that may not be written to is refused at once, by name, and stays empty."""
+    with unprivileged_folder() as folder:
+        with pytest.raises(PermissionError, match=re.escape(str(folder))):
+            make(folder)
+        assert os.listdir(folder) == []
+        with pytest.raises(PermissionError, match=re.escape(str(folder))):
+            make(folder / "maps")
+
+
+def test_a_manifest_that_names_other_files_is_refused(root: Path, tmp_path: Path) -> None:
+    """Neither build nor verify follows a name out of the root."""
+    manifest = make(root)
+    outside = tmp_path / manifest.shards[0].name
+    shutil.move(root / outside.name, outside)
+    text = (root / MANIFEST).read_text(encoding="utf-8")
+    lie = restated(text, lambda values: values["shards"][0].update(name=f"../{outside.name}"))
+    (root / MANIFEST).write_text(lie, encoding="utf-8")
+    with pytest.raises(ShardError, match=r"'\.\./maps"):
+        make(root)
+    first, *others = verify(root)
+    assert "'../maps" in first
+    assert others == [f"{root / outside.name}: missing"]
+    assert not (root / outside.name).exists()
+
+
+@pytest.mark.parametrize(
+    ("culprit", "arguments"),
+    [
+        ("spec", {"spec": "paper"}),
+        ("spec", {"spec": {"rooms": (2, 3)}}),
+        ("maps", {"maps": 0}),
+        ("maps", {"maps": -5}),
+        ("maps", {"maps": 1.5}),
+        ("maps", {"maps": True}),
+        ("seed", {"seed": -1}),
+        ("seed", {"seed": 2**64}),
+        ("seed", {"seed": "5"}),
+        ("shard_size", {"shard_size": 0}),
+        ("workers", {"workers": 0}),
+        ("workers", {"workers": "all"}),
+        ("workers", {"workers": 1, "executor": InTheCaller()}),
+    ],
+)
+def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: Path) -> None:
+    """The message begins with the argument, and no folder is made."""
+    with pytest.raises(ValueError, match=f"^{culprit}: "):
+        build(root, **(KNOWN | {"workers": None} | arguments))
+    assert not root.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("papers", "is no preset"),
+        ("{", "not JSON"),
+        ("[]", "is no preset"),
+        ('{"maps": 5, "rooms": [2, 3]}', "expected an object with"),
+        ('{"maps": 0}', "maps: got 0"),
+        ('{"maps": "many"}', "maps: got 'many'"),
+        ('{"seed": -1}', "seed: got -1"),
+        ('{"format_version": 3}', "format version 3, this mapdata 0.1.0 reads 1 and 2"),
+        ('{"spec": {"rooms": [5, 2]}}', "rooms"),
+        ('{"spec": {"wings": 2}}', "unknown wings"),
+        ('{"spec": {}, "identity": "' + "0" * 64 + '"}', "identity"),
+    ],
+)
+def test_bad_recipes_are_named(text: str, says: str) -> None:
+    """A recipe that cannot be followed says why."""
+    with pytest.raises(ValueError, match=re.escape(says)):
+        Recipe.load(text)
+
+
+def test_recipes_come_from_presets_files_and_text(tmp_path: Path) -> None:
+    """A preset's name, a file, or the JSON itself; what is left out takes its default."""
+    text = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": 11})
+    (tmp_path / "recipe.json").write_text(text, encoding="utf-8")
+    assert Recipe.load("narrow") == Recipe(MapSpec.preset("narrow"))
+    assert Recipe.load("{}") == Recipe.load({}) == Recipe(MapSpec())
+    assert Recipe.load(json.loads(text)) == Recipe.load(text)
+    assert Recipe.load(text) == Recipe.load(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
+
+
+# --- crashes ----------------------------------------------------------------------------------------------------------
+
+
+class FailsAfter(InTheCaller):
+    """Runs so many tasks, then fails: in the task, or, as Ctrl-C does, in the caller."""
+
+    def __init__(self, tasks: int, error: BaseException) -> None:
+        """Fail with ``error``."""
+        self.left, self.error = tasks, error
+
+    def submit(self, function: Task, /, *arguments: object, **options: object) -> Future[Any]:
+        """Run ``function`` now, or fail."""
+        self.left -= 1
+        if self.left < 0:
+            if not isinstance(self.error, Exception):
+                raise self.error
+            function, arguments = self.fail, ()
+        return super().submit(function, *arguments, **options)
+
+    def fail(self) -> None:
+        """Fail in the task."""
+        raise self.error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")], ids=["stop", "full"])
+@pytest.mark.parametrize("tasks", [0, 1, 2])
+def test_a_stopped_build_continues(error: BaseException, tasks: int, root: Path, truth: str) -> None:
+    """What was finished is listed when the error comes out, and is not made again."""
+    with pytest.raises(type(error)):
+        make(root, workers=None, executor=FailsAfter(tasks, error))
+    manifest = read_manifest(root)
+    assert not manifest.complete
+    assert {entry.name for entry in manifest.shards} <= set(stamps(root))
+    before = stamps(root)
+    assert len(before) == tasks
+    assert make(root).content_hash == truth
+    assert {name: stamp for name, stamp in stamps(root).items() if name in before} == before
+
+
+def test_a_builder_does_not_lose_what_another_one_finished(root: Path) -> None:
+    """Two manifests merged in turns end as the union, and building goes on from there."""
+    whole = make(root)
+    (root / MANIFEST).write_text(replace(whole, shards=()).to_json(), encoding="utf-8")
+    merge(root, replace(whole, shards=whole.shards[:1]))
+    merge(root, replace(whole, shards=whole.shards[2:]))
+    before = stamps(root)
+    assert make(root) == whole
+    assert stamps(root) == before
+
+
+def test_without_progress_there_is_no_tqdm(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bar that is not shown is not made: a builder killed inside tqdm's lock would stop all others of its fork."""
+
+    def tqdm(*_: object, **__: object) -> None:
+        raise AssertionError("a bar was made")
+
+    monkeypatch.setattr("mapdata.shards.builder.tqdm", tqdm, raising=False)
+    make(root)
+    verify(root)

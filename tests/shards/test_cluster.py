@@ -1,0 +1,116 @@
+"""Dask: a real cluster of processes over TCP, whose workers are killed and join while a build runs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from shards.test_builder import SPEC
+
+from mapdata.shards.builder import build
+from mapdata.shards.cluster import executor_of
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import read_manifest
+
+MAPS, SHARD = 400, 5
+RECIPE = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": MAPS})
+
+LOSSES = """
+import logging, os, signal, sys, time
+from concurrent.futures import Executor, Future
+from dask import config
+from distributed import LocalCluster
+from mapdata.shards.recipe import Recipe
+from mapdata.shards.builder import build
+from mapdata.shards.cluster import executor_of
+
+def located(function, *arguments):
+    return os.getpid(), function(*arguments)
+
+class Watching(Executor):  # kills a worker when so many shards are finished; half-way it waits for one that joins
+    def __init__(self, inner, cluster):
+        self.inner, self.cluster = inner, cluster
+        self.given, self.places, self.killed = 0, [], []
+
+    def submit(self, *task):
+        while self.given == 40 and (len(self.places) < 40 or len(self.cluster.scheduler.workers) < 3):
+            time.sleep(0.01)
+        self.given += 1
+        future = Future()
+        self.inner.submit(located, *task).add_done_callback(lambda done: self.take(done, future))
+        return future
+
+    def take(self, done, future):
+        place, entry = done.result()
+        self.places.append(place)
+        if len(self.places) in (5, 20, 45):
+            nanny = self.cluster.workers[min(self.cluster.workers)]
+            self.killed.append(nanny.pid)
+            os.kill(nanny.pid, signal.SIGKILL)
+        if len(self.places) == 10:
+            self.cluster.scale(3)
+        future.set_result(entry)
+
+if __name__ == "__main__":
+    recipe = Recipe.load(sys.argv[2])
+    config.set({"distributed.scheduler.allowed-failures": 100})
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp", dashboard_address=None,
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        assert cluster.scheduler_address.startswith("tcp://")
+        with executor_of(cluster.scheduler_address) as inner:
+            executor = Watching(inner, cluster)
+            build(sys.argv[1], recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=5, executor=executor)
+            assert len(executor.places) == 80
+            assert len(set(executor.killed)) == 3
+            assert len(set(executor.places)) >= 3, "nobody joined"
+    print("nothing lost")
+"""
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the dataset that threads build."""
+    root = tmp_path_factory.mktemp("truth") / "maps"
+    build(root, SPEC, maps=MAPS, seed=5, shard_size=SHARD)
+    return root
+
+
+def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
+    """Three of its workers are killed and one joins while it builds: nothing is lost, the files are the same."""
+    pytest.importorskip("distributed")
+    script = tmp_path / "losses.py"
+    script.write_text(LOSSES, encoding="utf-8")
+    command = [sys.executable, str(script), str(tmp_path / "maps"), RECIPE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "nothing lost\n"
+    assert read_manifest(tmp_path / "maps") == read_manifest(truth)
+    assert verify(tmp_path / "maps") == []
+
+
+def test_the_command_starts_workers(tmp_path: Path, truth: Path) -> None:
+    """``--scheduler local`` brings its own processes, and ends them."""
+    pytest.importorskip("distributed")
+    code = "from mapdata.cli.app import main; main()"
+    flags = ["--recipe", RECIPE, "--shard-size", str(SHARD), "--scheduler", "local", "--workers", "2"]
+    command = [sys.executable, "-c", code, "build", str(tmp_path / "maps"), *flags]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "400/400" in done.stderr
+    assert read_manifest(tmp_path / "maps") == read_manifest(truth)
+
+
+def test_schedulers_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is named: no address, threads beside a cluster, Dask not installed."""
+    with pytest.raises(ValueError, match="got 'dask', expected tcp://HOST:PORT"), executor_of("dask"):
+        pass
+    with pytest.raises(ValueError, match="workers: would do nothing"), executor_of("tcp://127.0.0.1:1", 2):
+        pass
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"pip install mapdata\[dask\]"), executor_of("local"):
+        pass

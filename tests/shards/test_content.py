@@ -1,0 +1,193 @@
+"""The content hash: equal to plain Python, blind to batches and padding, and sensitive to every value."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_spec import specs
+
+from mapdata.generators.generator import generate
+from mapdata.generators.rooms import MapSpec
+from mapdata.search.labels import Labels, label
+from mapdata.shards.content import combine, content_hash
+from mapdata.spec import Movement
+
+SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=40)
+NUMBERS = st.integers(0, 1000) | st.integers(0, 2**63 - 1)
+SPECS = {
+    "4": MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5),
+    "8": MapSpec((20, 24), (2, 5), (2, 6), (2, 6), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8)),
+}
+
+
+def reference_record(labels: Labels, place: int) -> bytes:
+    """Return the record of docs/format.md for one map of a batch, value by value."""
+    maps = labels.maps
+    n, index = int(maps.rooms[place]), int(maps.index[place])
+    height, width = maps.occupancy.shape[1:]
+    words = [height, width, index % 2**32, index // 2**32, maps.split[place], maps.passage_width[place], n]
+    words += [value for table in (maps.seed_points, maps.sizes) for row in table[place, :n] for value in row]
+    words += [value for row in maps.directions[place, : n - 1] for value in row]
+    moves = b""
+    for search in (labels.bfs, labels.astar):
+        for segment in range(*maps.segment_offsets[place : place + 2]):
+            first, last = search.offsets[segment : segment + 2]
+            words += [last - first, search.iterations[segment]]
+            moves += search.moves[first:last].tobytes()
+        for pair in range(*maps.pair_offsets[place : place + 2]):
+            words += search.costs[pair].tolist()
+    bits = np.zeros((height, -(-width // 64) * 64), np.uint8)
+    bits[:, :width] = maps.occupancy[place]
+    record = b"".join(struct.pack("<I", int(word) % 2**32) for word in words)
+    record += np.packbits(bits, axis=1, bitorder="little").tobytes() + moves
+    return record + bytes(-len(record) % 4)
+
+
+def reference_hash(labels: Labels) -> str:
+    """Return the sum of the hashes of all records."""
+    digests = [hashlib.sha256(reference_record(labels, place)).digest() for place in range(len(labels.maps))]
+    return f"{sum(int.from_bytes(digest, 'big') for digest in digests) % 2**256:064x}"
+
+
+def labelled(spec: MapSpec, seed: int, *indices: int) -> Labels:
+    """Return labelled maps."""
+    return label(generate(spec, seed, indices))
+
+
+# --- equal to the reference -------------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(specs(), st.integers(0, 2**64 - 1), st.lists(NUMBERS, min_size=1, max_size=4))
+def test_any_maps_equal_the_reference(spec: MapSpec, seed: int, indices: list[int]) -> None:
+    """The hash is that of the records of docs/format.md, for all movements, sizes and indices beyond 32 bits."""
+    labels = labelled(spec, seed, *indices)
+    assert content_hash(labels) == reference_hash(labels)
+
+
+# --- what it does not depend on ---------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(st.permutations(range(9)), st.sets(st.integers(1, 8), max_size=4), st.sampled_from(sorted(SPECS)))
+def test_batches_combine_in_any_order(order: list[int], cuts: set[int], name: str) -> None:
+    """Any partition of the maps, in any order, combines to the hash of all."""
+    whole = content_hash(labelled(SPECS[name], 6, *range(9)))
+    bounds = [0, *sorted(cuts), 9]
+    parts = [order[first:last] for first, last in pairwise(bounds)]
+    assert combine([content_hash(labelled(SPECS[name], 6, *part)) for part in parts]) == whole
+
+
+def test_padding_does_not_count() -> None:
+    """Rows beyond a map's own rooms are not part of what it says."""
+    labels = labelled(SPECS["4"], 0, *range(5))
+    maps = labels.maps
+    more = np.full((5, 3, 2), 77)
+    wider = replace(
+        maps,
+        seed_points=np.concatenate((maps.seed_points, more), axis=1),
+        sizes=np.concatenate((maps.sizes, more), axis=1),
+        directions=np.concatenate((maps.directions, more), axis=1),
+    )
+    assert content_hash(Labels(wider, labels.bfs, labels.astar)) == content_hash(labels)
+
+
+def test_no_hashes_add_up_to_nothing() -> None:
+    """The sum of no hashes is 0, which adds nothing to others."""
+    some = content_hash(labelled(SPECS["4"], 0, 1))
+    assert combine([]) == "0" * 64
+    assert combine(["0" * 64, some]) == combine([some]) == some
+
+
+def test_no_maps() -> None:
+    """No maps hash to 0."""
+    assert content_hash(labelled(SPECS["4"], 0)) == "0" * 64
+
+
+def test_sums_wrap_and_keep_their_zeros() -> None:
+    """The sum is modulo 2**256 and always has 64 digits."""
+    assert combine(["f" * 64, f"{1:064x}"]) == "0" * 64
+    assert combine(["f" * 64, f"{16:064x}"]) == f"{15:064x}"
+
+
+# --- what it depends on -----------------------------------------------------------------------------------------------
+
+
+def _first(table: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    changed = table.copy()
+    changed.flat[0] ^= 1
+    return changed
+
+
+def _in_maps(name: str) -> Callable[[Labels], Labels]:
+    def change(labels: Labels) -> Labels:
+        values: dict[str, Any] = {name: _first(getattr(labels.maps, name))}
+        return replace(labels, maps=replace(labels.maps, **values))
+
+    return change
+
+
+def _in_planner(search: str, name: str) -> Callable[[Labels], Labels]:
+    def change(labels: Labels) -> Labels:
+        table = getattr(labels, search)
+        return replace(labels, **{search: replace(table, **{name: _first(getattr(table, name))})})
+
+    return change
+
+
+def _offset(place: int, by: int) -> Callable[[Labels], Labels]:
+    def change(labels: Labels) -> Labels:
+        offsets = labels.bfs.offsets.copy()
+        offsets[place] += by
+        return replace(labels, bfs=replace(labels.bfs, offsets=offsets))
+
+    return change
+
+
+CHANGES = {
+    **{
+        name: _in_maps(name)
+        for name in ("index", "packed", "passage_width", "seed_points", "sizes", "directions", "split")
+    },
+    **{
+        f"{search} {name}": _in_planner(search, name)
+        for search in ("bfs", "astar")
+        for name in ("moves", "iterations", "costs")
+    },
+    "a move to the next segment": _offset(1, 1),
+    **{f"{count} moves less": _offset(-1, -count) for count in (1, 2, 3)},  # every length of the zeros at the end
+    "columns": lambda labels: replace(labels, maps=replace(labels.maps, columns=labels.maps.columns + 1)),
+    "planners swapped": lambda labels: Labels(labels.maps, labels.astar, labels.bfs),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_every_value_counts(change: Callable[[Labels], Labels]) -> None:
+    """One bit of any table changes the hash, to that of the changed records."""
+    labels = labelled(SPECS["4"], 3, 3, 4)
+    changed = change(labels)
+    assert content_hash(changed) == reference_hash(changed) != content_hash(labels)
+
+
+def test_maps_with_swapped_numbers_are_other_maps() -> None:
+    """The number of a map is part of its record, so that the same grids under other numbers hash otherwise."""
+    labels = labelled(SPECS["4"], 3, 3, 4)
+    swapped = replace(labels, maps=replace(labels.maps, index=labels.maps.index[::-1].copy()))
+    assert content_hash(swapped) != content_hash(labels)
+
+
+def test_equal_values_in_other_arrays_hash_equal() -> None:
+    """The hash is of values, and hashing changes none of them: labelled anew they hash the same."""
+    labels = labelled(SPECS["8"], 3, *range(4))
+    before = content_hash(labels)
+    assert content_hash(labels) == content_hash(labelled(SPECS["8"], 3, *range(4))) == before

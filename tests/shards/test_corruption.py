@@ -1,0 +1,338 @@
+"""Damage: verify names every file that is not what it was, repair makes just those again."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import h5py
+import pytest
+from formats.test_importing import collection, random_grids
+from shards.test_builder import MAPS, SIZE, make, names, stamps
+from shards.test_manifest import restated
+
+import mapdata
+from mapdata.cli.app import main
+from mapdata.formats.importing import import_maps
+from mapdata.shards.corruption import repair, verify
+from mapdata.shards.manifest import MANIFEST, PROVENANCE, DatasetNotFoundError, read_manifest, shard_name
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Give the path of a root that does not exist yet."""
+    return tmp_path / "maps"
+
+
+# --- verify -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished dataset; tests leave it as they found it."""
+    root = tmp_path_factory.mktemp("finished") / "maps"
+    make(root)
+    return root
+
+
+@pytest.fixture
+def copied(finished: Path, root: Path) -> Path:
+    """Give a copy of the finished dataset to damage."""
+    shutil.copytree(finished, root)
+    return root
+
+
+def named(root: Path) -> Iterator[str]:
+    """Yield the name of the file that each fault names."""
+    for fault in verify(root):
+        path, _, _ = fault.partition(": ")
+        assert Path(path).parent == root
+        yield Path(path).name
+
+
+def test_verify_finds_every_flipped_bit(finished: Path) -> None:
+    """One bit at many random places of every file: that file is named, and no other."""
+    random = Random(3)
+    for name in names(MAPS, SIZE):
+        image = (finished / name).read_bytes()
+        for _ in range(25):
+            damaged = bytearray(image)
+            damaged[random.randrange(len(image))] ^= 1 << random.randrange(8)
+            (finished / name).write_bytes(damaged)
+            assert list(named(finished)) == [name]
+        (finished / name).write_bytes(image)
+    assert verify(finished) == []
+
+
+@pytest.mark.parametrize("length", [0, 1, 100, 8192, -1])
+def test_verify_finds_truncation(length: int, copied: Path) -> None:
+    """Each file cut short is named."""
+    for name in names(MAPS, SIZE):
+        image = (copied / name).read_bytes()
+        (copied / name).write_bytes(image[:length])
+        assert list(named(copied)) == ([name] if len(image) > length else [])
+        (copied / name).write_bytes(image)
+    assert verify(copied) == []
+
+
+def test_verify_finds_swapped_shards(copied: Path) -> None:
+    """Two shards under each other's names are both named."""
+    one, other = (copied / shard_name(*limits) for limits in ((0, 4), (4, 8)))
+    one.rename(copied / "aside")
+    other.rename(one)
+    (copied / "aside").rename(other)
+    assert list(named(copied)) == [one.name, other.name]
+
+
+def test_verify_finds_a_shard_that_a_fitting_manifest_swaps(copied: Path) -> None:
+    """A manifest whose sizes and hashes fit swapped files is refused by what the shards say of themselves."""
+    one, other = (copied / shard_name(*limits) for limits in ((0, 4), (4, 8)))
+    one.rename(copied / "aside")
+    other.rename(one)
+    (copied / "aside").rename(other)
+
+    def swap(values: dict[str, Any]) -> None:
+        first, second = values["shards"][:2]
+        for key in ("bytes", "sha256", "content_hash", "counts"):
+            first[key], second[key] = second[key], first[key]
+
+    (copied / MANIFEST).write_text(restated((copied / MANIFEST).read_text(encoding="utf-8"), swap), encoding="utf-8")
+    assert [name for name in named(copied) if name != MANIFEST] == [one.name, other.name]
+    assert all("holds other maps" in fault for fault in verify(copied) if "maps-" in fault)
+
+
+def test_verify_finds_a_missing_shard(copied: Path) -> None:
+    """A shard that is gone is named, and so is one that was never made."""
+    (copied / shard_name(4, 8)).unlink()
+    assert verify(copied) == [f"{copied / shard_name(4, 8)}: missing"]
+    manifest = read_manifest(copied)
+    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    assert list(named(copied)) == [shard_name(4, 8), shard_name(8, 11)]
+    assert all("did not finish" in fault for fault in verify(copied))
+
+
+def test_verify_finds_other_labels(copied: Path) -> None:
+    """A shard rewritten with its file hash and the manifest's made to fit still has its content hash against it."""
+    path = copied / shard_name(4, 8)
+    image = bytearray(path.read_bytes())
+    with h5py.File(path, "r") as file:
+        image[file["astar_iterations"].id.get_offset()] ^= 1
+    path.write_bytes(image)
+    digest = hashlib.sha256(image).hexdigest()
+    text = (copied / MANIFEST).read_text(encoding="utf-8")
+    lie = restated(text, lambda values: values["shards"][1].update(sha256=digest))
+    (copied / MANIFEST).write_text(lie, encoding="utf-8")
+    assert verify(copied) == [f"{path}: damaged (its content hash does not fit)"]
+
+
+def test_verify_finds_other_counts(copied: Path) -> None:
+    """Counts, by which datasets number their problems, are derived from the shards too."""
+    text = (copied / MANIFEST).read_text(encoding="utf-8")
+    lie = restated(text, lambda values: values["shards"][1]["counts"].update(reachable=0))
+    (copied / MANIFEST).write_text(lie, encoding="utf-8")
+    assert verify(copied) != []
+
+
+def test_verify_lives_with_other_library_versions(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dataset that an earlier mapdata of the same format version wrote is not damaged."""
+    monkeypatch.setattr(mapdata, "__version__", "9.9")
+    assert verify(finished) == []
+
+
+def test_verify_changes_nothing(finished: Path) -> None:
+    """It reads."""
+    before, text = stamps(finished), (finished / MANIFEST).read_bytes()
+    assert verify(finished) == []
+    assert (stamps(finished), (finished / MANIFEST).read_bytes()) == (before, text)
+
+
+def test_verify_needs_a_dataset(tmp_path: Path) -> None:
+    """Without one it says what was looked for."""
+    with pytest.raises(DatasetNotFoundError, match="no dataset at"):
+        verify(tmp_path)
+
+
+def test_verify_finds_a_missing_manifest(copied: Path) -> None:
+    """Where shards are, a manifest belongs."""
+    (copied / MANIFEST).unlink()
+    assert verify(copied) == [f"{copied / MANIFEST}: missing"]
+
+
+def test_verify_checks_the_shards_of_a_damaged_manifest(copied: Path) -> None:
+    """One damage does not hide another: shards say themselves what they hold."""
+    (copied / MANIFEST).write_text("{", encoding="utf-8")
+    (copied / shard_name(0, 4)).write_bytes(flipped(copied / shard_name(0, 4), "astar_moves"))
+    (copied / shard_name(4, 8)).unlink()
+    assert list(named(copied)) == [MANIFEST, shard_name(0, 4), shard_name(4, 8)]
+
+
+# --- repair -----------------------------------------------------------------------------------------------------------
+
+
+def flipped(path: Path, dataset: str) -> bytes:
+    """Return a shard file with one bit of a dataset flipped."""
+    image = bytearray(path.read_bytes())
+    with h5py.File(path, "r") as file:
+        image[file[dataset].id.get_offset()] ^= 4
+    return bytes(image)
+
+
+def flip(path: Path, random: Random) -> None:
+    """Flip one bit of a file."""
+    image = bytearray(path.read_bytes())
+    image[random.randrange(len(image))] ^= 1 << random.randrange(8)
+    path.write_bytes(image)
+
+
+def images(root: Path) -> dict[str, bytes]:
+    """Return all files of a root but the lock."""
+    return {path.name: path.read_bytes() for path in root.iterdir() if path.name != ".lock"}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_repair_mends_whatever_happened(seed: int, finished: Path, copied: Path) -> None:
+    """Files flipped, cut, deleted and swapped at random: each is named, each is as it was, and no other is touched."""
+    random = Random(seed)
+    files = random.sample(names(MAPS, SIZE), random.randint(1, 3))
+    shards = [name for name in files if name != MANIFEST]
+    for name in files:
+        path = copied / name
+        how = random.choice(["flipped", "flipped", "cut", "deleted", "swapped"])
+        if how == "cut":
+            path.write_bytes(path.read_bytes()[: random.randrange(path.stat().st_size)])
+        elif how == "deleted" and name != MANIFEST:
+            path.unlink()
+        elif how == "swapped" and len(shards) > 1 and name == shards[0]:
+            one, other = ((copied / shard).read_bytes() for shard in shards[:2])
+            (copied / shards[0]).write_bytes(other)
+            (copied / shards[1]).write_bytes(one)
+        elif path.exists() and (MANIFEST not in files or name == MANIFEST):
+            flip(path, random)
+        elif path.exists():  # no manifest to tell damage in the gaps between arrays from none
+            path.write_bytes(path.read_bytes()[:-1])
+    before = stamps(copied)
+    assert sorted(named(copied)) == sorted(files)
+    assert repair(copied) == []
+    assert images(copied) == images(finished)
+    assert {name for name, stamp in stamps(copied).items() if stamp != before.get(name)} <= set(files)
+    assert verify(copied) == []
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_repair_of_the_manifest_alone(gone: bool, finished: Path, copied: Path) -> None:
+    """It is made from the shards, byte by byte what it was, and they stay as they are."""
+    (copied / MANIFEST).write_text('{"shard_size": 4', encoding="utf-8")
+    if gone:
+        (copied / MANIFEST).unlink()
+    before = stamps(copied)
+    assert repair(copied) == []
+    assert (images(copied), stamps(copied)) == (images(finished), before)
+
+
+def test_a_small_dataset_keeps_its_shard_size(root: Path) -> None:
+    """A dataset smaller than one shard can be extended after its manifest was damaged and mended."""
+    make(root, maps=3, shard_size=4)
+    text = (root / MANIFEST).read_bytes()
+    (root / MANIFEST).write_bytes(text[:-20])
+    assert repair(root) == []
+    assert (root / MANIFEST).read_bytes() == text
+
+
+def test_repair_finishes_what_a_build_did_not(finished: Path, copied: Path) -> None:
+    """A shard that was never made is a shard that is missing."""
+    manifest = read_manifest(copied)
+    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    (copied / shard_name(8, 11)).unlink()
+    assert repair(copied) == []
+    assert images(copied) == images(finished)
+
+
+def test_nothing_says_what_a_dataset_was(copied: Path) -> None:
+    """Without a manifest and a shard that can be read there is no recipe: it says what to do, and touches nothing."""
+    for name in names(MAPS, SIZE):
+        (copied / name).write_bytes(b"\0" * 100)
+    before = images(copied)
+    lines = repair(copied)
+    for line, name in zip(lines, names(MAPS, SIZE), strict=True):
+        assert line.startswith(f"{copied / name}: damaged")
+        assert line.endswith("run the same build again")
+    assert images(copied) == before
+
+
+def test_what_the_manifest_said_is_not_forgotten(finished: Path, copied: Path) -> None:
+    """A shard that comes out with another content than a sound manifest says is an error, not a repair."""
+    lie = restated(
+        (copied / MANIFEST).read_text(encoding="utf-8"),
+        lambda values: values["shards"][1].update(content_hash="1" * 64) or values.update(content_hash=total(values)),
+    )
+    (copied / MANIFEST).write_text(lie, encoding="utf-8")
+    (line,) = repair(copied)
+    assert f"made again with content hash {read_manifest(finished).shards[1].content_hash}" in line
+
+
+def total(values: dict[str, Any]) -> str:
+    """Return the content hash that a manifest's entries add up to."""
+    return f"{sum(int(entry['content_hash'], 16) for entry in values['shards']) % 2**256:064x}"
+
+
+@pytest.fixture
+def imported(tmp_path: Path) -> Path:
+    """Give a dataset of imported maps, in three shards."""
+    (made,) = import_maps(tmp_path / "imported", collection(*random_grids(7)), seed_points=3, shard_size=3)
+    return made.root
+
+
+def test_every_file_of_imported_maps_is_checked(imported: Path) -> None:
+    """One bit at many random places, where the maps came from included: that file is named, and no other."""
+    random = Random(4)
+    for name in (MANIFEST, PROVENANCE, *(shard_name(start, min(start + 3, 7)) for start in (0, 3, 6))):
+        image = (imported / name).read_bytes()
+        for _ in range(25):
+            flip(imported / name, random)
+            assert [path for path in named(imported) if path != name] == []
+            assert verify(imported) != []
+            (imported / name).write_bytes(image)
+        (imported / name).unlink()
+        assert list(named(imported)) == [name]
+        (imported / name).write_bytes(image)
+    assert verify(imported) == []
+
+
+def test_imported_maps_cannot_be_made_again(imported: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It says which, and how to get them back; the manifest is mended all the same; exit code 1 until they are back."""
+    path = imported / shard_name(3, 6)
+    image, text = path.read_bytes(), (imported / MANIFEST).read_bytes()
+    path.write_bytes(flipped(path, "maps"))
+    (imported / MANIFEST).write_bytes(text[:-9])
+    with pytest.raises(SystemExit, match="1"):
+        main(["verify", str(imported), "--repair"])
+    printed = capsys.readouterr()
+    assert f"not mended: {path}: damaged; it cannot be made again, imported maps have no recipe" in printed.out
+    assert printed.err.splitlines()[-1] == "mapdata: 1 of 2 not mended"
+    assert [entry.start for entry in read_manifest(imported).shards] == [0, 6]
+    path.unlink()
+    import_maps(imported, collection(*random_grids(7)), seed_points=3, shard_size=3)
+    assert (path.read_bytes(), (imported / MANIFEST).read_bytes()) == (image, text)
+    assert verify(imported) == []
+
+
+def test_the_command_repairs(finished: Path, copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """verify: exit code 1 and a line a file; with --repair exit code 0, and all is well."""
+    (copied / shard_name(0, 4)).write_bytes(flipped(copied / shard_name(0, 4), "bfs_moves"))
+    (copied / shard_name(8, 11)).unlink()
+    with pytest.raises(SystemExit, match="1"):
+        main(["verify", str(copied)])
+    assert "mapdata: 2 found; --repair" in capsys.readouterr().err
+    main(["verify", str(copied), "--repair"])
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[-1] == f"{copied}: 2 mended"
+    assert re.search(r"7/7 \[.*<.*maps/s\]", printed.err)  # maps, time left and rate of the repair
+    assert images(copied) == images(finished)
+    main(["verify", str(copied), "--repair"])
+    assert capsys.readouterr().out == f"{copied}: all is well\n"

@@ -1,0 +1,184 @@
+"""The card: its numbers are the data's, its command makes the same data again, and text from files stays text."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from helpers.samples import SPEC, WIDE, build_small
+
+from mapdata import MapDataset, MapSpec, Movement, build, generate, verify
+from mapdata.cli.app import main
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.importing import import_maps
+from mapdata.shards.dataset_card import card, movement_text
+from mapdata.shards.manifest import MANIFEST, PROVENANCE, read_manifest
+from mapdata.spec import SPLITS
+
+NASTY = "</script><img src=x onerror=alert(1)> | **bold** [a](b) `code`\n# head"
+
+
+def table(text: str, heading: str) -> dict[str, list[str]]:
+    """Return the table under a heading of the card: the other cells of each row, by the first."""
+    part = text.split(f"\n## {heading}\n")[1].split("\n## ", maxsplit=1)[0]
+    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("|")]
+    return {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
+
+
+def block(text: str, language: str) -> str:
+    """Return the block of code in this language."""
+    return text.split(f"```{language}\n")[1].split("\n```", maxsplit=1)[0]
+
+
+def front_matter(text: str) -> dict[str, object]:
+    """Return the YAML at the top of the card."""
+    empty, matter, _ = text.split("---\n", 2)
+    assert empty == ""
+    return dict(yaml.safe_load(matter))
+
+
+def imported(root: Path) -> Path:
+    """Import a few maps: one twice in two splits, one turned over."""
+    grids = generate(SPEC, 5, range(6)).occupancy
+    grids[4], grids[5] = grids[0], grids[1][::-1]
+    splits = (0, 0, 1, 2, 2, 1)
+    maps = [
+        ForeignMap(f"{NASTY} {k}", grid, split=code) for k, (grid, code) in enumerate(zip(grids, splits, strict=True))
+    ]
+    import_maps(root, Collection(maps, movement=Movement(8)), seed_points=3)
+    return root
+
+
+@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["small", "wide"])
+def test_the_card_rebuilds_the_dataset_bit_for_bit(tmp_path: Path, spec: MapSpec) -> None:
+    """The card rebuilds the dataset bit for bit."""
+    build(tmp_path / "it's mine", spec, maps=20, seed=2**64 - 1, shard_size=16, workers=1)
+    text = card(tmp_path / "it's mine")
+    (tmp_path / "again").mkdir()
+    run = f"{sys.executable} -c 'from mapdata.cli.app import main; main()' build"
+    script = block(text, "sh").replace("mapdata build", run)
+    subprocess.run(["bash", "-ec", script], check=True, cwd=tmp_path / "again", capture_output=True)
+    first, second = (read_manifest(tmp_path / where / "it's mine") for where in (".", "again"))
+    assert [entry.sha256 for entry in first.shards] == [entry.sha256 for entry in second.shards]
+    facts = table(text, "What it is")
+    assert facts["identity"] == [first.identity]
+    assert facts["content hash"] == [first.content_hash]
+    assert facts["seed"] == [str(2**64 - 1)]
+
+
+def test_numbers_are_those_of_the_data(tmp_path: Path) -> None:
+    """Numbers are those of the data."""
+    root = build_small(tmp_path / "d")
+    text = card(root)
+    rows = table(text, "Splits")
+    for split in SPLITS:
+        found = [int(cell.replace(",", "")) for cell in rows[split]]
+        frame = MapDataset(root, split=split).table()
+        solvable = [len(MapDataset(root, split=split, problems=kind)) for kind in ("route", "rooms")]
+        every = [len(MapDataset(root, split=split, problems=kind, unsolvable=True)) for kind in ("route", "rooms")]
+        assert found == [len(frame), solvable[0], every[0] - solvable[0], solvable[1], every[1] - solvable[1]]
+    frame, shares = MapDataset(root, split=None).table(), table(text, "Shares")
+    for name, column in (("drawn passages", "connected"), ("reachable segments", "reachable")):
+        flags = [flag for row in frame[column] for flag in row]
+        assert shares[name][1] == f"{np.mean(flags):.1%} ({sum(flags):,} of {len(flags):,})"
+    assert shares["fully connected maps"][1].startswith(f"{frame['all connected'].mean():.1%}")
+    rooms = table(text, "Distributions")["rooms a map"]
+    assert [float(cell) for cell in rooms[1::3]] == [frame["rooms"].min(), *np.quantile(frame["rooms"], (0.5,)), 5]
+    assert float(rooms[0]) == pytest.approx(frame["rooms"].mean(), rel=1e-3)
+
+
+def test_front_matter_is_what_the_hub_reads(tmp_path: Path) -> None:
+    """Front matter is what the hub reads."""
+    values = front_matter(card(build_small(tmp_path / 'a "b": c', maps=5)))
+    assert values["pretty_name"] == 'a "b": c: 5 grid maps of 20 x 20 cells'
+    assert values["task_categories"] == ["robotics"]
+    assert values["size_categories"] == ["n<1K"]
+    assert "license" not in values  # the publisher's choice
+
+
+def test_polarity_movement_and_citation_are_stated(tmp_path: Path) -> None:
+    """Polarity movement and citation are stated."""
+    text = card(build_small(tmp_path / "d", WIDE, maps=5))
+    facts = table(text, "What it is")
+    assert facts["polarity"] == ["1 occupied, 0 free"]
+    assert "8-connected" in facts["movement"][0]
+    assert facts["cells"] == ["(row, col), origin upper left"]
+    assert "2110.13242" in block(text, "bibtex")
+
+
+def test_movements_have_different_words() -> None:
+    """Movements have different words."""
+    movements = [
+        Movement(),
+        Movement(8),
+        Movement(8, corner_cutting=True),
+        Movement(8, diagonal_cost=1),
+        Movement(8, corner_cutting=True, diagonal_cost=1),
+    ]
+    assert len({movement_text(movement) for movement in movements}) == len(movements)
+
+
+def test_imported_maps_have_an_origin_instead_of_a_recipe(tmp_path: Path) -> None:
+    """Imported maps have an origin instead of a recipe."""
+    root = imported(tmp_path / "d")
+    text = card(root)
+    assert "```sh" not in text
+    assert "drawn passages" not in text
+    assert table(text, "What it is")["identity"][0].startswith("none")
+    assert len(table(text, "Where it comes from")) == 1 + 1 + 6
+    assert "seed points a map" in text
+    assert "Some maps are in more than one split" in text
+    repeats = table(text, "Duplicates")
+    assert repeats["of test, also in train"] == ["1", "1"]
+    assert repeats["of val, also in train"] == ["0", "1"]
+    (root / PROVENANCE).unlink()
+    assert "no record of the source" in card(root)
+    for damaged in ("[1]", '{"sources": 3}', "x", '"text"'):
+        (root / PROVENANCE).write_text(damaged)
+        assert "no record of the source" in card(root)
+
+
+def test_text_from_files_stays_text(tmp_path: Path) -> None:
+    """Text from files stays text."""
+    text = card(imported(tmp_path / "<b>a|b`"))
+    outside = text.replace(block(text, "python"), "")
+    assert "<img" not in outside
+    assert "<b>" not in outside.split("---\n", 2)[2]
+    assert "\n# head" not in outside
+    assert r"\*\*bold\*\* \[a\](b) \`code\` \# head" in outside
+    assert front_matter(text)["pretty_name"] == "<b>a|b`: 6 grid maps of 20 x 20 cells"
+
+
+def test_an_unfinished_dataset_says_so(tmp_path: Path) -> None:
+    """An unfinished dataset says so."""
+    root = Path(build_small(tmp_path / "d"))
+    manifest = read_manifest(root)
+    (root / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:2]).to_json())
+    text = card(root)
+    assert "32 grid maps" in text
+    assert "Not finished: 60 maps were asked for." in text
+    recipe = json.loads(block(text, "sh").split("END'\n")[1].split("\nEND")[0])
+    assert (recipe["maps"], "content_hash" in recipe) == (60, False)
+    (root / MANIFEST).write_text(replace(manifest, shards=()).to_json())
+    assert "0 grid maps" in card(root)
+
+
+def test_command_writes_the_card_beside_the_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Command writes the card beside the data."""
+    root = build_small(tmp_path / "d")
+    main(["info", root, "--card"])
+    assert capsys.readouterr().out == f"wrote {Path(root) / 'README.md'}\n"
+    assert (Path(root) / "README.md").read_text(encoding="utf-8") == card(root)
+    main(["info", root, "--card", str(tmp_path / "card.md")])
+    assert (tmp_path / "card.md").read_text(encoding="utf-8") == card(root)
+    assert verify(root) == []
+    build_small(Path(root), maps=70)  # it still grows
+    with pytest.raises(SystemExit) as ended:
+        main(["info", root, "--card", "--recipe"])
+    assert ended.value.code == 2

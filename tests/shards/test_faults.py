@@ -1,0 +1,459 @@
+"""Faults: builders killed at every step and at random times, full and read-only disks, many builders at once, Ctrl-C.
+
+What kills or forks runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from shards.test_builder import SPEC, names, stamps
+
+from mapdata.datasets.dataset import MapDataset
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import MANIFEST, read_manifest
+
+SLOW = pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
+FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+
+# --- killed -----------------------------------------------------------------------------------------------------------
+
+PRELUDE = f"""
+import builtins, fcntl, os, random, signal, sys, time
+from dataclasses import replace
+from pathlib import Path
+from mapdata.shards.builder import build, headers
+from mapdata.shards.corruption import verify
+from mapdata.generators.generator import generate
+from mapdata.search.labels import label
+from mapdata.shards.manifest import Manifest, load_shard, read_manifest, shard_name
+from mapdata.shards.shard import shard_image
+from mapdata.generators.rooms import MapSpec
+
+spec, root = MapSpec.from_json({SPEC.to_json()!r}), Path(sys.argv[1])
+maps, size = 30, 2
+planned = Manifest(spec, 5, maps, size, spec.map_size, spec.movement, spec.resolution)
+for header in headers(replace(planned, maps=1)):
+    shard_image(label(generate(spec, 5, [0])), header)  # load the kernels
+
+def child(place, before=lambda: None, maps=maps, workers=2, part=(0, 1)):
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            before()
+            manifest = build(place, spec, maps=maps, seed=5, shard_size=size, workers=workers, part=part)
+            code = 0 if part != (0, 1) or manifest.complete and verify(place) == [] else 2
+        finally:
+            os._exit(code)
+    return pid
+
+def done(pid):
+    assert os.waitpid(pid, 0)[1] == 0
+
+def stamps(place):
+    return {{path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in place.glob("maps-*.h5")}}
+"""
+
+STEPS = """
+class Steps:  # counts what a builder does to the disk, and ends it before the step of this number
+    def __init__(self, last):
+        self.left = last
+
+    def step(self):
+        self.left -= 1
+        if self.left < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def watched(self, function):
+        def call(*arguments, **options):
+            self.step()
+            return function(*arguments, **options)
+
+        return call
+
+    def watch(self):
+        for name in ("mkdir", "fsync", "replace", "unlink", "close"):
+            setattr(os, name, self.watched(getattr(os, name)))
+        fcntl.flock = self.watched(fcntl.flock)
+        plain = builtins.open
+
+        def opened(file, mode="r", *arguments, **options):
+            if not set(mode) & set("wax"):
+                return plain(file, mode, *arguments, **options)
+            self.step()
+            return Halves(plain(file, mode, *arguments, **options), self.step)
+
+        builtins.open = opened
+
+class Halves:  # a file that reaches the disk in two halves
+    def __init__(self, file, step):
+        self.file, self.step, self.fileno = file, step, file.fileno
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.step()
+        self.file.close()
+
+    def write(self, data):
+        for half in (data[: len(data) // 2], data[len(data) // 2 :]):
+            self.file.write(half)
+            self.file.flush()
+            self.step()
+
+    def flush(self):
+        self.file.flush()
+
+def killed(place, last, count):  # whether the builder was killed, and not finished
+    pid = child(place, Steps(last).watch, maps=count, workers=1)
+    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+
+def sound(place):  # what stands under a final name is complete
+    for path in place.glob("maps-*.h5"):
+        start, stop = map(int, path.stem.split("-")[1:])
+        (header,) = headers(replace(planned, maps=stop, shard_size=stop - start)) if start == 0 else (
+            header for header in headers(replace(planned, maps=stop)) if header.start == start)
+        assert load_shard(place, header) is not None, f"{path.name} is torn"
+    if (place / "manifest.json").exists():
+        manifest = read_manifest(place)
+        assert all((place / entry.name).stat().st_size == entry.bytes for entry in manifest.shards)
+
+counts = [int(count) for count in sys.argv[2].split(",")]  # maps, built one after another: the second extends
+done(child(root / "truth", maps=counts[-1]))
+truth = {path.name: path.read_bytes() for path in (root / "truth").iterdir()}
+number = 0
+while True:
+    place = root / f"killed-{number}"
+    for count in counts[:-1]:
+        done(child(place, maps=count))
+    before = stamps(place)
+    stopped = killed(place, number, counts[-1])
+    if place.exists():
+        sound(place)
+        before |= stamps(place)
+    done(child(place, maps=counts[-1]))
+    after = stamps(place)
+    assert all(after[name] == before[name] for name in after if name in before), f"step {number}: made twice"
+    assert {path.name: path.read_bytes() for path in place.iterdir()} == truth, f"step {number}: another result"
+    if not stopped:
+        break
+    number += 1
+print(number)
+"""
+
+KILLS = """
+done(child(root / "truth"))
+truth = read_manifest(root / "truth").content_hash
+draws = random.Random(int(sys.argv[2]))
+for number in range(int(sys.argv[3])):
+    place = root / str(number)
+    for shards in sorted(draws.sample(range(maps // size), 2)):  # killed, and killed again while it goes on
+        pid = child(place)
+        while len(stamps(place)) < shards and os.waitpid(pid, os.WNOHANG) == (0, 0):
+            time.sleep(0.0005)
+        time.sleep(0.004 * draws.random())  # anywhere between two shards
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    before = stamps(place)
+    for header in headers(planned):
+        name = shard_name(header.start, header.stop)
+        assert (name in before) == (load_shard(place, header) is not None), f"{name} is torn"
+    done(child(place))
+    assert read_manifest(place).content_hash == truth
+    after = stamps(place)
+    assert all(after[name] == stamp for name, stamp in before.items()), "a finished shard was made again"
+    assert not list(place.glob(".*.tmp")), "a dead builder's file is left"
+    print(len(before), end=" ")
+"""
+
+TOGETHER = """
+unlocked = lambda: setattr(fcntl, "flock", lambda *_: None)
+before = unlocked if sys.argv[2] == "unlocked" else lambda: None
+place, other = root / "together", root / "alone"
+for pid in [child(place, before) for _ in range(4)]:
+    done(pid)
+done(child(other))
+assert read_manifest(place) == read_manifest(other)
+assert sorted(path.name for path in place.iterdir()) == sorted(path.name for path in other.iterdir())
+assert all((place / name).read_bytes() == (other / name).read_bytes() for name in stamps(other))
+print("one result")
+"""
+
+
+PARTS = """
+def unlocked():  # as on a file system whose locks do nothing
+    fcntl.flock = lambda *_: None
+
+before = unlocked if sys.argv[2] == "unlocked" else lambda: None
+place, other = root / "together", root / "alone"
+for pid in [child(place, before, part=(k, 4)) for k in range(4)]:
+    done(pid)
+made = stamps(place)
+done(child(other))
+assert set(made) == set(stamps(other)), "the parts are not the whole"
+if sys.argv[2] == "locked":
+    assert read_manifest(place).complete
+done(child(place, before))  # lists what a merge without a lock lost
+assert stamps(place) == made, "a shard was made twice"
+assert all((place / path.name).read_bytes() == path.read_bytes() for path in other.iterdir())
+print("one result")
+"""
+
+JOBS = """
+from mapdata import MapDataModule
+recipe = '{"maps": 3000, "seed": 3}'
+
+def job():
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            MapDataModule(str(root / "together"), build=recipe).prepare_data()
+            code = 0 if read_manifest(root / "together").complete else 2
+        finally:
+            os._exit(code)
+    return pid
+
+for pid in [job() for _ in range(4)]:
+    done(pid)
+manifest = build(root / "alone", MapSpec(), maps=3000, seed=3)
+assert read_manifest(root / "together") == manifest
+assert verify(root / "together") == []
+print("one result")
+"""
+
+
+def run_script(code: str, *arguments: object) -> str:
+    """Run a script that forks builders, in a process without threads; return what it prints."""
+    command = [sys.executable, "-c", PRELUDE + code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@FORKS
+def test_a_killed_build_continues(tmp_path: Path) -> None:
+    """SIGKILL at random times, five builds, each killed twice: no torn shard under a final name, none made twice."""
+    assert len(run_script(KILLS, tmp_path, 1, 5).split()) == 5
+
+
+@SLOW
+@pytest.mark.slow
+@FORKS
+def test_a_killed_build_continues_fifty_times(tmp_path: Path) -> None:
+    """The same, fifty builds."""
+    counts = [int(count) for count in run_script(KILLS, tmp_path, 2, 50).split()]
+    assert len(set(counts)) > 5, "the kills came at few places"
+
+
+@FORKS
+@pytest.mark.parametrize("counts", ["3", "3,4"], ids=["anew", "extended"])
+def test_a_builder_killed_at_every_step(counts: str, tmp_path: Path) -> None:
+    """SIGKILL before each call that changes the disk, half-written files included: no torn file under a final name;
+    building goes on to the files of an undisturbed build, nothing else is left, no finished shard is made twice.
+    """
+    assert int(run_script(STEPS, tmp_path, counts)) > 20
+
+
+# --- many at once -----------------------------------------------------------------------------------------------------
+
+
+@FORKS
+@pytest.mark.parametrize("lock", ["locked", "unlocked"])
+def test_four_builders_make_one_dataset(lock: str, tmp_path: Path) -> None:
+    """Four processes on one root at once: one result, file by file that of one builder; also where locks do nothing."""
+    assert run_script(TOGETHER, tmp_path, lock) == "one result\n"
+
+
+@FORKS
+@pytest.mark.parametrize("lock", ["locked", "unlocked"])
+def test_parts_make_the_whole(lock: str, tmp_path: Path) -> None:
+    """Four parts at once: each shard is made once, together they are what one builder makes."""
+    assert run_script(PARTS, tmp_path, lock) == "one result\n"
+
+
+@FORKS
+def test_four_jobs_prepare_one_dataset(tmp_path: Path) -> None:
+    """``prepare_data`` of four processes at once: one result."""
+    assert run_script(JOBS, tmp_path) == "one result\n"
+
+
+# --- full and read-only disks -----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def mounted(folder: Path, *options: str) -> Iterator[Path]:
+    """Mount something at a folder; skip where that is not allowed."""
+    folder.mkdir()
+    if subprocess.run(["mount", *options, str(folder)], capture_output=True, check=False).returncode:
+        pytest.skip("may not mount file systems")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def command(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run ``mapdata`` in a process of its own."""
+    program = [sys.executable, "-c", "from mapdata.cli.app import main; main()", *map(str, arguments)]
+    return subprocess.run(program, capture_output=True, text=True, check=False)
+
+
+def complaint(done: subprocess.CompletedProcess[str]) -> str:
+    """Return the one line that an error is, beside the bar."""
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    (line,) = (line for line in done.stderr.splitlines() if line.startswith("mapdata: "))
+    return line
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
+def test_a_full_disk(tmp_path: Path) -> None:
+    """A real one: one line, exit code 2, only whole files under final names; with room again the build goes on."""
+    arguments = ("--maps", 3000, "--shard-size", 500, "--seed", 3)
+    with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=1000k", "tmpfs") as disk:
+        assert "No space left on device" in complaint(command("build", disk / "maps", *arguments))
+        before = stamps(disk / "maps")
+        assert 0 < len(before) < 6
+        listed = {entry.name for entry in read_manifest(disk / "maps").shards}
+        assert listed <= set(before)
+        assert set(os.listdir(disk / "maps")) == {".lock", MANIFEST, *before}
+        subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
+        assert command("build", disk / "maps", *arguments).returncode == 0
+        assert {name: stamp for name, stamp in stamps(disk / "maps").items() if name in before} == before
+        truth = build(tmp_path / "truth", MapSpec(), maps=3000, shard_size=500, seed=3)
+        assert read_manifest(disk / "maps") == truth
+        assert verify(disk / "maps") == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a folder")
+def test_a_read_only_disk(tmp_path: Path) -> None:
+    """A root on a disk that nobody may write to: one line, nothing added; a finished one is built and verified."""
+    build(tmp_path / "finished", MapSpec(), maps=20, shard_size=10)
+    unfinished = read_manifest(tmp_path / "finished")
+    (tmp_path / "empty").mkdir()
+    for name in ("empty", "finished"):
+        with mounted(tmp_path / f"{name}-mounted", "-o", "ro", "--bind", str(tmp_path / name)) as folder:
+            with pytest.raises(PermissionError, match=f"^root: no permission to write in {folder}$"):
+                build(folder, MapSpec(), maps=30, shard_size=10)
+            if name == "finished":
+                assert build(folder, MapSpec(), maps=20, shard_size=10) == unfinished
+                assert verify(folder) == []
+                assert "no permission" in complaint(command("build", folder, "--maps", 30, "--shard-size", 10))
+    assert os.listdir(tmp_path / "empty") == []
+    assert read_manifest(tmp_path / "finished") == unfinished
+
+
+# --- Ctrl-C -----------------------------------------------------------------------------------------------------------
+
+
+def stopped(root: Path, shards: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Build, and press Ctrl-C when there are so many shards."""
+    # A background job of a shell, such as a CI's, ignores Ctrl-C unless it asks for it.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = f"{listen}; from mapdata.cli.app import main; main()"
+    program = [sys.executable, "-c", code, "build", str(root), *map(str, arguments)]
+    builder = subprocess.Popen(program, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        while not (root / MANIFEST).exists() or len(stamps(root)) < shards:
+            assert builder.poll() is None
+            time.sleep(0.01)
+        if not shards:
+            time.sleep(0.5)  # so that some are begun
+        builder.send_signal(signal.SIGINT)
+        out, err = builder.communicate(timeout=60)
+    finally:
+        builder.kill()
+    return subprocess.CompletedProcess(program, builder.returncode, out, err)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+def test_ctrl_c_does_not_wait_for_a_shard(tmp_path: Path) -> None:
+    """Shards that take minutes each: it stops at once, with one line that says how to go on, and no traceback."""
+    done = stopped(tmp_path / "maps", 0, "--preset", "dungeon128", "--maps", 10**6, "--shard-size", 10**5)
+    assert done.returncode == 130
+    assert done.stderr.splitlines()[-1] == "mapdata: stopped; run the same command again to go on"
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+def test_the_same_command_goes_on(tmp_path: Path) -> None:
+    """What was finished when it was stopped is not made again."""
+    arguments = ("--maps", 10_000, "--shard-size", 250, "--workers", 1)
+    assert stopped(tmp_path / "maps", 1, *arguments).returncode == 130
+    before = stamps(tmp_path / "maps")
+    assert 0 < len(before) < 40
+    assert command("build", tmp_path / "maps", *arguments).returncode == 0
+    after = stamps(tmp_path / "maps")
+    assert {name: stamp for name, stamp in after.items() if name in before} == before
+    assert sorted(after) == names(10_000, 250)[1:]
+    assert verify(tmp_path / "maps") == []
+
+
+# --- many shards ------------------------------------------------------------------------------------------------------
+
+
+@SLOW
+@pytest.mark.slow
+def test_ten_thousand_shards(tmp_path: Path) -> None:
+    """Shards cost no more each when there are many, and a dataset of them is opened in a twentieth of that."""
+    costs = []
+    for shards in (1000, 10_000):
+        began = time.process_time()
+        build(tmp_path / str(shards), SPEC, maps=shards, shard_size=1, workers=1)
+        costs.append((time.process_time() - began) / shards)
+    assert costs[1] < 1.5 * costs[0]
+    began = time.process_time()
+    dataset = MapDataset(tmp_path / "10000", "train")
+    opening = time.process_time() - began
+    assert len(dataset) > 8000
+    assert opening < 0.05 * costs[1] * 10_000
+    print(f"{1e3 * costs[0]:.2f} and {1e3 * costs[1]:.2f} ms of CPU a shard; opened in {opening:.2f} s")
+
+
+# --- long life --------------------------------------------------------------------------------------------------------
+
+MEMORY = """
+import sys
+from pathlib import Path
+from mapdata.shards import builder as module
+from mapdata.generators.rooms import MapSpec
+
+def resident():  # kB
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmRSS"))
+
+class Seen(list):
+    pass
+
+seen, make = Seen(), module._made
+def made(*arguments):
+    for entry in make(*arguments):
+        seen.append(resident())
+        yield entry
+module._made = made
+module.build(Path(sys.argv[1]), MapSpec(), maps=30_000, shard_size=500, workers=2)
+print(*seen)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_build_holds_its_memory(tmp_path: Path) -> None:
+    """The last half of sixty shards needs no more memory than the first."""
+    command = [sys.executable, "-c", MEMORY, str(tmp_path / "maps")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    seen = [int(kilobytes) for kilobytes in done.stdout.split()]
+    assert len(seen) == 60
+    assert max(seen[30:]) < 1.1 * max(seen[:30]), seen

@@ -1,0 +1,455 @@
+"""docs/format.md holds: shards are read here with h5py and numpy by following that page, and its tables are complete.
+
+mapdata builds the datasets and says what they should hold; nothing of it reads them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import struct
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import reference
+
+from mapdata.generators.generator import generate
+from mapdata.generators.rooms import MapSpec
+from mapdata.search.labels import Labels, label
+from mapdata.shards.builder import build
+from mapdata.spec import Movement
+
+Array: TypeAlias = npt.NDArray[Any]
+Row: TypeAlias = list[str]
+
+PAGE = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
+SEED, MAPS, SHARD_SIZE = 2**63 + 5, 11, 4
+SPEC = MapSpec((20, 70), (2, 6), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.4, splits=(0.5, 0.3, 0.2))
+SPECS = {
+    "4": SPEC,
+    "8": MapSpec((9, 130), (2, 5), (1, 4), (3, 40), passage_width=(1, 3), skip_probability=0.4, movement=Movement(8)),
+    "8-cutting-one": MapSpec(
+        (30, 65), (2, 6), (2, 6), (2, 9), (1, 2), 0.5, movement=Movement(8, corner_cutting=True, diagonal_cost=1)
+    ),
+}
+
+
+# --- the page as a reader ---------------------------------------------------------------------------------------------
+
+STEPS = [(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)]
+
+
+class Planner(NamedTuple):
+    """What one planner found on one map: codes and iterations a segment, straight and diagonal moves a pair."""
+
+    moves: list[list[int]]
+    iterations: list[int]
+    straight: list[int]
+    diagonal: list[int]
+
+
+class Map(NamedTuple):
+    """One map as the page says that it lies in a shard."""
+
+    number: int
+    occupancy: Array
+    bits: bytes
+    split: int
+    passage_width: int
+    seed_points: list[list[int]]
+    sizes: list[list[int]]
+    directions: list[list[int]]
+    planners: dict[str, Planner]
+
+
+def read(path: Path) -> tuple[dict[str, Any], list[Map]]:
+    """Read a shard: its root attributes and its maps."""
+    with h5py.File(path, "r") as file:
+        attributes: dict[str, Any] = dict(file.attrs)
+        attributes |= {name: value.decode() for name, value in attributes.items() if isinstance(value, bytes)}
+        data = {name: file[name][()] for name in file}
+    _, width = attributes["map_size"].tolist()
+    bits = 2 if json.loads(attributes["movement"])["connectivity"] == 4 else 4
+    maps = []
+    for m, number in enumerate(range(attributes["start"], attributes["stop"])):
+        first, last = data["room_offsets"][m : m + 2].tolist()
+        passages = slice(first - m, last - m - 1)
+        packed = data["maps"][m]
+        columns = np.arange(width)
+        planners = {}
+        for name in ("bfs", "astar"):
+            offsets = data[f"{name}_offsets"].tolist()
+            pairs = slice(*data["pair_offsets"][m : m + 2].tolist())
+            straight = data[f"{name}_straight"][pairs].tolist()
+            diagonal = data["astar_diagonal"][pairs].tolist() if name == "astar" else []
+            moves = [
+                [int(data[f"{name}_moves"][k * bits // 8]) >> k * bits % 8 & 2**bits - 1 for k in range(begin, end)]
+                for begin, end in zip(offsets[passages], offsets[passages.start + 1 : passages.stop + 1], strict=True)
+            ]
+            iterations = data[f"{name}_iterations"][passages].tolist()
+            planners[name] = Planner(moves, iterations, straight, diagonal or [0] * len(straight))
+        maps.append(
+            Map(
+                number=number,
+                occupancy=packed[:, columns // 8] >> (columns % 8).astype(np.uint8) & 1,
+                bits=packed.tobytes(),
+                split=int(data["split"][m]),
+                passage_width=int(data["passage_width"][m]),
+                seed_points=data["seeds"][first:last].tolist(),
+                sizes=data["sizes"][first:last].tolist(),
+                directions=data["directions"][passages].tolist(),
+                planners=planners,
+            )
+        )
+    return attributes, maps
+
+
+def path_of(one: Map, search: str, q: int) -> list[list[int]]:
+    """Return the cells of segment q."""
+    n = len(one.seed_points)
+    if one.planners["astar"].straight[q * (2 * n - q - 1) // 2] == -1:
+        return []
+    cells = [one.seed_points[q]]
+    for move in one.planners[search].moves[q]:
+        cells.append([cells[-1][0] + STEPS[move][0], cells[-1][1] + STEPS[move][1]])
+    return cells
+
+
+def matrix_of(one: Map, search: str, diagonal_cost: float) -> Array:
+    """Return the connection matrix."""
+    found, n = one.planners[search], len(one.seed_points)
+    matrix = np.zeros((n, n))
+    for pair, (i, j) in enumerate(combinations(range(n), 2)):
+        straight, diagonal = found.straight[pair], found.diagonal[pair]
+        matrix[i, j] = matrix[j, i] = -1 if straight == -1 else straight + diagonal * diagonal_cost
+    return matrix
+
+
+def record_of(one: Map) -> bytes:
+    """Return the record that the content hash is taken of."""
+    height, width = one.occupancy.shape
+    words = [height, width, one.number % 2**32, one.number // 2**32, one.split, one.passage_width, len(one.seed_points)]
+    words += np.ravel([*one.seed_points, *one.sizes, *one.directions]).tolist()
+    for search in (one.planners["bfs"], one.planners["astar"]):
+        for moves, iterations in zip(search.moves, search.iterations, strict=True):
+            words += [len(moves), iterations]
+        for straight, diagonal in zip(search.straight, search.diagonal, strict=True):
+            words += [straight, diagonal]
+    record = b"".join(struct.pack("<I", word % 2**32) for word in words) + one.bits
+    for search in (one.planners["bfs"], one.planners["astar"]):
+        record += bytes(move for moves in search.moves for move in moves)
+    return record + bytes(-len(record) % 4)
+
+
+def hash_of(maps: Sequence[Map]) -> str:
+    """Return the content hash of maps."""
+    total = sum(int.from_bytes(hashlib.sha256(record_of(one)).digest(), "big") for one in maps)
+    return f"{total % 2**256:064x}"
+
+
+def canonical(values: object) -> str:
+    """Return canonical JSON."""
+    return json.dumps(values, sort_keys=True, separators=(",", ":"))
+
+
+def threshold(probability: float) -> int:
+    """Return the integer that a word must be below."""
+    return round(probability * 2**32)
+
+
+# --- the page as tables -----------------------------------------------------------------------------------------------
+
+
+def table(heading: str) -> list[Row]:
+    """Return the rows of the table of the page whose first heading is this, without code marks."""
+    lines = PAGE.split("\n")
+    first = next(number for number, line in enumerate(lines) if line.startswith(f"| {heading} |"))
+    rows = []
+    for line in lines[first + 2 :]:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip().replace("`", "").replace("\\", "") for cell in line.strip("|").split("|")])
+    return rows
+
+
+def names(heading: str) -> Row:
+    """Return the first column of a table."""
+    return [name for row in table(heading) for name in row[0].split(", ")]
+
+
+# --- datasets to read -------------------------------------------------------------------------------------------------
+
+
+class Dataset(NamedTuple):
+    """A built dataset, and what it should hold."""
+
+    spec: MapSpec
+    root: Path
+    shards: list[Path]
+    labels: Labels
+
+
+@pytest.fixture(scope="module", params=SPECS)
+def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Eleven maps in three shards, the last one shorter."""
+    spec = SPECS[request.param]
+    root = tmp_path_factory.mktemp("format") / "maps"
+    build(root, spec, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE, workers=1)
+    return Dataset(spec, root, sorted(root.glob("maps-*.h5")), label(generate(spec, SEED, range(MAPS))))
+
+
+# --- what a shard holds -----------------------------------------------------------------------------------------------
+
+
+def test_the_page_reads_every_map(dataset: Dataset) -> None:
+    """Maps, rooms, passages, splits, paths, iterations and matrices are those that mapdata generates and labels."""
+    found = [one for path in dataset.shards for one in read(path)[1]]
+    labels = dataset.labels
+    maps = labels.maps
+    assert [one.number for one in found] == list(range(MAPS))
+    for i, one in enumerate(found):
+        n = maps.rooms[i]
+        np.testing.assert_array_equal(one.occupancy, maps.occupancy[i])
+        assert (one.split, one.passage_width) == (maps.split[i], maps.passage_width[i])
+        assert one.seed_points == maps.seed_points[i, :n].tolist()
+        assert one.sizes == maps.sizes[i, :n].tolist()
+        assert one.directions == maps.directions[i, : n - 1].tolist()
+        for search in ("bfs", "astar"):
+            paths = [path_of(one, search, q) for q in range(n - 1)]
+            assert paths == [segment.tolist() for segment in labels.route(search, i)]
+            assert one.planners[search].iterations == labels.iterations(search, i).tolist()
+            step = 1.0 if search == "bfs" else dataset.spec.movement.diagonal_cost
+            np.testing.assert_array_equal(matrix_of(one, search, step), labels.matrix(search, i))
+    assert not labels.reachable.all(), "no segment without a path among them"
+
+
+def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
+    """Moves lead from the seed of room q to that of room q + 1 over free cells, and their number is the pair's cost."""
+    for one in (one for path in dataset.shards for one in read(path)[1]):
+        n = len(one.seed_points)
+        for search, found in one.planners.items():
+            for q in range(n - 1):
+                pair = q * (2 * n - q - 1) // 2
+                cells = path_of(one, search, q)
+                assert (cells == []) == (found.straight[pair] == -1)
+                assert len(found.moves[q]) == max(0, found.straight[pair] + found.diagonal[pair])
+                if cells:
+                    assert (cells[0], cells[-1]) == (one.seed_points[q], one.seed_points[q + 1])
+                    assert not any(one.occupancy[row, column] for row, column in cells)
+
+
+def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
+    """Split, rooms, passage width, seeds, sizes and directions follow from the spec in the file and its seed."""
+    for path in dataset.shards:
+        attributes, maps = read(path)
+        spec, seed = json.loads(attributes["spec"]), int(attributes["seed"])
+        assert seed == SEED
+
+        def draw(word: int, limits: Sequence[int]) -> int:
+            return limits[0] + (word * (limits[1] - limits[0] + 1) // 2**32)
+
+        for one in maps:
+            train, validation, _ = spec["splits"]
+            (word, *_) = reference.block(seed, one.number, 0, 2, 0)
+            code = 0 if word < threshold(train) else 1 if word < threshold(train + validation) else 2
+            assert one.split == code
+            rooms, width, *_ = reference.block(seed, one.number, 0, 0, 0)
+            assert len(one.seed_points) == draw(rooms, spec["rooms"])
+            assert one.passage_width == draw(width, spec["passage_width"])
+            for q, (seed_point, size) in enumerate(zip(one.seed_points, one.sizes, strict=True)):
+                words = reference.block(seed, one.number, 0, 0, 1 + 2 * q)
+                height, columns = spec["map_size"]
+                limits = [(0, height - 1), (0, columns - 1), spec["room_rows"], spec["room_columns"]]
+                assert [*seed_point, *size] == [draw(word, limit) for word, limit in zip(words, limits, strict=True)]
+            for q, direction in enumerate(one.directions):
+                skip, first, *_ = reference.block(seed, one.number, 0, 0, 2 + 2 * q)
+                drawn = [1, 0] if draw(first, (0, 1)) else [0, 1]
+                assert direction == ([-1, -1] if skip < threshold(spec["skip_probability"]) else drawn)
+
+
+def test_the_split_draw_gives_the_fractions() -> None:
+    """Over 20,000 maps each split has its share, within five standard deviations."""
+    words = np.array([reference.block(SEED, i, 0, 2, 0)[0] for i in range(20_000)])
+    train, validation, _ = SPEC.splits
+    for bound, share in ((threshold(train), 0.5), (threshold(train + validation), 0.8)):
+        assert abs((words < bound).mean() - share) < 5 * math.sqrt(share * (1 - share) / len(words))
+
+
+def test_hashes_are_those_of_the_page(dataset: Dataset) -> None:
+    """Content hash of a shard and of the whole, file hash, identity and the manifest's own hash can be made by hand."""
+    manifest = json.loads((dataset.root / "manifest.json").read_text(encoding="utf-8"))
+    every = []
+    for path, entry in zip(dataset.shards, manifest["shards"], strict=True):
+        attributes, maps = read(path)
+        every += maps
+        assert attributes["content_hash"] == entry["content_hash"] == hash_of(maps)
+        assert entry["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert entry["bytes"] == path.stat().st_size
+        recipe = {"format_version": 1, "seed": int(attributes["seed"]), "spec": json.loads(attributes["spec"])}
+        assert attributes["identity"] == hashlib.sha256(canonical(recipe).encode()).hexdigest()
+        assert attributes["identity"] == manifest["identity"]
+        assert attributes["spec"] == canonical(manifest["spec"])
+        assert attributes["movement"] == canonical(manifest["movement"]) == canonical(manifest["spec"]["movement"])
+        assert attributes["resolution"] == manifest["resolution"] == manifest["spec"]["resolution"]
+        assert attributes["map_size"].tolist() == manifest["map_size"] == manifest["spec"]["map_size"]
+    assert manifest["content_hash"] == hash_of(every) == hash_of(every[::-1])
+    stated = manifest.pop("manifest_hash")
+    assert stated == hashlib.sha256(canonical(manifest).encode()).hexdigest()
+
+
+# --- what the page lists ----------------------------------------------------------------------------------------------
+
+HDF5_TYPES = {"int64": "<i8", "int64[2]": "<i8", "float64": "<f8"}
+
+
+def test_the_tables_list_every_dataset_and_attribute(dataset: Dataset) -> None:
+    """The page names exactly the datasets and root attributes of each shard, in the file's order, with their types."""
+    for path in dataset.shards:
+        with h5py.File(path, "r") as file:
+            assert sorted(file) == sorted(names("dataset"))
+            for name, kind, *_ in table("dataset"):
+                assert file[name].dtype == np.dtype(kind).newbyteorder("<"), name
+                assert set(file[name].attrs) == {"description", "units", "encoding"}
+                assert all(isinstance(value, (str, bytes)) and value for value in file[name].attrs.values())
+            assert sorted(file.attrs) == sorted(names("attribute"))
+            for name, kind, _ in table("attribute"):
+                attribute = file.attrs.get_id(name)
+                assert attribute.shape == ((2,) if kind.endswith("[2]") else ())
+                if kind == "text":
+                    encoding, length = h5py.check_string_dtype(attribute.dtype)
+                    assert encoding == "utf-8"
+                    assert (length is None) == ("UTF-8 string of variable length" in PAGE), name
+                else:
+                    assert attribute.dtype == np.dtype(HDF5_TYPES[kind]), name
+
+
+def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
+    """Each dataset has the shape that its row of the table states."""
+    for path in dataset.shards:
+        with h5py.File(path, "r") as file:
+            start, stop, (height, width) = file.attrs["start"], file.attrs["stop"], file.attrs["map_size"]
+            connectivity = dataset.spec.movement.connectivity
+            maps, rooms, pairs = stop - start, file["room_offsets"][-1], file["pair_offsets"][-1]
+            segments = rooms - maps
+            for name, _, shape, _ in table("dataset"):
+                moves = file[f"{name.split('_')[0]}_offsets"][-1] if name.endswith("_moves") else 0
+                sides = {
+                    "N": maps,
+                    "N + 1": maps + 1,
+                    "H": height,
+                    "B": 8 * ((width + 63) // 64),
+                    "R": rooms,
+                    "2": 2,
+                    "S": segments,
+                    "S + 1": segments + 1,
+                    "(M b + 7) // 8": (moves * (2 if connectivity == 4 else 4) + 7) // 8,
+                    "P": pairs,
+                    "P), or (0": pairs if connectivity == 8 else 0,
+                }
+                stated = shape[1:-1]
+                expected = (sides[stated],) if stated in sides else tuple(sides[side] for side in stated.split(", "))
+                assert file[name].shape == expected, name
+
+
+def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
+    """The page names exactly the keys of manifest.json, in its order, of its shards, counts, spec and movement."""
+    content = (dataset.root / "manifest.json").read_text(encoding="utf-8")
+    manifest = json.loads(content)
+    assert content == json.dumps(manifest, indent=1) + "\n"
+    assert list(manifest) == names("key")
+    assert sorted(manifest["spec"]) == sorted(names("spec"))
+    assert sorted(manifest["spec"]["movement"]) == sorted(names("movement"))
+    for number, entry in enumerate(manifest["shards"]):
+        start, stop = number * SHARD_SIZE, min((number + 1) * SHARD_SIZE, MAPS)
+        assert list(entry) == names("key of a shard")
+        assert (entry["start"], entry["stop"]) == (start, stop)
+        assert entry["name"] == f"maps-{start:012d}-{stop:012d}.h5" == dataset.shards[number].name
+        splits = names("count")[names("count").index("train") : names("count").index("maps")]
+        assert splits == ["train", "val", "test"]
+        outer, inner = names("count")[: names("count").index("maps")], names("count")[names("count").index("maps") :]
+        assert list(entry["counts"]) == outer
+        assert all(list(entry["counts"][split]) == inner for split in splits)
+
+
+def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
+    """Each count of each shard, counted by hand."""
+    manifest = json.loads((dataset.root / "manifest.json").read_text(encoding="utf-8"))
+    for path, entry in zip(dataset.shards, manifest["shards"], strict=True):
+        counts = entry["counts"]
+        _, maps = read(path)
+        for code, split in enumerate(("train", "val", "test")):
+            costs: dict[str, list[int]] = {"route": [], "rooms": []}
+            for one in maps:
+                if one.split != code:
+                    continue
+                found, n = one.planners["astar"], len(one.seed_points)
+                ways = [s + d for s, d in zip(found.straight, found.diagonal, strict=True)]
+                costs["rooms"] += ways
+                costs["route"] += [ways[q * (2 * n - q - 1) // 2] for q in range(n - 1)]
+            assert counts[split]["maps"] == sum(one.split == code for one in maps)
+            for kind, ways in costs.items():
+                assert counts[split][kind] == sum(way > 0 for way in ways)
+                assert counts[split][f"{kind}_unsolvable"] == ways.count(-1)
+        reachable = [[path_of(one, "astar", q) != [] for q in range(len(one.seed_points) - 1)] for one in maps]
+        assert counts["most_rooms"] == max(len(one.seed_points) for one in maps)
+        assert counts["segments"] == sum(map(len, reachable))
+        assert counts["reachable"] == sum(map(sum, reachable))
+        assert counts["all_connected"] == sum(map(all, reachable))
+        assert counts["drawn"] == sum(direction != [-1, -1] for one in maps for direction in one.directions)
+
+
+def test_files_keep_the_rules_of_the_page(dataset: Dataset) -> None:
+    """Superblock 3, no user block, hard links only, contiguous, no filter, aligned, spare bits clear."""
+    for path in dataset.shards:
+        assert path.read_bytes()[:9] == b"\x89HDF\r\n\x1a\n\x03"
+        with h5py.File(path, "r") as file:
+            for name in file:
+                assert isinstance(file.get(name, getlink=True), h5py.HardLink)
+                data = file[name]
+                assert (data.chunks, data.compression, data.external, data.is_virtual) == (None, None, None, False)
+                if data.size:
+                    assert data.id.get_offset() % 64 == 0, name
+                else:
+                    assert data.id.get_offset() is None
+            width = file.attrs["map_size"][1]
+            bits = np.unpackbits(file["maps"][()], axis=-1, bitorder="little")
+            assert not bits[:, :, width:].any()
+            for search in ("bfs", "astar"):
+                used = file[f"{search}_offsets"][-1] * (2 if dataset.spec.movement.connectivity == 4 else 4)
+                assert not np.unpackbits(file[f"{search}_moves"][()], bitorder="little")[used:].any()
+
+
+# --- the values at its end --------------------------------------------------------------------------------------------
+
+
+def test_values_to_check_against(tmp_path: Path) -> None:
+    """Words, spec, identity, map 0, record and content hash of the page's last section."""
+    section = re.sub(r"\s+", " ", PAGE[PAGE.index("## 9.") :].replace("`", "").replace("\\", ""))
+    spec = MapSpec()
+    manifest = build(tmp_path / "maps", spec, maps=10, seed=0, shard_size=10, workers=1)
+    maps = read(tmp_path / "maps" / manifest.shards[0].name)[1]
+    first = maps[0]
+    bfs, astar = first.planners["bfs"], first.planners["astar"]
+    stated = [
+        " ".join(f"{word:08x}" for word in reference.philox4x32((0, 0, 0, 0), (0, 0))),
+        spec.to_json().replace(',"passage', ', "passage').replace(',"skip', ', "skip'),
+        str(manifest.identity),
+        f"n = {len(first.seed_points)}, T = {first.passage_width}, split {('train', 'val', 'test')[first.split]}",
+        "seeds " + " ".join(f"({row}, {column})" for row, column in first.seed_points),
+        f"segments of {', '.join(str(len(moves)) for moves in bfs.moves)} moves by both",
+        f"iterations {', '.join(map(str, bfs.iterations))} by BFS and {', '.join(map(str, astar.iterations))} by A*",
+        f"record has {len(record_of(first))} bytes, hash {hashlib.sha256(record_of(first)).hexdigest()}",
+        manifest.content_hash,
+    ]
+    assert [value for value in stated if value not in section] == []
+    assert first.directions == [[1, 0]] * 4
+    assert [len(moves) for moves in astar.moves] == [len(moves) for moves in bfs.moves]
+    assert hash_of(maps) == manifest.content_hash

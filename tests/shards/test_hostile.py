@@ -1,0 +1,273 @@
+"""Hostile files to every loader: each is refused by name, within 200 MB and a few seconds, and nothing in it is run."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import struct
+import sys
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers import hostile, run_helper, wild
+from torch import nn
+
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.manifest import MANIFEST, Manifest, read_manifest
+from mapdata.spec import Movement
+from models.path_predictor import PathPredictor
+from models.saved import load_model
+
+MOST = 200 << 20
+SPEC = MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8))
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")
+
+Case = tuple[str, Path, str]
+"""A loader of `refusals.LOADERS`, the file, and the error expected."""
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset of tests/helpers/hostile.py: three maps of 20 x 70 cells, 8-connected."""
+    folder = tmp_path_factory.mktemp("hostile") / "sound"
+    build(folder, SPEC, maps=3, seed=3)
+    return folder
+
+
+# --- shards and manifests ---------------------------------------------------------------------------------------------
+
+
+def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
+    """Write every fault of tests/helpers/hostile.py."""
+    shard = next(sound.glob("*.h5"))
+    contents = hostile.read_contents(shard)
+    members = [(fault.dataset, fault.member) for fault in hostile.DATASETS.values()]
+    members += [("maps", member) for member in hostile.ELSEWHERE.values()]
+    for k, (name, member) in enumerate(members):
+        hostile.write(folder / f"data{k}.h5", contents, shard, {name: member})
+    for k, fault in enumerate(hostile.ATTRIBUTES.values()):
+        hostile.write(folder / f"attribute{k}.h5", contents, shard, attributes=fault.values)
+    for k, (_, change) in enumerate(hostile.BYTES.values()):
+        (folder / f"bytes{k}.h5").write_bytes(change(contents.image))
+    hostile.write_beyond_the_end(folder / "beyond.h5", contents)
+    os.mkfifo(folder / "pipe.h5")
+    for path in sorted(folder.glob("*.h5")):
+        yield "shard", path, "ShardError"
+
+
+def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
+    """Write manifests that are deep, long, endless, or claim what no memory holds."""
+    manifest = read_manifest(sound)
+    entry = manifest.shards[0]
+    rows = {name: {**entry.counts[name], "route": 10**14} for name in ("train", "val", "test")}
+    problems = Manifest(
+        **{
+            **vars(manifest),
+            "shards": (type(entry)(**{**vars(entry), "bytes": 10**15, "counts": entry.counts | rows}),),
+        }
+    )
+    rooms = type(entry)(**{**vars(entry), "counts": {**entry.counts, "most_rooms": 10**9}})
+    texts = {
+        "deep": "[" * 10**6,
+        "empty-lists": "[" + "[]," * 10**6 + "[]]",
+        "digits": '{"format":' + "9" * 10**6 + "}",
+        "problems": problems.to_json(),
+        "rooms": Manifest(**{**vars(manifest), "spec": None, "seed": None, "shards": (rooms,)}).to_json(),
+    }
+    for name, text in texts.items():
+        (folder / name).mkdir()
+        (folder / name / MANIFEST).write_text(text)
+        yield "dataset", folder / name, "ShardError"
+    (folder / "endless").mkdir()
+    with open(folder / "endless" / MANIFEST, "wb") as file:
+        file.truncate(2**40)  # a file of holes
+    yield "manifest", folder / "endless", "ShardError"
+    (folder / "pipe").mkdir()
+    os.mkfifo(folder / "pipe" / MANIFEST)
+    yield "manifest", folder / "pipe", "ShardError"
+    for name in ("deep", "digits"):
+        yield "recipe", folder / name / MANIFEST, "ValueError"
+
+
+# --- foreign files ----------------------------------------------------------------------------------------------------
+
+
+def zeros(path: Path, *, size: int, stated: int, claimed: int) -> None:
+    """Write an .npz of so many zeros; its directory states another size, and the array's header claims a third."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open("maps.npy", "w", force_zip64=True) as member:
+            member.write(wild.npy((claimed // 4096, 64, 64), b""))
+            for _ in range(size // 2**24):
+                member.write(bytes(2**24))
+        archive.infolist()[0].file_size = stated
+
+
+def text_chunk(size: int) -> bytes:
+    """Return a PNG with a compressed text of ``size`` zeros."""
+    good = wild.png(3, 4, depth=8)
+    data = b"Comment\0\0" + zlib.compress(bytes(size), 9)
+    chunk = b"zTXt" + data
+    return good[:33] + struct.pack(">I", len(data)) + chunk + struct.pack(">I", zlib.crc32(chunk)) + good[33:]
+
+
+YAML = "image: {image}\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+
+
+def format_cases(folder: Path, _: Path) -> Iterator[Case]:
+    """Write bombs, lies, pickles and tags, each in a folder of its own."""
+    table = "item,label,passage_size,seed_rows,seed_columns,size_rows,size_columns,direction_for_passages\n"
+    touch = f"!!python/object/apply:os.mkdir ['{folder / 'hacked'}']"
+    pickled = pickle.dumps(Bomb(folder / "hacked"))
+    files: dict[str, bytes] = {
+        "a.png": wild.png(9400, 9400),
+        "b.png": wild.png(30000, 30000),
+        "c.png": text_chunk(2**28),
+        "d.npy": wild.npy((1,), pickled, "|O"),
+        "e.npy": wild.npy((2**20, 2**20), b""),
+        "f.pgm": b"P5 99999 99999 255\n",
+        "g.pgm": b"P2 4000 4000 255\n",
+        "h.yaml": YAML.format(image=touch).encode(),
+        "i.yaml": YAML.format(image="/etc/passwd").encode(),
+        "j.yaml": (
+            "a: &a [x,x]\n" + "".join(f"b{k}: &b{k} [*{'a' if k == 0 else f'b{k - 1}'}, x]\n" for k in range(60))
+        ).encode(),
+        "k.map": b"type octile\nheight 99999\nwidth 99999\nmap\n",
+        "l.scen": b"version 1\n0\tnone.map\t4\t3\t0\t0\t3\t2\t1e999\n",
+        "m.csv": (table + '0,a,2,"[' + "9" * 10**6 + ']","[1]","[1]","[1]","[1]"\n').encode(),
+        "n.csv": (table + '0,a,2,"' + "[" * 10**6 + '","[1]","[1]","[1]","[1]"\n').encode(),
+        "o.png": pickled,
+        "p.npz": pickled,
+    }
+    for name, data in files.items():
+        (folder / name[0]).mkdir()
+        (folder / name[0] / name).write_bytes(data)
+        yield "format", folder / name[0] / name, "FormatError"
+    for name, size, stated, claimed in (
+        ("q.npz", 2**24, 2**31, 2**31),
+        ("r.npz", 2**24, 2**29, 2**40),
+        ("s.npz", 2**28, 4096 + 128, 4096),
+    ):
+        zeros(folder / name, size=size, stated=stated, claimed=claimed)
+        yield "format", folder / name, "FormatError"
+
+
+# --- checkpoints ------------------------------------------------------------------------------------------------------
+
+
+class Bomb:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, folder: Path) -> None:
+        """Keep the folder."""
+        self.folder = str(folder)
+
+    def __reduce__(self) -> tuple[Callable[[str], None], tuple[str]]:
+        return os.mkdir, (self.folder,)
+
+
+def packed(source: bytes) -> bytes:
+    """Return a checkpoint whose parts are compressed, which torch reads too."""
+    out = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(source)) as old,
+        zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as new,
+    ):
+        for info in old.infolist():
+            new.writestr(info.filename, old.read(info))
+    return out.getvalue()
+
+
+def saved(value: object) -> bytes:
+    """Return what torch.save writes."""
+    out = io.BytesIO()
+    torch.save(value, out)
+    return out.getvalue()
+
+
+def model_cases(folder: Path, _: Path) -> Iterator[Case]:
+    """Write checkpoints that run code, unpack to much, or describe a model that no memory holds."""
+    model = PathPredictor(4, widths=(8, 8, 8), passes=1)
+    model.save(folder / "sound.pt")
+    sound = torch.load(folder / "sound.pt", weights_only=True)
+    plain, weights = sound["arguments"], sound["weights"]
+    first = next(iter(weights))
+    tar = io.BytesIO()
+    tarfile.open(fileobj=tar, mode="w").close()
+    files = {
+        "pickle": pickle.dumps(Bomb(folder / "hacked")),
+        "code": saved({"arguments": Bomb(folder / "hacked"), "weights": {}}),
+        "old-form": io.BytesIO(pickle.dumps(Bomb(folder / "hacked"))).getvalue() * 3,
+        "tar": tar.getvalue(),
+        "text": b"weights\n",
+        "empty": b"",
+        "cut": (folder / "sound.pt").read_bytes()[:-100],
+        "a-list": saved([1, 2]),
+        "no-weights": saved({"arguments": plain}),
+        "zeros": packed(saved({"arguments": plain, "weights": {first: torch.zeros(2**26)}})),
+        "stretched": saved({"arguments": plain, "weights": {**weights, first: torch.zeros(1).expand(10**12)}}),
+        "wide": saved({"arguments": {**plain, "widths": [10**6, 10**6, 10**6]}, "weights": weights}),
+        "deep": saved({"arguments": {**plain, "passes": 10**12}, "weights": weights}),
+        "infinite": saved({"arguments": {**plain, "passes": float("inf")}, "weights": weights}),
+        "other-arguments": saved({"arguments": {"speed": 3}, "weights": weights}),
+        "other-weights": saved({"arguments": plain, "weights": {"a": torch.zeros(3)}}),
+        "no-tensors": saved({"arguments": plain, "weights": {first: 3}}),
+    }
+    for name, data in files.items():
+        (folder / f"{name}.pt").write_bytes(data)
+        yield "model", folder / f"{name}.pt", "ValueError"
+
+
+# --- the tests --------------------------------------------------------------------------------------------------------
+
+
+@LINUX
+def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
+    """In a process of their own: the loader's own error, on one line, little memory, little time, no code run."""
+    wanted = []
+    for cases in (shard_cases, manifest_cases, format_cases, model_cases):
+        folder = tmp_path / cases.__name__
+        folder.mkdir()
+        wanted += list(cases(folder, sound))
+    arguments = [f"{loader}={path}" for loader, path, _ in wanted]
+    done = run_helper("refusals", *arguments)
+    assert done.returncode == 0, done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [(loader, path, name) for loader, path, name, _, _ in found] == [
+        (loader, str(path), name) for loader, path, name in wanted
+    ]
+    assert max(found, key=lambda each: each[3])[3] < MOST, max(found, key=lambda each: each[3])
+    assert max(found, key=lambda each: each[4])[4] < 10, max(found, key=lambda each: each[4])
+    assert list(tmp_path.glob("*/hacked")) == []
+
+
+def test_the_bomb_is_one(tmp_path: Path) -> None:
+    """What the loaders refuse does run where pickles are trusted."""
+    pickle.loads(pickle.dumps(Bomb(tmp_path / "hacked")))
+    assert (tmp_path / "hacked").is_dir()
+
+
+class Other(nn.Linear):
+    """Another model than the one that was saved."""
+
+
+def test_a_sound_model_is_read(tmp_path: Path) -> None:
+    """Equal weights, ready to plan; another class, or no file, is named."""
+    model = PathPredictor(4, widths=(8, 8, 8), passes=1)
+    model.save(tmp_path / "model.pt")
+    again = load_model(tmp_path / "model.pt", PathPredictor)
+    assert not again.training
+    for name, value in model.state_dict().items():
+        np.testing.assert_array_equal(again.state_dict()[name].numpy(), value.numpy())
+    with pytest.raises(ValueError, match=r"model\.pt: holds no saved Other"):
+        load_model(tmp_path / "model.pt", Other)
+    with pytest.raises(FileNotFoundError, match=r"none\.pt"):
+        load_model(tmp_path / "none.pt", PathPredictor)

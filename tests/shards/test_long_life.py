@@ -1,0 +1,139 @@
+"""Long life: what was written stays readable, what is newer is refused by name, and loading takes no more memory."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from h5py import h5a
+
+import mapdata
+from mapdata.datasets.dataset import MapDataset
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build
+from mapdata.shards.content import combine, content_hash
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import MANIFEST, parse_manifest, read_manifest
+from mapdata.shards.reader import open_shard, read_shard
+from mapdata.shards.shard import ShardError
+from mapdata.spec import FORMAT_VERSIONS, canonical_json
+
+KEPT = Path(__file__).parents[1] / "data"
+FIELDS = ("map", "start", "goal", "path", "length", "iterations", "problem")
+
+HASHES = {
+    "format-1": (
+        "e9aa16f96cf80d59c7d4bb282274f6ea58566ce9f7aba87341d77684df33a8a2",
+        "f762735e14e9912bf2aacb366a62cb175f7751a3fe7424d762fadeb77bbf89f0",
+    ),
+    "format-1-imported": (
+        "a3bf5b10b6195a829845faaba793ba429b011112c29cb7d27ce98a017c255754",
+        "373247e6a4ce9093b5b82432564b0c372607618df603cf97346a9a06a66c3780",
+    ),
+}
+"""Of each kept dataset the content hash and the hash of its samples. A new format adds lines; none is ever changed."""
+
+
+def samples_hash(root: Path) -> str:
+    """Return the hash of all samples of a dataset: problems of both planners, of every kind."""
+    digest = hashlib.sha256()
+    for search in ("bfs", "astar"):
+        for problems in ("route", "rooms", "random"):
+            dataset = MapDataset(root, fields=FIELDS, search=search, problems=problems)
+            for value in dataset[:]:
+                digest.update(np.ascontiguousarray(value.numpy()).tobytes())
+    return digest.hexdigest()
+
+
+@pytest.mark.parametrize("name", HASHES)
+def test_kept_datasets_read_to_the_same_hash(name: str) -> None:
+    """Written by the version that brought the format: content, bytes and samples are what they were."""
+    root, (content, samples) = KEPT / name, HASHES[name]
+    manifest = read_manifest(root)
+    assert manifest.content_hash == content
+    found = []
+    for entry in manifest.shards:
+        assert hashlib.sha256((root / entry.name).read_bytes()).hexdigest() == entry.sha256
+        found.append(content_hash(read_shard(root / entry.name)))
+    assert combine(found) == content
+    assert samples_hash(root) == samples
+    assert verify(root) == []
+
+
+def test_a_kept_recipe_gives_the_kept_content(tmp_path: Path) -> None:
+    """The few lines of JSON that were kept make the same maps and labels today."""
+    manifest = read_manifest(KEPT / "format-1")
+    recipe = json.loads(manifest.recipe())
+    build(tmp_path / "maps", MapSpec.from_dict(recipe["spec"]), maps=recipe["maps"], seed=recipe["seed"])
+    assert read_manifest(tmp_path / "maps").content_hash == HASHES["format-1"][0] == recipe["content_hash"]
+
+
+def test_every_format_is_kept() -> None:
+    """Whoever raises the format version keeps a dataset of it."""
+    assert {f"format-{version}" for version in FORMAT_VERSIONS[:1]} <= set(HASHES)
+    assert {path.name for path in KEPT.iterdir()} == set(HASHES)
+
+
+def test_a_newer_format_is_refused_by_naming_both_versions(tmp_path: Path) -> None:
+    """In the manifest, and in a shard."""
+    newer = FORMAT_VERSIONS[-1] + 1
+    says = rf"format version {newer}, this mapdata .* reads 1 and 2"
+    shutil.copytree(KEPT / "format-1", tmp_path / "maps")
+    path = tmp_path / "maps" / MANIFEST
+    values = json.loads(path.read_text())
+    values["format_version"] = newer
+    del values["manifest_hash"]
+    values["manifest_hash"] = hashlib.sha256(canonical_json(values).encode()).hexdigest()
+    with pytest.raises(ShardError, match=says):
+        parse_manifest(json.dumps(values), str(path))
+    path.write_text(json.dumps(values))
+    with pytest.raises(ShardError, match=says):
+        MapDataset(tmp_path / "maps")
+    shard = next((tmp_path / "maps").glob("*.h5"))
+    with h5py.File(shard, "r+") as file:
+        h5a.open(file.id, b"format_version").write(np.array(newer))
+    with pytest.raises(ShardError, match=says) as caught:
+        open_shard(shard)
+    assert mapdata.__version__ in str(caught.value)
+
+
+MEMORY = """
+import sys
+from torch.utils.data import DataLoader
+from mapdata.shards.corruption import verify
+from mapdata.datasets.dataset import MapDataset
+from mapdata.datasets.datamodule import MapDataModule
+
+def anonymous():
+    text = open("/proc/self/status").read()
+    return int(text.split("RssAnon:")[1].split()[0])
+
+module = MapDataModule(sys.argv[1], batch_size=64, augment=True)
+module.setup("fit")
+held = []
+for epoch in range(4):
+    for batch in module.train_dataloader():
+        pass
+    for batch in DataLoader(MapDataset(sys.argv[1], problems="random"), 64, shuffle=True):
+        pass
+    held.append(anonymous())
+print(*held)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="RssAnon is Linux's")
+@pytest.mark.filterwarnings("ignore")
+def test_epochs_of_loading_take_no_more_memory(tmp_path: Path) -> None:
+    """After the first epoch, which compiles and opens everything, three more take at most a hundredth more."""
+    build(tmp_path / "maps", MapSpec.preset("dungeon"), maps=1500, seed=1, shard_size=100)
+    command = [sys.executable, "-W", "ignore", "-c", MEMORY, str(tmp_path / "maps")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    first, *rest = (int(word) for word in done.stdout.split())
+    assert max(rest) < 1.01 * first, (first, rest)

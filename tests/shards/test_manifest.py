@@ -1,0 +1,460 @@
+"""The manifest: text and back, sums and plans, what is refused, merging, sweeping, and reading a shard's entry."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import pickle
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import h5py
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_spec import specs
+
+import mapdata
+from mapdata.generators.generator import identity
+from mapdata.generators.rooms import MapSpec
+from mapdata.shards.builder import build, headers
+from mapdata.shards.content import combine
+from mapdata.shards.manifest import (
+    LOCK,
+    MANIFEST,
+    DatasetNotFoundError,
+    Entry,
+    Manifest,
+    is_shard_name,
+    load_shard,
+    merge,
+    parse_manifest,
+    read_manifest,
+    shard_name,
+    sweep,
+)
+from mapdata.shards.shard import ShardError
+from mapdata.spec import SPLITS, canonical_json
+
+SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)
+HASH = "0123456789abcdef" * 4
+NO_PROCESS = 2**31 - 1
+"""A process number that no system gives."""
+
+
+def entry_of(start: int, stop: int, content: str = HASH) -> Entry:
+    """Return an entry for a shard that nobody wrote."""
+    problems = dict.fromkeys(("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable"), 0)
+    counts = dict.fromkeys(("segments", "drawn", "reachable", "all_connected", "most_rooms"), stop - start)
+    splits = {split: dict(problems) for split in SPLITS}
+    return Entry(shard_name(start, stop), start, stop, 4096, HASH, content, {**counts, **splits})
+
+
+def manifest_of(spec: MapSpec, seed: int, maps: int, shard_size: int, done: int = 0) -> Manifest:
+    """Return a manifest whose first ``done`` shards are finished."""
+    planned = Manifest(spec, seed, maps, shard_size, spec.map_size, spec.movement, spec.resolution)
+    return replace(planned, shards=tuple(entry_of(*limits) for limits in planned.plan[:done]))
+
+
+def restated(text: str, change: Callable[[dict[str, Any]], object]) -> str:
+    """Return a manifest with other values and the hash that fits them, as a hostile one would have."""
+    values = json.loads(text)
+    del values["manifest_hash"]
+    change(values)
+    values["manifest_hash"] = hashlib.sha256(canonical_json(values).encode()).hexdigest()
+    return json.dumps(values, indent=1) + "\n"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of three shards; tests leave it as it is."""
+    root = tmp_path_factory.mktemp("built") / "maps"
+    build(root, SPEC, maps=8, seed=5, shard_size=3, workers=1)
+    return root
+
+
+# --- text and back ----------------------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 50), st.integers(1, 20), st.integers(0, 50), st.booleans())
+def test_text_round_trip(spec: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool) -> None:
+    """A manifest comes back from its text equal, finished or not, with and without a recipe."""
+    manifest = manifest_of(spec, seed, maps, shard_size, done)
+    if imported:
+        manifest = replace(manifest, spec=None, seed=None)
+    again = parse_manifest(manifest.to_json(), "text")
+    assert again == manifest
+    assert again.to_json() == manifest.to_json()
+    assert again.identity == (None if imported else identity(spec, seed))
+
+
+def test_the_manifest_on_disk_is_its_text(built: Path) -> None:
+    """The file is the text of what is read from it, and its hash is over all its other values."""
+    text = (built / MANIFEST).read_text(encoding="utf-8")
+    assert read_manifest(built).to_json() == text == restated(text, lambda _: None)
+
+
+def test_recipe(built: Path) -> None:
+    """The recipe states all that makes the maps, and what they hash to; imported maps have none."""
+    manifest = read_manifest(built)
+    recipe = json.loads(manifest.recipe())
+    assert list(recipe) == ["format_version", "spec", "seed", "maps", "identity", "content_hash"]
+    assert MapSpec.from_dict(recipe["spec"]) == SPEC
+    assert (recipe["seed"], recipe["maps"], recipe["identity"]) == (5, 8, identity(SPEC, 5))
+    assert recipe["content_hash"] == manifest.content_hash
+    with pytest.raises(ValueError, match="imported"):
+        replace(manifest, spec=None, seed=None).recipe()
+
+
+@SETTINGS
+@given(st.integers(1, 200), st.integers(1, 70), st.integers(0, 200))
+def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
+    """The plan covers every map once, in order; sums are over finished shards; complete means all of them."""
+    manifest = manifest_of(SPEC, 0, maps, shard_size, done)
+    assert [i for start, stop in manifest.plan for i in range(start, stop)] == list(range(maps))
+    assert all(stop - start == shard_size for start, stop in manifest.plan[:-1])
+    finished = manifest.shards
+    assert manifest.complete == (done >= len(manifest.plan))
+    assert manifest.total("segments") == sum(entry.stop - entry.start for entry in finished)
+    assert manifest.content_hash == combine([HASH] * len(finished))
+    assert [(header.start, header.stop) for header in headers(manifest)] == manifest.plan
+
+
+# --- names ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 1), (1000, 2000), (10**12 - 1, 10**12), (10**15, 10**15 + 7)])
+def test_shard_names(start: int, stop: int) -> None:
+    """Names have twelve digits or more, sort like their maps up to there, and are known as names."""
+    name = shard_name(start, stop)
+    assert is_shard_name(name)
+    assert [int(part) for part in re.findall(r"\d+", name[:-3])] == [start, stop]
+
+
+NOT_NAMES = [
+    "../maps-000000000000-000000000003.h5",
+    "a/maps-000000000000-000000000003.h5",
+    "/etc/passwd",
+    "..",
+    "",
+    "maps-0-3.h5",
+    "maps-000000000000-000000000003.h5\n",
+    "maps-000000000000-000000000003.h5.tmp",
+    ".maps-000000000000-000000000003.h5",
+    "maps-00000000000a-000000000003.h5",
+    "maps--00000000001-000000000003.h5",
+    "manifest.json",
+]
+
+
+@pytest.mark.parametrize("name", NOT_NAMES)
+def test_other_names_are_never_opened(name: str, built: Path) -> None:
+    """A manifest that lists another file, its hash made to fit, is refused by name."""
+    assert not is_shard_name(name)
+    text = (built / MANIFEST).read_text(encoding="utf-8")
+    text = restated(text, lambda values: values["shards"][1].update(name=name))
+    with pytest.raises(ShardError, match=re.escape(f"{name!r} is not the name of a shard")):
+        parse_manifest(text, "text")
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "damaged"),
+        ("{", "damaged"),
+        ("null", "damaged"),
+        ("5", "damaged"),
+        ("[]", "damaged"),
+        ("{}", "damaged"),
+        ('"mapdata"', "damaged"),
+        ('{"format":"minari"}', "not a manifest of mapdata"),
+        ('{"format":"mapdata"}', "damaged"),
+        ("[" * 100_000, "damaged"),
+        ('{"format":"mapdata","format_version":3}', r"format version 3, this mapdata [\d.]+ reads 1 and 2"),
+        ('{"format":"mapdata","format_version":"1"}', "format version 1"),
+    ],
+)
+def test_other_texts_are_refused(text: str, says: str, tmp_path: Path) -> None:
+    """A file that is no manifest, a damaged one, or one of another version: the file and the fault are named."""
+    (tmp_path / MANIFEST).write_text(text, encoding="utf-8")
+    with pytest.raises(ShardError, match=says) as caught:
+        read_manifest(tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path / MANIFEST}: ")
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    """A manifest is UTF-8."""
+    (tmp_path / MANIFEST).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ShardError, match="damaged"):
+        read_manifest(tmp_path)
+
+
+def test_a_flipped_bit_changes_no_value(built: Path) -> None:
+    """Any flipped bit is refused, or lies in white space and changes no value."""
+    text, manifest, random = (built / MANIFEST).read_bytes(), read_manifest(built), Random(1)
+    refused = 0
+    for _ in range(600):
+        damaged = bytearray(text)
+        damaged[random.randrange(len(text))] ^= 1 << random.randrange(8)
+        try:
+            assert parse_manifest(damaged.decode(), "text") == manifest
+        except (ShardError, UnicodeDecodeError):
+            refused += 1
+    assert refused > 300
+
+
+LIES: dict[str, Callable[[dict[str, Any]], object]] = {
+    "no maps": lambda values: values.pop("maps"),
+    "no shards": lambda values: values.pop("shards"),
+    "more files than there can be": lambda values: values.update(maps=10**15),
+    "shards a number": lambda values: values.update(shards=5),
+    "a shard is a number": lambda values: values["shards"].append(5),
+    "a shard without a name": lambda values: values["shards"][0].pop("name"),
+    "a shard knows more": lambda values: values["shards"][0].update(colour="red"),
+    "a name is a number": lambda values: values["shards"][0].update(name=7),
+    "a side is missing": lambda values: values.update(map_size=[16]),
+    "another spec": lambda values: values.update(spec=[]),
+    "connectivity 5": lambda values: values["movement"].update(connectivity=5),
+}
+UNCHECKED: dict[str, Callable[[dict[str, Any]], object]] = {
+    "maps a text": lambda values: values.update(maps="8"),
+    "maps a fraction": lambda values: values.update(maps=8.0),
+    "maps negative": lambda values: values.update(maps=-1),
+    "shard size 0": lambda values: values.update(shard_size=0),
+    "shard size a text": lambda values: values.update(shard_size="3"),
+    "seed a word": lambda values: values.update(seed="five"),
+    "start a text": lambda values: values["shards"][0].update(start="0"),
+    "bytes a text": lambda values: values["shards"][0].update(bytes="4096"),
+    "content hash no hash": lambda values: values["shards"][0].update(content_hash="no"),
+    "counts a number": lambda values: values["shards"][0].update(counts=5),
+    "counts missing": lambda values: values["shards"][0].update(counts={}),
+    "name of another shard": lambda values: values["shards"][0].update(name=shard_name(3, 6)),
+}
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        *(pytest.param(lie, id=name) for name, lie in LIES.items()),
+        *(pytest.param(lie, id=name) for name, lie in UNCHECKED.items()),
+    ],
+)
+def test_values_that_cannot_be_are_refused(lie: Callable[[dict[str, Any]], object], built: Path) -> None:
+    """Values of other types, their hash made to fit, are refused on reading and not met later as a TypeError."""
+    text = restated((built / MANIFEST).read_text(encoding="utf-8"), lie)
+    with pytest.raises(ShardError, match=r"^text: "):
+        parse_manifest(text, "text")
+
+
+@pytest.mark.parametrize("kind", ["nothing", "an empty folder", "a file"])
+def test_no_dataset(kind: str, tmp_path: Path) -> None:
+    """What was looked for, why it is not there, and what makes one."""
+    root = tmp_path / "maps"
+    if kind == "an empty folder":
+        root.mkdir()
+    elif kind == "a file":
+        root.write_text("maps", encoding="utf-8")
+    with pytest.raises(DatasetNotFoundError) as caught:
+        read_manifest(root)
+    message = str(caught.value)
+    assert message.startswith(f"no dataset at {root}: ")
+    assert f"python scripts/build_shards.py {root}" in message
+    assert ("no manifest.json there" in message) == (kind == "an empty folder")
+    assert isinstance(caught.value, FileNotFoundError)
+
+
+def test_the_error_crosses_processes(tmp_path: Path) -> None:
+    """What a worker raises says the same in its parent."""
+    error = DatasetNotFoundError(tmp_path)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+# --- merging ----------------------------------------------------------------------------------------------------------
+
+
+def test_merge_is_a_union(tmp_path: Path) -> None:
+    """What two builders finished stands in the manifest of both, in the order of the maps."""
+    whole = manifest_of(SPEC, 1, 10, 4, done=3)
+    first, second = replace(whole, shards=whole.shards[2:]), replace(whole, shards=whole.shards[:1])
+    assert merge(tmp_path, first) == first == read_manifest(tmp_path)
+    assert merge(tmp_path, second).shards == (whole.shards[0], whole.shards[2])
+    assert merge(tmp_path, whole) == whole == read_manifest(tmp_path)
+    assert merge(tmp_path, replace(whole, shards=())) == whole
+    assert (tmp_path / MANIFEST).read_text(encoding="utf-8") == whole.to_json()
+
+
+def test_merge_keeps_the_larger_dataset(tmp_path: Path) -> None:
+    """A builder of fewer maps does not shrink what another one extends, nor bring back its partial shard."""
+    small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
+    for first, second in ((small, large), (large, small)):
+        merge(tmp_path, first)
+        union = merge(tmp_path, second)
+        assert union.maps == 10
+        assert [(entry.start, entry.stop) for entry in union.shards] == [(0, 4), (4, 8)]
+        (tmp_path / MANIFEST).unlink()
+
+
+def test_merge_removes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
+    """The partial shard of a builder of fewer maps goes when the manifest no longer lists it."""
+    small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
+    for entry in (*small.shards, *large.shards):
+        (tmp_path / entry.name).touch()
+    merge(tmp_path, large)
+    merge(tmp_path, small)
+    assert sorted(path.name for path in tmp_path.glob("maps-*")) == [shard_name(0, 4), shard_name(4, 8)]
+
+
+@pytest.mark.parametrize(
+    "other", [manifest_of(SPEC, 2, 6, 4), manifest_of(SPEC, 1, 6, 3), manifest_of(MapSpec(), 1, 6, 4)]
+)
+def test_merge_refuses_another_dataset(other: Manifest, tmp_path: Path) -> None:
+    """A dataset of another seed, shard size or spec that appeared meanwhile is left alone."""
+    merge(tmp_path, other)
+    with pytest.raises(ValueError, match="another dataset"):
+        merge(tmp_path, manifest_of(SPEC, 1, 6, 4, done=1))
+    assert read_manifest(tmp_path) == other
+
+
+def test_merge_can_do_without_waiting(tmp_path: Path) -> None:
+    """While another builder merges, one that does not wait leaves the manifest as it is; a closed file frees it."""
+    whole = manifest_of(SPEC, 1, 10, 4, done=3)
+    merge(tmp_path, replace(whole, shards=()))
+    with open(tmp_path / LOCK, "ab") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert merge(tmp_path, whole, wait=False) == whole
+        assert read_manifest(tmp_path).shards == ()
+    assert merge(tmp_path, whole, wait=False) == whole == read_manifest(tmp_path)
+
+
+def test_merge_needs_no_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system that has none says so, and is written to all the same."""
+
+    def flock(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    whole = manifest_of(SPEC, 1, 10, 4, done=3)
+    assert merge(tmp_path, whole, wait=False) == whole == read_manifest(tmp_path)
+
+
+# --- sweeping ---------------------------------------------------------------------------------------------------------
+
+
+def swept(root: Path, name: str) -> bool:
+    """Tell whether a file of this name goes."""
+    (root / name).touch()
+    sweep(root, manifest_of(SPEC, 1, 6, 3))
+    gone = not (root / name).exists()
+    (root / name).unlink(missing_ok=True)
+    return gone
+
+
+@pytest.mark.parametrize(
+    ("host", "temporary", "goes"),
+    [
+        ("node1", f".{shard_name(0, 3)}.node1.{NO_PROCESS}.tmp", True),
+        ("node1", f".{MANIFEST}.node1.{NO_PROCESS}.tmp", True),
+        ("node1", f".{shard_name(0, 3)}.node1.{os.getpid()}.tmp", False),
+        ("node1", f".{shard_name(0, 3)}.node2.{NO_PROCESS}.tmp", False),
+        ("node1", f".{shard_name(0, 3)}.node10.{NO_PROCESS}.tmp", False),
+        ("node1", ".notes.tmp", False),
+        ("node1", shard_name(0, 3), False),
+        pytest.param(
+            "node1",
+            f".{shard_name(0, 3)}.mynode1.{NO_PROCESS}.tmp",
+            False,
+        ),
+        pytest.param(
+            "lan",
+            f".{shard_name(0, 3)}.node1.lan.{NO_PROCESS}.tmp",
+            False,
+        ),
+        pytest.param(
+            "node1.lan",
+            f".{shard_name(0, 3)}.node1.lan.{NO_PROCESS}.tmp",
+            True,
+        ),
+    ],
+)
+def test_sweep(host: str, temporary: str, goes: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Temporaries of dead builders of this host go; those of living ones, of other hosts, and other files stay."""
+    monkeypatch.setattr("socket.gethostname", lambda: host)
+    assert swept(tmp_path, temporary) == goes
+
+
+def test_sweep_takes_what_is_a_day_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a builder of another host left goes when none can be at it any more."""
+    monkeypatch.setattr("socket.gethostname", lambda: "node1")
+    path = tmp_path / f".{shard_name(0, 3)}.node2.{os.getpid()}.tmp"
+    for age, stays in ((0, True), (80_000, True), (90_000, False)):
+        path.touch()
+        now = path.stat().st_mtime
+        os.utime(path, (now - age, now - age))
+        sweep(tmp_path, manifest_of(SPEC, 1, 6, 3))
+        assert path.exists() == stays
+
+
+def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
+    """A partial shard whose successor is listed, left by a builder that died just then; nothing else."""
+    stay = [(0, 4), (4, 8), (8, 10), (8, 12), (12, 13)]
+    for limits in (*stay, (4, 6), (4, 7)):
+        (tmp_path / shard_name(*limits)).touch()
+    sweep(tmp_path, manifest_of(SPEC, 1, 10, 4, done=3))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [shard_name(*limits) for limits in stay]
+
+
+def test_sweep_lives_with_odd_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A number that no process can have stops nobody."""
+    monkeypatch.setattr("socket.gethostname", lambda: "node1")
+    swept(tmp_path, f".{shard_name(0, 3)}.node1.{10**20}.tmp")
+
+
+# --- entries ----------------------------------------------------------------------------------------------------------
+
+
+def test_load_shard_gives_the_entry(built: Path) -> None:
+    """What the manifest says of a shard can be derived from the file."""
+    manifest = read_manifest(built)
+    assert tuple(load_shard(built, header) for header in headers(manifest)) == manifest.shards
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path"])
+def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
+    """A shard that is not there, not whole, or does not hash to what it says gives None."""
+    (header, *_) = headers(read_manifest(built))
+    name = shard_name(header.start, header.stop)
+    image = bytearray((built / name).read_bytes())
+    with h5py.File(built / name, "r") as file:
+        places = {"bit in a map": file["maps"].id.get_offset(), "bit in a path": file["bfs_moves"].id.get_offset()}
+    if damage in places:
+        image[places[damage]] ^= 2
+    if damage != "missing":
+        (tmp_path / name).write_bytes(image[: {"empty": 0, "truncated": -1}.get(damage)])
+    assert load_shard(tmp_path, header) is None
+
+
+def test_load_shard_takes_no_other_maps(built: Path) -> None:
+    """A sound shard of another range, seed or resolution gives None."""
+    (header, *_) = headers(read_manifest(built))
+    for other in (replace(header, seed=6), replace(header, spec=replace(SPEC, resolution=0.2))):
+        assert load_shard(built, other) is None
+    assert load_shard(built, header) is not None
+
+
+def test_entries_do_not_depend_on_the_library_version(built: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A later mapdata of the same format version reads the same manifest."""
+    before = read_manifest(built)
+    monkeypatch.setattr(mapdata, "__version__", "9.9")
+    assert read_manifest(built) == before

@@ -1,0 +1,192 @@
+"""Long work: results as they finish, how many are under way, bars, and executors whose workers die."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from shards.test_builder import MAPS, SEED, SIZE, SPEC, InTheCaller, make, names
+
+from mapdata.shards.builder import build
+from mapdata.shards.corruption import verify
+from mapdata.shards.manifest import Manifest, read_manifest
+from mapdata.shards.workers import bar, finished, threads
+
+
+def twice(number: int) -> int:
+    """Return a result that tells its task."""
+    if number == 13:
+        raise OSError("no space left")
+    return 2 * number
+
+
+@pytest.mark.parametrize("most", [1, 3, 100])
+def test_every_task_comes_back_once(most: int) -> None:
+    """Each with its own result, whatever finished first."""
+    with ThreadPoolExecutor(2) as pool:
+        assert sorted(finished(pool, twice, range(10), most)) == [(k, 2 * k) for k in range(10)]
+        assert list(finished(pool, twice, [], most)) == []
+
+
+class Counting(ThreadPoolExecutor):
+    """Counts what is under way."""
+
+    under_way = most = 0
+
+    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+        """Take a task."""
+        self.under_way += 1
+        self.most = max(self.most, self.under_way)
+        return super().submit(function, *arguments, **options)
+
+
+def test_so_many_are_under_way() -> None:
+    """What the caller took is no longer under way."""
+    with Counting(2) as pool:
+        for _ in finished(pool, twice, range(14, 40), 4):
+            pool.under_way -= 1
+        assert pool.most <= 5  # the next one is submitted before the caller has counted the last
+
+
+def test_results_come_before_the_last_task_is_given() -> None:
+    """An executor that works when it is given a task does not delay what is finished."""
+    given: list[int] = []
+
+    def tasks() -> Iterator[int]:
+        for k in range(14, 20):
+            given.append(k)
+            yield k
+
+    for number, _ in finished(InTheCaller(), twice, tasks(), 1000):
+        assert given[-1] == number
+
+
+def test_an_error_comes_out_and_the_rest_is_cancelled() -> None:
+    """What was not begun never is."""
+    begun: list[int] = []
+
+    def task(number: int) -> int:
+        begun.append(number)
+        return twice(number)
+
+    with pytest.raises(OSError, match="no space left"), threads(1) as pool:
+        list(finished(pool, task, range(12, 500), 20))
+    assert len(begun) < 25
+
+
+def test_a_bar_shows_maps_rate_and_time_left(capsys: pytest.CaptureFixture[str]) -> None:
+    """And from where it goes on; one that is not shown prints nothing."""
+    with bar(True, 10, initial=4) as advance:
+        advance(6)
+    assert "10/10" in capsys.readouterr().err
+    with bar(False, 10) as advance:
+        advance(6)
+    assert capsys.readouterr() == ("", "")
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+def spawned(workers: int) -> ProcessPoolExecutor:
+    """Return a pool of fresh processes, as on every platform."""
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+class Dying(ProcessPoolExecutor):
+    """A pool one of whose workers is killed when some tasks are given, as the system kills one that takes too much."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+        """Take a task."""
+        future = super().submit(function, *arguments, **options)
+        if self._queue_count == 3:
+            os.kill(next(iter(self._processes)), signal.SIGKILL)
+        return future
+
+
+def test_processes_and_one_that_dies(tmp_path: Path) -> None:
+    """A pool of processes makes the same files; when one dies the build ends all the same, after a warning."""
+    truth = make(tmp_path / "truth")
+    with spawned(2) as pool:
+        assert make(tmp_path / "whole", workers=None, executor=pool) == truth
+    with (
+        Dying(1, mp_context=multiprocessing.get_context("spawn")) as pool,
+        pytest.warns(UserWarning, match="Threads of this process make the other shards"),
+    ):
+        assert make(tmp_path / "broken", workers=None, executor=pool) == truth
+    for root in (tmp_path / "whole", tmp_path / "broken"):
+        assert read_manifest(root) == truth
+        assert verify(root) == []
+        assert sorted(path.name for path in root.iterdir() if path.name != ".lock") == sorted(names(MAPS, SIZE))
+
+
+class Elsewhere(InTheCaller):
+    """A worker that sees another disk under the same path."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+        """Run ``function``, and lose what it wrote."""
+        future = super().submit(function, *arguments, **options)
+        (self.root / future.result().name).unlink()
+        return future
+
+    root: Path
+
+
+def test_workers_must_share_the_folder(tmp_path: Path) -> None:
+    """A manifest never lists what only another machine has."""
+    pool = Elsewhere()
+    pool.root = tmp_path / "maps"
+    with pytest.raises(OSError, match="must share the folder"):
+        make(tmp_path / "maps", workers=None, executor=pool)
+    assert read_manifest(tmp_path / "maps").shards == ()
+
+
+# --- parts and many shards --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 7])
+def test_parts(parts: int, tmp_path: Path) -> None:
+    """In any order, more parts than shards included, the union is the whole; each part makes its own shards only."""
+    truth, root = make(tmp_path / "truth"), tmp_path / "maps"
+    made: Manifest | None = None
+    for k in reversed(range(parts)):
+        before = set() if made is None else {entry.start for entry in made.shards}
+        made = build(root, SPEC, maps=MAPS, seed=SEED, shard_size=SIZE, workers=1, part=(k, parts))
+        assert {entry.start for entry in made.shards} - before == set(range(k * SIZE, MAPS, parts * SIZE))
+        assert made.complete == (k == 0 or (parts > k >= 3 and len(made.shards) == 3))
+    assert made == truth == read_manifest(root)
+
+
+@pytest.mark.parametrize("part", [(1, 1), (-1, 2), (0, 0), (0.5, 2), (1,)])
+def test_parts_that_cannot_be(part: Any, tmp_path: Path) -> None:  # noqa: ANN401
+    """They are counted from 0."""
+    with pytest.raises(ValueError, match=r"^part: got .*, expected \(k, n\) with 0 <= k < n"):
+        build(tmp_path / "maps", SPEC, maps=MAPS, seed=SEED, part=part)
+    assert not (tmp_path / "maps").exists()
+
+
+def test_writing_the_manifest_takes_a_twentieth_of_a_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shards of 0.1 s and manifests of 5 s, on our own clock: the longer it takes, the more seldom it is written."""
+    clock = {"now": 0.0, "written": 0.0}
+
+    def write(_: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
+        clock["now"] += 5
+        clock["written"] += 5
+        return mine
+
+    def shard(number: int) -> Any:  # noqa: ANN401
+        clock["now"] += 0.1
+        return entries[number % len(entries)]
+
+    entries = make(tmp_path / "maps").shards
+    monkeypatch.setattr("mapdata.shards.builder.merge", write)
+    monkeypatch.setattr("mapdata.shards.builder.time.monotonic", lambda: clock["now"])
+    monkeypatch.setattr("mapdata.shards.builder._made", lambda *_: (shard(k) for k in range(10_000)))
+    build(tmp_path / "maps", SPEC, maps=MAPS + 1, seed=SEED, shard_size=SIZE)
+    assert clock["now"] > 1000
+    assert 0.03 < clock["written"] / clock["now"] < 0.06
