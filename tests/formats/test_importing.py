@@ -27,7 +27,7 @@ from mapdata.spec import Movement
 SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=100)
 Bytes = npt.NDArray[np.uint8]
 GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
-SPLIT, IMPORT = 2, 5
+SPLIT, POINTS = 2, 5
 
 
 def collection(*grids: Bytes, **fields: object) -> Collection:
@@ -61,7 +61,7 @@ def test_draws(seed: int, index: int, cells: int, data: st.DataObject) -> None:
     count = data.draw(st.integers(0, cells))
     left, expected = list(range(100, 100 + cells)), []
     for k in range(count):
-        word = reference.block(seed, index, 0, IMPORT, k)[0]
+        word = reference.block(seed, index, 0, POINTS, k)[0]
         expected.append(left.pop(word * len(left) >> 32))
     found = draw_points(np.arange(100, 100 + cells), np.uint64(seed), np.uint64(index), count)
     assert found.tolist() == expected
@@ -94,7 +94,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
             cells = largest_component(grids[i], 0).tolist()
             seed_points = []
             for draw in range(4):
-                word = reference.block(2**63 + 1, i, 0, IMPORT, draw)[0]
+                word = reference.block(2**63 + 1, i, 0, POINTS, draw)[0]
                 seed_points.append(list(divmod(cells.pop(word * len(cells) >> 32), 70)))
             assert maps.seed_points[k].tolist() == seed_points
             word = reference.block(2**63 + 1, i, 0, SPLIT, 0)[0]
