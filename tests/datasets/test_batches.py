@@ -19,13 +19,12 @@ import torch
 from helpers import samples
 from torch.utils.data import DataLoader
 
+from mapdata import MapDataset, MapSpec, ShardError, build, read_shard
 from mapdata._version import __version__
-from mapdata.datasets.dataset import MapDataset
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.manifest import MANIFEST, Manifest, entry_of, read_manifest
-from mapdata.shards.reader import map_file, open_shard, read_shard
-from mapdata.shards.shard import ShardError, shard_image, write_file
+from mapdata.shards import MANIFEST, Manifest, open_shard, read_manifest, write_file
+from mapdata.shards.manifest import entry_of
+from mapdata.shards.reader import map_file
+from mapdata.shards.shard import shard_image
 
 FIELDS = ("map", "start", "goal", "length", "iterations", "connection_matrix")
 TINY = MapSpec((8, 8), (2, 4), (2, 5), (2, 5), passage_width=(1, 2), skip_probability=0.3)

@@ -9,35 +9,23 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.grids import random_grids
+from helpers.imported import collection
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from mapdata.datasets.dataset import MapDataset
-from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.importing import import_maps
-from mapdata.generators.maps import pack
-from mapdata.generators.points import draw_points, largest_component
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata import MapDataset, read_shard, verify
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.generators import draw_points, largest_component, pack
+from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
 SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=100)
 Bytes = npt.NDArray[np.uint8]
 GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
 SPLIT, IMPORT = 2, 5
-
-
-def collection(*grids: Bytes, **fields: object) -> Collection:
-    """Return grids as a format would."""
-    return Collection([ForeignMap(f"g{k}", grid, **fields) for k, grid in enumerate(grids)])  # type: ignore[arg-type]
-
-
-def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
-    """Return grids with a third of the cells occupied."""
-    return list((np.random.default_rng(0).random((count, rows, columns)) < 0.3).astype(np.uint8))
 
 
 @SETTINGS

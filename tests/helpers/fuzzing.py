@@ -24,15 +24,12 @@ from typing import TypeAlias
 import h5py
 
 from helpers.samples import ALL_FIELDS
-from mapdata.datasets.dataset import PROBLEMS, MapDataset
-from mapdata.formats import export, read_any
-from mapdata.formats.files import FormatError, Limits
+from mapdata import MapDataset, MapSpec, ShardError, build
+from mapdata.datasets.dataset import PROBLEMS
+from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.movingai import check_scen
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.manifest import MANIFEST, read_manifest
-from mapdata.shards.reader import open_shard
-from mapdata.shards.shard import ShardError, decode
+from mapdata.shards import MANIFEST, open_shard, read_manifest
+from mapdata.shards.shard import decode
 from mapdata.spec import Movement
 
 SPEC = MapSpec((12, 20), (2, 4), (2, 5), (2, 7), passage_width=(1, 2), skip_probability=0.4, splits=(0.4, 0.3, 0.3))

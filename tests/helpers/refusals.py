@@ -13,12 +13,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from mapdata.datasets.dataset import MapDataset
-from mapdata.formats import read_any
-from mapdata.formats.files import FormatError
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import open_shard
-from mapdata.shards.recipe import Recipe
+from mapdata import MapDataset
+from mapdata.formats import FormatError, read_any
+from mapdata.shards import Recipe, open_shard, read_manifest
 from models.path_predictor import PathPredictor
 
 

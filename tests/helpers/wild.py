@@ -18,7 +18,7 @@ from hypothesis.extra import numpy as arrays
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mapdata.cli.app import main
+from mapdata.cli import main
 
 SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=40)
 Bytes = npt.NDArray[np.uint8]

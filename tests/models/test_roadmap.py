@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
-from mapdata import MapSpec
-from mapdata.problems.problem_set import Problems
+from mapdata import MapSpec, Problems
 from models.roadmap import (
     SAMPLERS,
     between,

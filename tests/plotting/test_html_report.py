@@ -10,16 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.browser import PROGRAM, Browser
+from helpers.imported import NASTY, imported
 from helpers.samples import SPEC, WIDE, build_small
-from shards.test_dataset_card import NASTY, imported
 
-from mapdata import MapSpec, build
-from mapdata.cli.app import main
-from mapdata.plotting.html_report import report
-from mapdata.search.labels import Labels
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.root import read_map
-from mapdata.shards.statistics import dataset_statistics
+from mapdata import Labels, MapSpec, build
+from mapdata.cli import main
+from mapdata.plotting import report
+from mapdata.shards import dataset_statistics, read_manifest, read_map
 from mapdata.spec import SPLITS
 
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")

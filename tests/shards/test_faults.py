@@ -15,13 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from shards.test_builder import SPEC, names, stamps
+from helpers.builds import SPEC, names, stamps
 
-from mapdata.datasets.dataset import MapDataset
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import MANIFEST, read_manifest
+from mapdata import MapDataset, MapSpec, build, verify
+from mapdata.shards import MANIFEST, read_manifest
 
 SLOW = pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
 FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
@@ -32,13 +29,11 @@ PRELUDE = f"""
 import builtins, fcntl, os, random, signal, sys, time
 from dataclasses import replace
 from pathlib import Path
-from mapdata.shards.builder import build, headers
-from mapdata.shards.corruption import verify
-from mapdata.generators.generator import generate
-from mapdata.search.labels import label
-from mapdata.shards.manifest import Manifest, load_shard, read_manifest, shard_name
+from mapdata import MapSpec, build, generate, label, verify
+from mapdata.shards import Manifest, read_manifest
+from mapdata.shards.builder import headers
+from mapdata.shards.manifest import load_shard, shard_name
 from mapdata.shards.shard import shard_image
-from mapdata.generators.rooms import MapSpec
 
 spec, root = MapSpec.from_json({SPEC.to_json()!r}), Path(sys.argv[1])
 maps, size = 30, 2
@@ -307,7 +302,7 @@ def mounted(folder: Path, *options: str) -> Iterator[Path]:
 
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run ``mapdata`` in a process of its own."""
-    program = [sys.executable, "-c", "from mapdata.cli.app import main; main()", *map(str, arguments)]
+    program = [sys.executable, "-c", "from mapdata.cli import main; main()", *map(str, arguments)]
     return subprocess.run(program, capture_output=True, text=True, check=False)
 
 
@@ -363,7 +358,7 @@ def stopped(root: Path, shards: int, *arguments: object) -> subprocess.Completed
     """Build, and press Ctrl-C when there are so many shards."""
     # A background job of a shell, such as a CI's, ignores Ctrl-C unless it asks for it.
     listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    code = f"{listen}; from mapdata.cli.app import main; main()"
+    code = f"{listen}; from mapdata.cli import main; main()"
     program = [sys.executable, "-c", code, "build", str(root), *map(str, arguments)]
     builder = subprocess.Popen(program, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
@@ -429,7 +424,7 @@ MEMORY = """
 import sys
 from pathlib import Path
 from mapdata.shards import builder as module
-from mapdata.generators.rooms import MapSpec
+from mapdata import MapSpec
 
 def resident():  # kB
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmRSS"))

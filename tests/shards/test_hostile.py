@@ -18,17 +18,15 @@ import numpy as np
 import pytest
 import torch
 from helpers import hostile, run_helper, wild
+from helpers.builds import SOUND_SEED, SOUND_SPEC
 from torch import nn
 
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.manifest import MANIFEST, Manifest, read_manifest
-from mapdata.spec import Movement
+from mapdata import build
+from mapdata.shards import MANIFEST, Manifest, read_manifest
 from models.path_predictor import PathPredictor
 from models.saved import load_model
 
 MOST = 200 << 20
-SPEC = MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8))
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")
 
 Case = tuple[str, Path, str]
@@ -39,7 +37,7 @@ Case = tuple[str, Path, str]
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The dataset of tests/helpers/hostile.py: three maps of 20 x 70 cells, 8-connected."""
     folder = tmp_path_factory.mktemp("hostile") / "sound"
-    build(folder, SPEC, maps=3, seed=3)
+    build(folder, SOUND_SPEC, maps=3, seed=SOUND_SEED)
     return folder
 
 

@@ -15,14 +15,10 @@ import pytest
 from h5py import h5a
 
 import mapdata
-from mapdata.datasets.dataset import MapDataset
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.content import combine, content_hash
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import MANIFEST, parse_manifest, read_manifest
-from mapdata.shards.reader import open_shard, read_shard
-from mapdata.shards.shard import ShardError
+from mapdata import MapDataset, MapSpec, ShardError, build, read_shard, verify
+from mapdata.shards import MANIFEST, content_hash, open_shard, read_manifest
+from mapdata.shards.content import combine
+from mapdata.shards.manifest import parse_manifest
 from mapdata.spec import FORMAT_VERSIONS, canonical_json
 
 KEPT = Path(__file__).parents[1] / "data"
@@ -107,9 +103,7 @@ def test_a_newer_format_is_refused_by_naming_both_versions(tmp_path: Path) -> No
 MEMORY = """
 import sys
 from torch.utils.data import DataLoader
-from mapdata.shards.corruption import verify
-from mapdata.datasets.dataset import MapDataset
-from mapdata.datasets.datamodule import MapDataModule
+from mapdata import MapDataModule, MapDataset, verify
 
 def anonymous():
     text = open("/proc/self/status").read()
