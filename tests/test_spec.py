@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mapdata import MapSpec, identity
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=200)
+SETTINGS = settings(max_examples=200)
 
 
 # --- defaults and presets ---------------------------------------------------------------------------------------------

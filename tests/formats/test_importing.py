@@ -22,7 +22,7 @@ from mapdata.generators import draw_points, largest_component, pack
 from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=100)
+SETTINGS = settings(max_examples=100)
 Bytes = npt.NDArray[np.uint8]
 GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
 SPLIT, IMPORT = 2, 5

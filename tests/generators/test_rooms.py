@@ -16,7 +16,7 @@ from scipy import stats
 from mapdata import Maps, MapSpec, generate
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=300)
+SETTINGS = settings(max_examples=300)
 PRESETS = ["paper", "narrow", "dungeon", "dungeon128"]
 FIELDS = ["index", "occupancy", "rooms", "passage_width", "seed_points", "sizes", "directions", "connected", "split"]
 

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None)
 OCTILE, CUTTING = Movement(8), Movement(8, corner_cutting=True)
 planners = pytest.mark.parametrize(
     ("search", "truth"), [(bfs, reference.reference_bfs), (astar, reference.reference_astar)], ids=["bfs", "astar"]
@@ -71,7 +70,7 @@ def assert_same(found: SearchResult, expected: reference.ReferenceResult) -> Non
 
 @planners
 @movements
-@settings(SETTINGS, max_examples=400)
+@settings(max_examples=400)
 @given(problem=problems())
 def test_search_equals_the_reference(search: Planner, truth: Truth, movement: Movement, problem: Problem) -> None:
     """Path, cost and iterations are the reference's, cell by cell, on any grid."""
@@ -93,7 +92,7 @@ def test_search_equals_the_reference_far_away(
 
 
 @movements
-@settings(SETTINGS, max_examples=200)
+@settings(max_examples=200)
 @given(problem=problems())
 def test_distance_field_equals_the_reference(movement: Movement, problem: Problem) -> None:
     """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be reached."""
@@ -104,7 +103,7 @@ def test_distance_field_equals_the_reference(movement: Movement, problem: Proble
 
 
 @movements
-@settings(SETTINGS, max_examples=200)
+@settings(max_examples=200)
 @given(problem=problems())
 def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> None:
     """A*'s cost, the distance field, and (on hops) the BFS cost are the shortest there are."""
@@ -119,7 +118,7 @@ def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> No
 pairs = st.tuples(st.integers(0, 2**21), st.integers(0, 2**21))
 
 
-@settings(SETTINGS, max_examples=500)
+@settings(max_examples=500)
 @given(one=pairs, other=pairs)
 def test_the_reference_orders_costs_exactly(one: Pair, other: Pair) -> None:
     """Its integers order a + b sqrt 2 as the squares of a - c and (d - b) sqrt 2 do."""
@@ -195,7 +194,7 @@ def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
 
 
 @movements
-@settings(SETTINGS, max_examples=200)
+@settings(max_examples=200)
 @given(problem=problems())
 def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) -> None:
     """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost 1)."""
@@ -213,7 +212,7 @@ def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) ->
 
 
 @movements
-@settings(SETTINGS, max_examples=300)
+@settings(max_examples=300)
 @given(problem=problems(), source=st.randoms(use_true_random=False))
 def test_check_path_agrees_with_the_reference(movement: Movement, problem: Problem, source: Random) -> None:
     """A path with one or two cells moved by a little is refused, naming its first bad step, exactly when it is bad."""

@@ -21,7 +21,7 @@ from mapdata.shards import content_hash
 from mapdata.shards.content import combine
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=40)
+SETTINGS = settings(max_examples=40)
 NUMBERS = st.integers(0, 1000) | st.integers(0, 2**63 - 1)
 SPECS = {
     "4": MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5),

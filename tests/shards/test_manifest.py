@@ -29,7 +29,7 @@ from mapdata.shards.content import combine
 from mapdata.shards.manifest import LOCK, Entry, is_shard_name, load_shard, merge, parse_manifest, shard_name, sweep
 from mapdata.spec import SPLITS
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+SETTINGS = settings(max_examples=60)
 HASH = "0123456789abcdef" * 4
 NO_PROCESS = 2**31 - 1
 """A process number that no system gives."""

@@ -31,7 +31,7 @@ from mapdata.shards import content_hash, open_shard, write_file
 from mapdata.shards.shard import FIELDS, Header, bits_of, decode, pack_moves, shard_image, unpack_moves
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+SETTINGS = settings(max_examples=60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")
 
 
