@@ -17,8 +17,6 @@ from h5py import h5a
 import mapdata
 from mapdata import MapDataset, MapSpec, ShardError, build, read_shard, verify
 from mapdata.shards import MANIFEST, content_hash, open_shard, read_manifest
-from mapdata.shards.content import combine
-from mapdata.shards.manifest import parse_manifest
 from mapdata.spec import FORMAT_VERSIONS, canonical_json
 
 KEPT = Path(__file__).parents[1] / "data"
@@ -58,7 +56,7 @@ def test_kept_datasets_read_to_the_same_hash(name: str) -> None:
     for entry in manifest.shards:
         assert hashlib.sha256((root / entry.name).read_bytes()).hexdigest() == entry.sha256
         found.append(content_hash(read_shard(root / entry.name)))
-    assert combine(found) == content
+    assert sum(int(hashed, 16) for hashed in found) % 2**256 == int(content, 16)
     assert samples_hash(root) == samples
     assert verify(root) == []
 
@@ -87,9 +85,9 @@ def test_a_newer_format_is_refused_by_naming_both_versions(tmp_path: Path) -> No
     values["format_version"] = newer
     del values["manifest_hash"]
     values["manifest_hash"] = hashlib.sha256(canonical_json(values).encode()).hexdigest()
-    with pytest.raises(ShardError, match=says):
-        parse_manifest(json.dumps(values), str(path))
     path.write_text(json.dumps(values))
+    with pytest.raises(ShardError, match=says):
+        read_manifest(tmp_path / "maps")
     with pytest.raises(ShardError, match=says):
         MapDataset(tmp_path / "maps")
     shard = next((tmp_path / "maps").glob("*.h5"))
