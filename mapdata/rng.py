@@ -13,7 +13,7 @@ import numpy as np
 
 from mapdata.jit import Int, kernel
 
-MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, IMPORT = range(6)
+MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, POINTS = range(6)
 """The streams: what a draw is for. Equal indices of two streams give unrelated numbers."""
 
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)

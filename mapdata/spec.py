@@ -117,6 +117,14 @@ def check_number(name: str, value: object) -> float:
         raise ValueError(f"{name}: got {value!r}, expected a number") from None
 
 
+def check_probability(name: str, value: object) -> float:
+    """Return ``value`` as a float in [0, 1]."""
+    probability = check_number(name, value)
+    if not 0 <= probability <= 1:
+        raise ValueError(f"{name}: got {probability}, expected a probability in [0, 1]")
+    return probability
+
+
 def check_fractions(values: object) -> tuple[float, ...]:
     """Return ``values`` as the fractions of the splits, which add up to 1."""
     items = tuple(check_number("splits", item) for item in values) if isinstance(values, (tuple, list)) else ()

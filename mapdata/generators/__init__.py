@@ -4,7 +4,7 @@ from mapdata.generators import mazes, rooms
 from mapdata.generators.generator import GENERATORS, PRESETS, Generator, generate, identity, register
 from mapdata.generators.maps import WORD, Maps, pack
 from mapdata.generators.mazes import Maze
-from mapdata.generators.points import draw_points, largest_component
+from mapdata.generators.points import draw_points, largest_component, with_seed_points
 from mapdata.generators.rooms import MapSpec
 from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
 
@@ -28,4 +28,5 @@ __all__ = [
     "pack",
     "register",
     "split_thresholds",
+    "with_seed_points",
 ]

@@ -1,12 +1,35 @@
-"""Seed points of maps that have none of their own: cells drawn among given ones (stream 5 of docs/format.md)."""
+"""Seed points of maps that have none of their own: cells drawn among free ones (stream 5 of docs/format.md)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.generators.generator import Generator
+from mapdata.generators.maps import Maps, pack
+from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import Int, kernel
-from mapdata.rng import IMPORT, block, bounded
+from mapdata.rng import POINTS, block, bounded
+
+_CANDIDATES = 8
+"""Cells that are drawn for each seed point, of which the one farthest from the others is taken."""
+
+
+def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:
+    """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points that lie far apart.
+
+    They are free cells of the largest component, ``spec.most_seed_points`` of them, none twice, by `spread_points`.
+    """
+    maps = Maps.empty(spec.movement, spec.map_size, indices, spec.most_seed_points)
+    key = np.uint64(seed)
+    for k, grid in enumerate(grids):
+        cells = largest_component(grid, 0)
+        points = spread_points(cells, maps.columns, key, np.uint64(indices[k]), spec.most_seed_points)
+        maps.rooms[k] = len(points)
+        maps.seed_points[k, : len(points)] = np.stack(np.divmod(points, maps.columns), axis=1)
+    maps.packed[:] = pack(grids)
+    maps.split[:] = draw_splits(key, indices, split_thresholds(spec.splits))
+    return maps
 
 
 @kernel
@@ -54,9 +77,36 @@ def draw_points(cells: Ints, seed: np.uint64, index: np.uint64, count: Int) -> I
     """Return ``count`` of ``cells``, none twice: draw k is one of those left, in their order."""
     left, drawn = cells.copy(), np.empty(count, np.int64)
     for k in range(count):
-        w0, _w1, _w2, _w3 = block(seed, index, 0, IMPORT, k)
+        w0, _w1, _w2, _w3 = block(seed, index, 0, POINTS, k)
         j = bounded(w0, 0, len(cells) - 1 - k)
         drawn[k] = left[j]
         for m in range(j, len(cells) - 1 - k):
             left[m] = left[m + 1]
     return drawn
+
+
+@kernel
+def spread_points(cells: Ints, columns: Int, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
+    """Return up to ``count`` of ``cells``, none twice, that lie far apart: best candidates, one after another.
+
+    Each point is the one of 8 cells drawn uniformly whose nearest earlier point is farthest away (of equally far ones
+    the first drawn). Mitchell, "Spectrally optimal sampling for distribution ray tracing", SIGGRAPH 1991, section 4.
+    """
+    count = min(count, len(cells))
+    points = np.empty(count, np.int64)
+    gaps = np.full(len(cells), np.int64(2**62))  # squared distance of each cell to the nearest point so far
+    for k in range(count):
+        best = np.int64(-1)
+        for j in range(_CANDIDATES // 4):
+            for word in block(seed, index, 0, POINTS, _CANDIDATES // 4 * k + j):
+                cell = bounded(word, 0, len(cells) - 1)
+                if best < 0 or gaps[cell] > gaps[best]:
+                    best = cell
+        while gaps[best] == 0:  # all candidates are points already: the next cell that is not
+            best = (best + 1) % len(cells)
+        points[k] = cells[best]
+        for cell in range(len(cells)):
+            rows = cells[cell] // columns - points[k] // columns
+            aside = cells[cell] % columns - points[k] % columns
+            gaps[cell] = min(gaps[cell], rows * rows + aside * aside)
+    return points

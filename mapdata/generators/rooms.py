@@ -18,7 +18,7 @@ from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import kernel
 from mapdata.rng import MAP, block, bounded, threshold
-from mapdata.spec import MAX_ROOMS, Movement, Range, check_integers, check_number, check_range
+from mapdata.spec import MAX_ROOMS, Movement, Range, check_integers, check_probability, check_range
 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -62,7 +62,7 @@ class MapSpec(Generator):
         super().__post_init__()
         for name in ("rooms", "room_rows", "room_columns", "passage_width"):
             object.__setattr__(self, name, check_integers(name, getattr(self, name)))
-        object.__setattr__(self, "skip_probability", check_number("skip_probability", self.skip_probability))
+        object.__setattr__(self, "skip_probability", check_probability("skip_probability", self.skip_probability))
         rows, columns = self.map_size
         too_tall = f": rooms would be larger than the map of {rows} rows"
         too_wide = f": rooms would be larger than the map of {columns} columns"
@@ -71,8 +71,6 @@ class MapSpec(Generator):
         check_range("room_rows", self.room_rows, 1, rows, too_tall)
         check_range("room_columns", self.room_columns, 1, columns, too_wide)
         check_range("passage_width", self.passage_width, 1, min(rows, columns), too_thick)
-        if not 0 <= self.skip_probability <= 1:
-            raise ValueError(f"skip_probability: got {self.skip_probability}, expected a probability in [0, 1]")
 
     @property
     def most_seed_points(self) -> int:

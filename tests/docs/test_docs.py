@@ -170,7 +170,7 @@ def test_the_notebook_runs_and_ends_in_pictures() -> None:
         if cell["cell_type"] == "code":
             output = StringIO()
             with redirect_stdout(output), mpl.rc_context({"backend": "Agg"}):
-                exec(compile("".join(cell["source"]), NOTEBOOK.name, "exec"), session)
+                exec(compile("".join(cell["source"]), NOTEBOOK.name, "exec", dont_inherit=True), session)
             kept = "".join("".join(out["text"]) for out in cell["outputs"] if out["output_type"] == "stream")
             assert output.getvalue() == kept
     figure = session["figure"]

@@ -11,9 +11,6 @@ import pytest
 from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from mapdata import MapDataset, read_shard, verify
 from mapdata.formats import Collection, ForeignMap, import_maps
@@ -21,10 +18,8 @@ from mapdata.generators import largest_component
 from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
-SETTINGS = settings(max_examples=100)
 Bytes = npt.NDArray[np.uint8]
-GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
-SPLIT, IMPORT = 2, 5
+SPLIT, POINTS = 2, 5
 
 
 def test_a_dataset_of_grids(tmp_path: Path) -> None:
@@ -42,7 +37,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
             cells = largest_component(grids[i], 0).tolist()
             seed_points = []
             for draw in range(4):
-                word = reference.block(2**63 + 1, i, 0, IMPORT, draw)[0]
+                word = reference.block(2**63 + 1, i, 0, POINTS, draw)[0]
                 seed_points.append(list(divmod(cells.pop(word * len(cells) >> 32), 70)))
             assert maps.seed_points[k].tolist() == seed_points
             word = reference.block(2**63 + 1, i, 0, SPLIT, 0)[0]

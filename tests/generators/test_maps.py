@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from mapdata import Maps, Movement
 from mapdata.arrays import Bytes
-from mapdata.generators.maps import pack
+from mapdata.generators import pack
 
 SETTINGS = settings(max_examples=100)
 

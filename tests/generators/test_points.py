@@ -10,11 +10,11 @@ from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
 from mapdata.arrays import Bytes
-from mapdata.generators.points import draw_points, largest_component
+from mapdata.generators import draw_points, largest_component
 
 SETTINGS = settings(max_examples=100)
 GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
-IMPORT = 5
+POINTS = 5
 
 
 @SETTINGS
@@ -38,7 +38,7 @@ def test_draws(seed: int, index: int, cells: int, data: st.DataObject) -> None:
     count = data.draw(st.integers(0, cells))
     left, expected = list(range(100, 100 + cells)), []
     for k in range(count):
-        word = reference.block(seed, index, 0, IMPORT, k)[0]
+        word = reference.block(seed, index, 0, POINTS, k)[0]
         expected.append(left.pop(word * len(left) >> 32))
     found = draw_points(np.arange(100, 100 + cells), np.uint64(seed), np.uint64(index), count)
     assert found.tolist() == expected

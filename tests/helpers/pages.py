@@ -57,7 +57,7 @@ def run(page: Path) -> list[str]:
         if language == "python":
             output = StringIO()
             with redirect_stdout(output):
-                exec(compile("\n" * (line - 1) + text, str(page), "exec"), session)
+                exec(compile("\n" * (line - 1) + text, str(page), "exec", dont_inherit=True), session)
             printed = output.getvalue()
         elif language == "sh":
             shown += [shell(command, where) for command in text.splitlines()]

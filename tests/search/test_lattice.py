@@ -5,7 +5,8 @@ from __future__ import annotations
 from decimal import Decimal, localcontext
 from random import Random
 
-from mapdata.search.lattice import DIAGONAL, MAX_CELLS, STEPS, UNIT
+from mapdata.search import MAX_CELLS, STEPS
+from mapdata.search.lattice import DIAGONAL, UNIT
 
 
 def test_the_order_of_moves() -> None:

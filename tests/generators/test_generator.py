@@ -1,0 +1,125 @@
+"""The registry of generators: names in JSON, presets, versions of the format, and a family of one's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from mapdata import Generator, Maps, MapSpec, Maze, Movement, build, generate, identity, read_shard, verify
+from mapdata.arrays import Ints
+from mapdata.generators import GENERATORS, PRESETS, register, with_seed_points
+
+
+@dataclass(frozen=True)
+class Stripes(Generator):
+    """Horizontal stripes, open at one end: a family that somebody else writes."""
+
+    name: ClassVar[str] = "stripes"
+    description: ClassVar[str] = "stripes"
+
+    map_size: tuple[int, int] = (9, 8)
+    every: int = 2
+    resolution: float = 0.1
+    movement: Movement = field(default_factory=Movement)
+    splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
+
+    @property
+    def most_seed_points(self) -> int:
+        """Three."""
+        return 3
+
+    def draw(self, seed: int, indices: Ints) -> Maps:
+        """Return the maps ``indices``."""
+        grids = np.zeros((len(indices), *self.map_size), np.uint8)
+        grids[:, 1 :: self.every, 1:] = 1
+        return with_seed_points(self, seed, indices, grids)
+
+
+@pytest.fixture
+def stripes() -> Iterator[type[Stripes]]:
+    """The family, registered for one test."""
+    register(Stripes, {"striped": Stripes()})
+    yield Stripes
+    del GENERATORS["stripes"]
+    del PRESETS["striped"]
+
+
+def test_a_family_of_ones_own_is_built_and_verified(stripes: type[Stripes], tmp_path: Path) -> None:
+    """Registered, it is known to recipes, manifests and shards."""
+    spec = Generator.preset("striped")
+    manifest = build(tmp_path / "maps", spec, maps=5, seed=2, shard_size=3)
+    assert verify(tmp_path / "maps") == []
+    assert json.loads(manifest.recipe())["spec"]["generator"] == "stripes"
+    assert Generator.from_dict({"generator": "stripes", "every": 3}) == stripes(every=3)
+    maps = read_shard(tmp_path / "maps" / manifest.shards[0].name).maps
+    np.testing.assert_array_equal(maps.occupancy, generate(spec, 2, range(3)).occupancy)
+
+
+def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: Path) -> None:
+    """Whoever reads its data without it is told which family is missing."""
+    manifest = build(tmp_path / "maps", stripes(), maps=2)
+    GENERATORS.pop("stripes")
+    try:
+        with pytest.raises(ValueError, match="generator: got 'stripes', expected one of rooms, maze"):
+            read_shard(tmp_path / "maps" / manifest.shards[0].name)
+    finally:
+        GENERATORS["stripes"] = stripes
+
+
+def test_registering_refuses_what_cannot_work() -> None:
+    """A name that is taken, a preset that is taken, a class that is no frozen dataclass."""
+
+    @dataclass(frozen=True)
+    class Impostor(MapSpec):
+        """Another family of the same name."""
+
+    class Plain(Stripes):
+        """No dataclass of its own, so not frozen by itself, but it inherits: it may be registered."""
+
+    with pytest.raises(ValueError, match="'rooms' is the name of MapSpec"):
+        register(Impostor)
+    with pytest.raises(ValueError, match="the preset 'paper' is there already"):
+        register(Maze, {"paper": Maze()})
+    assert Plain.name == "stripes"
+    with pytest.raises(ValueError, match="expected a frozen dataclass"):
+        register(Generator)  # type: ignore[type-abstract]
+
+
+def test_presets_of_one_family_and_of_all() -> None:
+    """A family knows its own, `Generator` all."""
+    assert MapSpec.preset("dungeon").rooms == (8, 16)
+    assert Generator.preset("maze") == Maze.preset("maze") == Maze()
+    with pytest.raises(ValueError, match="preset: got 'maze', expected one of paper, narrow, dungeon, dungeon128"):
+        MapSpec.preset("maze")
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        ({"generator": "mazes"}, "generator: got 'mazes', expected one of rooms, maze"),
+        ({"generator": 3}, "generator: got 3"),
+        ({"generator": "maze", "rooms": [2, 3]}, "unknown rooms"),
+        ({"corridor": 2}, "unknown corridor"),
+        ("mazes", "preset: got 'mazes'"),
+        ([1], "expected an object"),
+    ],
+)
+def test_bad_specs_are_refused(values: object, why: str) -> None:
+    """By naming what is wrong."""
+    with pytest.raises(ValueError, match=why):
+        Generator.from_dict(values)
+
+
+def test_version_1_says_what_it_always_said() -> None:
+    """Specs of Algorithm 1 say no generator, and their identities stay; others are of version 2."""
+    assert "generator" not in MapSpec().to_dict()
+    assert identity(MapSpec(), 7) == "d1b8a4aa131547ef781bcafb680990d01786599565f1ecbf05d9d2c7a680f20c"
+    assert (MapSpec().format_version, Maze().format_version) == (1, 2)
+    assert MapSpec.from_dict({"generator": "rooms"}) == MapSpec()
+    assert Generator.from_json(Maze(corridor=3).to_json()) == Maze(corridor=3)

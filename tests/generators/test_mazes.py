@@ -1,0 +1,209 @@
+"""Mazes: equal to a slow reference, spanning trees by scipy, and a dataset like any other in every verb and field."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.reference import reference_split
+from helpers.reference_mazes import reference_maze, reference_points
+from helpers.samples import ALL_FIELDS, assert_same
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from mapdata import MapDataset, Maze, Movement, OnlineMapDataset, Problems, build, generate, identity, label, verify
+from mapdata.cli import main
+from mapdata.shards import Recipe, read_manifest
+
+SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=150)
+SPEC = Maze(map_size=(20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25))
+
+
+@st.composite
+def mazes(draw: st.DrawFn) -> Maze:
+    """Any maze of up to 24 cells a side with at least two lattice cells."""
+    corridor, wall = draw(st.integers(1, 3)), draw(st.integers(1, 3))
+    least = corridor + 2 * wall
+    size = draw(st.tuples(st.integers(least, 24), st.integers(least + corridor + wall, 24)))
+    points = draw(st.integers(2, 4))
+    reopened = draw(st.sampled_from([0.0, 0.3, 1.0]))
+    cells = np.prod([(side - wall) // (corridor + wall) for side in size])
+    return Maze(size, corridor, wall, reopened, min(points, int(cells)))
+
+
+@SETTINGS
+@given(mazes(), st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1))
+def test_any_maze_equals_the_reference(spec: Maze, seed: int, index: int) -> None:
+    """Grid, seed points and split, for all widths, sizes that the lattice does not fill, large seeds and indices."""
+    maps = generate(spec, seed, [index])
+    grid = reference_maze(spec, seed, index)
+    free = [(int(row), int(column)) for row, column in np.argwhere(np.array(grid) == 0)]
+    assert maps.occupancy[0].tolist() == grid
+    points = reference_points(free, seed, index, spec.seed_points)
+    assert maps.seed_points[0].tolist() == [list(cell) for cell in points]
+    assert len(set(points)) == spec.seed_points == maps.rooms[0]
+    assert maps.split[0] == reference_split(spec, seed, index)
+    assert (maps.sizes == -1).all()
+    assert (maps.directions == -1).all()
+    assert (maps.passage_width == -1).all()
+
+
+@pytest.mark.parametrize(("corridor", "wall"), [(1, 1), (3, 2)])
+def test_perfect_mazes_are_trees(corridor: int, wall: int) -> None:
+    """All cells are joined, by one way only: as many open walls as cells less one."""
+    spec = Maze((60, 45), corridor, wall)
+    pitch = corridor + wall
+    cells = ((60 - wall) // pitch) * ((45 - wall) // pitch)
+    for grid in generate(spec, 11, range(20)).occupancy:
+        assert ndimage.label(grid == 0)[1] == 1
+        assert (grid == 0).sum() == cells * corridor**2 + (cells - 1) * corridor * wall
+
+
+def test_reopened_walls_have_their_share() -> None:
+    """Of the walls that a perfect maze leaves, a share is open; with 1 all are."""
+    size = (41, 41)
+    perfect = generate(Maze(size), 5, range(200)).occupancy
+    some = generate(Maze(size, reopened=0.2), 5, range(200)).occupancy
+    every = generate(Maze(size, reopened=1.0), 5, range(3)).occupancy
+    assert (some <= perfect).all()  # the same maze with more walls open
+    closed = 2 * 20 * 19 - (20 * 20 - 1)
+    share = (perfect.astype(int) - some).sum() / (200 * closed)
+    assert share == pytest.approx(0.2, abs=5 * (0.2 * 0.8 / (200 * closed)) ** 0.5)
+    assert all((grid == 0).sum() == 20 * 20 + 2 * 20 * 19 for grid in every)
+
+
+def test_seed_points_lie_far_apart() -> None:
+    """On the average much farther than cells drawn uniformly: the nearest two are twice as far."""
+    maps = generate(Maze(), 3, range(200))
+    source = np.random.default_rng(0)
+
+    def nearest(points: np.ndarray) -> float:
+        gaps = np.linalg.norm(points[:, None] - points[None], axis=2)
+        return float(gaps[np.triu_indices(len(points), 1)].min())
+
+    spread = [nearest(points) for points in maps.seed_points]
+    uniform = [nearest(np.argwhere(grid == 0)[source.choice((grid == 0).sum(), 5)]) for grid in maps.occupancy]
+    assert np.mean(spread) > 1.7 * np.mean(uniform)
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        ({"corridor": 0}, "corridor: got 0, expected an integer of at least 1"),
+        ({"wall": 0}, "wall: got 0"),
+        ({"reopened": 1.5}, "reopened: got 1.5, expected a probability"),
+        ({"seed_points": 1}, "seed_points: got 1"),
+        ({"seed_points": 256}, "seed_points: got 256, expected at most 255"),
+        ({"map_size": (4, 4)}, "seed_points: got 5, expected at most 1"),
+        ({"map_size": (2, 2), "wall": 5}, "seed_points"),
+        ({"map_size": (2000, 64)}, "map_size"),
+    ],
+)
+def test_bad_values_are_refused(values: dict[str, object], why: str) -> None:
+    """The message names the value, and what was expected."""
+    with pytest.raises(ValueError, match=re.escape(why)):
+        Maze(**values)  # type: ignore[arg-type]
+
+
+# --- a dataset like any other ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """30 mazes of 20 x 31 cells in three shards."""
+    folder = tmp_path_factory.mktemp("mazes") / "maps"
+    build(folder, SPEC, maps=30, seed=7, shard_size=12)
+    return folder
+
+
+def test_identity_and_content_are_golden(root: Path) -> None:
+    """Format version 2 of the same spec and seed is this, for ever."""
+    manifest = read_manifest(root)
+    assert manifest.format_version == 2
+    assert manifest.identity == identity(SPEC, 7)
+    assert (manifest.identity, manifest.content_hash) == GOLDEN
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
+    assert all(f"`{value}`" in page for value in GOLDEN)
+
+
+GOLDEN = (
+    "e06e38dffb7bffacf95ab651a64dc9d1f5d7a87e3229a9fbc82d8038f522089a",
+    "b672b9f72a36c3eaffde9fdc4910b9ce868b6e986d1cc04b7332354d7e006b14",
+)
+
+
+def test_recipes_say_the_generator(root: Path, tmp_path: Path) -> None:
+    """The few lines of JSON make the same maps; a preset's name is enough for one."""
+    text = read_manifest(root).recipe()
+    assert json.loads(text)["spec"]["generator"] == "maze"
+    recipe = Recipe.load(text)
+    assert recipe.spec == SPEC
+    again = build(tmp_path / "again", recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=7)
+    assert again.content_hash == recipe.content_hash
+    assert Recipe.load('{"spec": "maze", "seed": 7}') == Recipe(Maze(), 7)
+
+
+def test_every_field_is_served(root: Path) -> None:
+    """From shards and online alike; problems, searches and movements too."""
+    for problems in ("route", "random"):
+        dataset = MapDataset(root, "train", ALL_FIELDS, problems=problems)
+        batch = dataset[:]
+        assert batch.map.shape[1:] == (1, 20, 31)
+        assert (batch.cost >= 0).all()
+    again = MapDataset(root, None, ("map", "start", "goal", "path"), movement=Movement(8))[:]
+    assert (again.path[:, 0] == again.start).all()
+    stored = MapDataset(root, None, ("map", "start", "goal", "problem"), problems="random")[:]
+    online = OnlineMapDataset(SPEC, 7, 30, fields=("map", "start", "goal", "problem"), problems="random")[:]
+    assert_same(stored, online)
+    assert torch.equal(stored.map[:, 0], torch.from_numpy(generate(SPEC, 7, range(30)).occupancy))
+
+
+def test_labels_of_perfect_mazes_have_one_path() -> None:
+    """Both searches find the only one."""
+    labels = label(generate(Maze((21, 21)), 1, range(10)))
+    assert labels.all_connected.all()
+    np.testing.assert_array_equal(labels.bfs.moves, labels.astar.moves)
+    np.testing.assert_array_equal(labels.bfs.costs, labels.astar.costs)
+
+
+def test_planners_are_compared_on_mazes() -> None:
+    """Problems are drawn on them as on any maps."""
+    assert len(Problems.draw(Maze(reopened=0.1), seed=3, maps=5)) == 5
+
+
+def test_every_verb_takes_mazes(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Build, info, card, verify, show, report and exports; nobody speaks of rooms or passages."""
+
+    def run(*arguments: object) -> str:
+        main([str(argument) for argument in arguments])
+        return capsys.readouterr().out
+
+    assert "passages" not in run("info", root)
+    assert "passages" not in run("build", tmp_path / "preset", "--preset", "maze", "--maps", 3)
+    run("info", root, "--card", tmp_path / "card.md")
+    card = (tmp_path / "card.md").read_text()
+    assert "mazes made by a random depth-first search" in card
+    assert "assages" not in card
+    assert "Algorithm 1" not in card
+    run("verify", root)
+    for figure in ("map", "gallery", "path", "matrix", "distributions"):
+        run("show", root, "--figure", figure, "-o", tmp_path / f"{figure}.png")
+    run("report", root, "-o", tmp_path / "report.html")
+    assert "seed points" in (tmp_path / "report.html").read_text()
+    for kind in ("paper", "movingai", "ros", "huggingface"):
+        run("export", root, tmp_path / kind, "--format", kind)
+    run("export", root, tmp_path / "mazes.npz", "--format", "planning-datasets")
+    run("import", tmp_path / "paper", tmp_path / "back")
+    back, there = MapDataset(tmp_path / "back")[:], MapDataset(root)[:]
+    assert torch.equal(back.map, there.map)
+    assert torch.equal(back.path, there.path)
+
+
+def test_damaged_shards_are_made_again(root: Path, tmp_path: Path) -> None:
+    """From the recipe, like those of Algorithm 1."""
+    assert verify(root) == []

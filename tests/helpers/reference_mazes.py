@@ -1,0 +1,66 @@
+"""Mazes and spread seed points once more in slow, plain Python, written from docs/format.md."""
+
+from __future__ import annotations
+
+from helpers.reference import Cell, block, bounded, threshold
+from mapdata.generators import Maze
+
+MAP, POINTS = 0, 5
+STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
+
+
+def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
+    """Return a maze: the lattice's cells and its open walls first, then the grid that they make."""
+    tall, wide = ((side - spec.wall) // (spec.corridor + spec.wall) for side in spec.map_size)
+    trail: list[Cell] = [(0, 0)]
+    seen = {(0, 0)}
+    opened: set[frozenset[Cell]] = set()
+    steps = 0
+    while trail:
+        row, column = trail[-1]
+        around = [(row + down, column + right) for down, right in STEPS]
+        fresh = [cell for cell in around if 0 <= cell[0] < tall and 0 <= cell[1] < wide and cell not in seen]
+        if not fresh:
+            trail.pop()
+            continue
+        cell = fresh[bounded(block(seed, index, 0, MAP, steps)[0], 0, len(fresh) - 1)]
+        steps += 1
+        opened.add(frozenset((trail[-1], cell)))
+        seen.add(cell)
+        trail.append(cell)
+    walls = [((k // wide, k % wide), side) for k in range(tall * wide) for side in ((0, 1), (1, 0))]
+    for number, ((row, column), (down, right)) in enumerate(walls):
+        other = (row + down, column + right)
+        inside = other[0] < tall and other[1] < wide
+        if inside and block(seed, index, 0, MAP, steps + number)[0] < threshold(spec.reopened):
+            opened.add(frozenset(((row, column), other)))
+    grid = [[1] * spec.map_size[1] for _ in range(spec.map_size[0])]
+    pitch = spec.corridor + spec.wall
+    for row, column in seen:
+        for r in range(spec.corridor):
+            for c in range(spec.corridor):
+                grid[spec.wall + row * pitch + r][spec.wall + column * pitch + c] = 0
+    for (row, column), (other_row, other_column) in map(sorted, opened):
+        for across in range(spec.corridor):
+            for along in range(spec.corridor, pitch):
+                r, c = (across, along) if row == other_row else (along, across)
+                grid[spec.wall + row * pitch + r][spec.wall + column * pitch + c] = 0
+        assert (other_row - row, other_column - column) in ((0, 1), (1, 0))
+    return grid
+
+
+def reference_points(cells: list[Cell], seed: int, index: int, count: int) -> list[Cell]:
+    """Return seed points that lie far apart: of 8 candidates the one with the widest gap, until there are enough."""
+
+    def gap(cell: Cell) -> float:
+        return min(((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in points), default=float("inf"))
+
+    points: list[Cell] = []
+    for k in range(min(count, len(cells))):
+        words = [*block(seed, index, 0, POINTS, 2 * k), *block(seed, index, 0, POINTS, 2 * k + 1)]
+        places = [bounded(word, 0, len(cells) - 1) for word in words]
+        best = max(places, key=lambda place: gap(cells[place]))  # the first of equal ones
+        while cells[best] in points:
+            best = (best + 1) % len(cells)
+        points.append(cells[best])
+    return points
