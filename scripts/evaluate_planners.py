@@ -9,8 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import add_problem_arguments, check_outputs, given_problems, write_table
-from mapdata.cli.common import Parser, run
+from mapdata.cli import Parser, add_problem_arguments, check_outputs, given_problems, run, write_table
 from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement

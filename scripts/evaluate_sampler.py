@@ -8,8 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import add_problem_arguments, check_outputs, given_problems, write_table
-from mapdata.cli.common import Parser, run
+from mapdata.cli import Parser, add_problem_arguments, check_outputs, given_problems, run, write_table
 from models.lego_sampler import load
 from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
 

@@ -16,7 +16,7 @@ from scipy import stats
 from mapdata import rng
 
 WORD = 2**32 - 1
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=300)
+SETTINGS = settings(max_examples=300)
 words = st.integers(0, WORD)
 
 

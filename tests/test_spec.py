@@ -10,47 +10,14 @@ from random import Random
 from typing import Any
 
 import pytest
+from helpers.specs import MOVEMENTS, specs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapdata.generators.generator import identity
-from mapdata.generators.rooms import MapSpec
+from mapdata import MapSpec, identity
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=200)
-MOVEMENTS = [
-    Movement(),
-    Movement(8),
-    Movement(8, diagonal_cost=1),
-    Movement(8, corner_cutting=True),
-    Movement(8, corner_cutting=True, diagonal_cost=1),
-]
-
-
-@st.composite
-def limits(draw: st.DrawFn, low: int, high: int) -> tuple[int, int]:
-    """Draw (lower, upper) limits inside low..high."""
-    first, second = draw(st.integers(low, high)), draw(st.integers(low, high))
-    return min(first, second), max(first, second)
-
-
-@st.composite
-def specs(draw: st.DrawFn) -> MapSpec:
-    """Draw a valid spec: one row, one column, odd sizes, beyond 64 and 128 columns, rooms up to the whole map."""
-    height, width = (draw(st.one_of(st.just(1), st.integers(2, 33), st.sampled_from([63, 64, 65, 129]))) for _ in "hw")
-    train = draw(st.integers(0, 100))
-    validation = draw(st.integers(0, 100 - train))
-    return MapSpec(
-        map_size=(height, width),
-        rooms=draw(limits(2, 8)),
-        room_rows=draw(limits(1, height)),
-        room_columns=draw(limits(1, width)),
-        passage_width=draw(limits(1, min(height, width))),
-        skip_probability=draw(st.sampled_from([0.0, 0.1, 0.5, 1.0]) | st.floats(0, 1)),
-        resolution=draw(st.floats(1e-3, 1e3)),
-        movement=draw(st.sampled_from(MOVEMENTS)),
-        splits=(train / 100, validation / 100, (100 - train - validation) / 100),
-    )
+SETTINGS = settings(max_examples=200)
 
 
 # --- defaults and presets ---------------------------------------------------------------------------------------------

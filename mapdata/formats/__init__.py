@@ -11,13 +11,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mapdata.formats import huggingface, images, movingai, paper, planning, ros
-from mapdata.formats.collection import Collection as Collection
-from mapdata.formats.collection import ForeignMap as ForeignMap
-from mapdata.formats.files import FormatError as FormatError
-from mapdata.formats.files import Limits as Limits
-from mapdata.formats.files import empty_target, walk
-from mapdata.formats.importing import import_maps as import_maps
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.files import FormatError, Limits, empty_target, walk
+from mapdata.formats.importing import import_maps
 from mapdata.formats.stored import Stored
+
+__all__ = [
+    "READERS",
+    "WRITERS",
+    "Collection",
+    "ForeignMap",
+    "FormatError",
+    "Limits",
+    "export",
+    "import_maps",
+    "read_any",
+    "recognise",
+]
 
 READERS: dict[str, Callable[..., Collection]] = {
     "paper": paper.read,

@@ -1,15 +1,19 @@
 """Keeping maps: shards, their manifest and content hash, building, checking and repairing them."""
 
 from mapdata.shards.builder import build
+from mapdata.shards.content import content_hash
 from mapdata.shards.corruption import repair, verify
 from mapdata.shards.dataset_card import card
-from mapdata.shards.manifest import DatasetNotFoundError, Manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards.manifest import MANIFEST, PROVENANCE, DatasetNotFoundError, Manifest, read_manifest
+from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.recipe import Recipe
+from mapdata.shards.root import read_map
 from mapdata.shards.shard import ShardError, write_file
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
 __all__ = [
+    "MANIFEST",
+    "PROVENANCE",
     "DatasetNotFoundError",
     "DatasetStatistics",
     "Manifest",
@@ -17,7 +21,11 @@ __all__ = [
     "ShardError",
     "build",
     "card",
+    "content_hash",
     "dataset_statistics",
+    "open_shard",
+    "read_manifest",
+    "read_map",
     "read_shard",
     "repair",
     "verify",

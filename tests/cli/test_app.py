@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from shards.test_builder import MAPS, SEED, SIZE, SPEC, make, stamps
-from shards.test_shard import unprivileged_folder
+from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unprivileged_folder
 
 import mapdata
+from mapdata import MapSpec, read_shard
 from mapdata.cli import app as cli
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.manifest import MANIFEST, read_manifest, shard_name
-from mapdata.shards.reader import read_shard
+from mapdata.shards import MANIFEST, read_manifest
 
 HOME = Path(__file__).parents[2]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -429,7 +427,7 @@ def test_ctrl_c_says_how_to_go_on(run: Command, tmp_path: Path, monkeypatch: pyt
 
 FULL_DISK = """
 import resource, sys
-from mapdata.cli.app import main
+from mapdata.cli import main
 main(["build", sys.argv[1] + "/warm", "--maps", "1", "--workers", "1"])  # load the kernels
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
 main(["build", sys.argv[1] + "/maps", "--maps", "40", "--shard-size", "20", "--workers", "1"])
@@ -487,7 +485,7 @@ def test_the_script_takes_a_root_and_the_flags(tmp_path: Path, monkeypatch: pyte
 
 def test_a_reader_that_is_gone(dataset: Path) -> None:
     """``mapdata info ROOT | head -1``: no error is told, whether much or little was printed."""
-    command = [sys.executable, "-c", "from mapdata.cli.app import main; main()", "info", str(dataset)]
+    command = [sys.executable, "-c", "from mapdata.cli import main; main()", "info", str(dataset)]
     ours, theirs = os.pipe()
     os.close(ours)
     done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False)

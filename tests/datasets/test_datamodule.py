@@ -22,9 +22,8 @@ from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
 
 from mapdata import DatasetNotFoundError, MapDataModule, MapDataset, MapSpec, Movement, Sample, verify
-from mapdata.datasets.sampler import EpochSampler
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.recipe import Recipe
+from mapdata.datasets import EpochSampler
+from mapdata.shards import Recipe, read_manifest
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck"),

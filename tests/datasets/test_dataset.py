@@ -18,9 +18,9 @@ import numpy.typing as npt
 import pytest
 import torch
 from helpers import hostile, reference, samples
+from helpers.builds import SOUND_SEED, SOUND_SPEC
+from helpers.specs import MOVEMENTS
 from scipy import stats
-from search.test_api import MOVEMENTS
-from shards import test_shard
 from torch.utils.data import DataLoader
 
 from mapdata import (
@@ -35,7 +35,7 @@ from mapdata import (
     generate,
     label,
 )
-from mapdata.shards.manifest import MANIFEST, Manifest, read_manifest
+from mapdata.shards import MANIFEST, Manifest, read_manifest
 
 Array = npt.NDArray[Any]
 SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
@@ -693,7 +693,7 @@ def rewrite(manifest: Manifest, root: Path, **changes: Any) -> None:  # noqa: AN
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A root whose one shard is that of tests/helpers/hostile.py."""
     root = tmp_path_factory.mktemp("sound") / "maps"
-    samples.build_small(root, test_shard.SPEC, maps=3, seed=test_shard.SEED, shard_size=3)
+    samples.build_small(root, SOUND_SPEC, maps=3, seed=SOUND_SEED, shard_size=3)
     return root
 
 

@@ -11,14 +11,15 @@ import numpy.typing as npt
 import pytest
 import torch
 from helpers import reference, samples
+from helpers.grids import scipy_distances, serpentine
 from helpers.reference import Cell
-from search.test_api import MOVEMENTS, scipy_distances, serpentine
+from helpers.specs import movements
 
 from mapdata import Labels, MapDataset, Movement, OnlineMapDataset, Sample, generate, label
-from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.datasets import FIELDS, Batch
+from mapdata.datasets.fields import Paths, Rooms, room_matrices
 
 Array = npt.NDArray[Any]
-movements = pytest.mark.parametrize("movement", MOVEMENTS)
 planners = pytest.mark.parametrize("search", ["bfs", "astar"])
 
 SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}

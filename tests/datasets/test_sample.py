@@ -14,7 +14,8 @@ from torch.utils.data import BatchSampler, ConcatDataset, DataLoader, Dataset, S
 from torch.utils.data._utils.pin_memory import pin_memory
 
 from mapdata import MapDataset, OnlineMapDataset, Sample
-from mapdata.datasets.sample import Rows, row, sample_class, stack
+from mapdata.datasets import row
+from mapdata.datasets.sample import Rows, sample_class, stack
 
 
 @pytest.fixture(scope="module")

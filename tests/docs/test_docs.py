@@ -22,7 +22,7 @@ from helpers.pages import DOCS, ROOT
 from matplotlib.figure import Figure
 
 import mapdata
-from mapdata.datasets.fields import FIELDS
+from mapdata.datasets import FIELDS
 
 ELSEWHERE = {
     "benchmarks.md": "benchmarks/test_benchmarks.py",

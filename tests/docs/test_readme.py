@@ -9,9 +9,9 @@ import pytest
 from helpers import pages
 from helpers.pages import ROOT
 
-from mapdata.cli.app import build_main
+from mapdata.cli import build_main
 from mapdata.generators import PRESETS, MapSpec
-from mapdata.shards.recipe import Recipe
+from mapdata.shards import Recipe
 
 PAGE = ROOT / "README.md"
 README = PAGE.read_text(encoding="utf-8")

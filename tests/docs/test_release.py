@@ -77,7 +77,7 @@ site, checkout, *verbs = sys.argv[1:]
 sys.path[:] = [site, *(path for path in sys.path if path not in ("", checkout))]
 sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in getattr(finder, "__module__", "")]
 import mapdata
-from mapdata.cli.app import main
+from mapdata.cli import main
 for name in mapdata.__all__:
     getattr(mapdata, name)
 for verb in verbs:

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from shards.test_builder import stamps
+from helpers.builds import stamps
 
-from mapdata.cli.app import main
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.manifest import read_manifest
+from mapdata import MapSpec, build
+from mapdata.cli import main
+from mapdata.shards import read_manifest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf-8")
 BLOCKS: list[tuple[str, str]] = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)

@@ -15,13 +15,9 @@ import pandas as pd
 import pytest
 from helpers.reference import Cell
 
-from mapdata.evaluation.metrics import METRICS, Plan, Planner, evaluate, to_text
-from mapdata.evaluation.planners import classical
-from mapdata.generators.rooms import MapSpec
-from mapdata.plotting.plot import plot_planners
-from mapdata.problems.problem_set import Problems
-from mapdata.search.api import astar
-from mapdata.shards.builder import build
+from mapdata import MapSpec, Plan, Problems, astar, build, evaluate
+from mapdata.evaluation import METRICS, Planner, classical, to_text
+from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
 
 DUNGEON = MapSpec.preset("dungeon")

@@ -10,14 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.grids import scipy_distances
 from helpers.reference import Cell
-from search.test_api import scipy_distances
 
-from mapdata.evaluation.metrics import Plan
-from mapdata.evaluation.planners import BestFirst, Limit, Search, classical
-from mapdata.generators.rooms import MapSpec
-from mapdata.problems.problem_set import Problems
-from mapdata.search.api import astar, bfs, check_path
+from mapdata import MapSpec, Plan, Problems, astar, bfs, check_path
+from mapdata.evaluation import BestFirst, Limit, Search, classical
 from mapdata.spec import Movement
 
 MOVEMENTS = [Movement(), Movement(8), Movement(8, corner_cutting=True), Movement(8, diagonal_cost=1)]

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
+from mapdata import MapSpec, build
 
 SPEC = MapSpec((20, 70), (3, 6), (3, 9), (3, 14), passage_width=(1, 2), skip_probability=0.4, splits=(0.5, 0.25, 0.25))
 

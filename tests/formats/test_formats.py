@@ -10,14 +10,10 @@ import pytest
 from helpers.wild import cli
 from PIL import Image
 
+from mapdata import DatasetNotFoundError, MapSpec, ShardError, build
 from mapdata.cli import convert as cli_formats
-from mapdata.formats import READERS, WRITERS, export, paper, read_any, recognise
-from mapdata.formats.files import FormatError
+from mapdata.formats import READERS, WRITERS, FormatError, export, paper, read_any, recognise
 from mapdata.formats.stored import Stored
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.manifest import DatasetNotFoundError
-from mapdata.shards.shard import ShardError
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 

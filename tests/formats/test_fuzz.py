@@ -15,8 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from mapdata.formats import read_any
-from mapdata.formats.files import FormatError, Limits
+from mapdata.formats import FormatError, Limits, read_any
 from mapdata.formats.movingai import check_scen
 
 GRID = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from helpers.wild import cli
 
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata import read_shard
+from mapdata.shards import read_manifest
 from mapdata.spec import SPLITS
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")

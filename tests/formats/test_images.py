@@ -11,11 +11,11 @@ import pytest
 from helpers.wild import Bytes, cli, npy, npz, png
 from PIL import Image
 
-from mapdata.formats import recognise
-from mapdata.formats.files import FormatError, Limits, natural, read_npy, walk
+from mapdata import read_shard
+from mapdata.formats import FormatError, Limits, recognise
+from mapdata.formats.files import natural, read_npy, walk
 from mapdata.formats.images import brightness, read, read_pixels
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards import read_manifest
 
 GRID: Bytes = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
 DARK: Bytes = np.where(GRID, np.uint8(10), np.uint8(240)).astype(np.uint8)
@@ -166,7 +166,8 @@ import resource, sys
 from pathlib import Path
 import numpy, PIL.Image
 from mapdata.formats.images import read_pixels
-from mapdata.formats.files import FormatError, Limits, Npz
+from mapdata.formats import FormatError, Limits
+from mapdata.formats.files import Npz
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sys.argv[1:]:
     try:

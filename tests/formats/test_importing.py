@@ -9,74 +9,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
-from scipy import ndimage
+from helpers.grids import random_grids
+from helpers.imported import collection
 
-from mapdata.datasets.dataset import MapDataset
-from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.importing import import_maps
-from mapdata.generators.maps import pack
-from mapdata.generators.points import draw_points, largest_component
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata import MapDataset, read_shard, verify
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.generators import largest_component
+from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=100)
 Bytes = npt.NDArray[np.uint8]
-GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
 SPLIT, POINTS = 2, 5
-
-
-def collection(*grids: Bytes, **fields: object) -> Collection:
-    """Return grids as a format would."""
-    return Collection([ForeignMap(f"g{k}", grid, **fields) for k, grid in enumerate(grids)])  # type: ignore[arg-type]
-
-
-def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
-    """Return grids with a third of the cells occupied."""
-    return list((np.random.default_rng(0).random((count, rows, columns)) < 0.3).astype(np.uint8))
-
-
-@SETTINGS
-@given(GRIDS, st.booleans())
-def test_largest_component(grid: Bytes, cut: bool) -> None:
-    """The component is scipy's largest, of equals the one that holds the first cell in row-major order."""
-    labels, count = ndimage.label(grid == 0, np.ones((3, 3)) if cut else None)
-    cells = largest_component(grid, 2 if cut else 1)
-    assert np.array_equal(cells, largest_component(grid, 2 if cut else 0))
-    if count == 0:
-        assert len(cells) == 0
-        return
-    sizes = np.bincount(labels.ravel())[1:]  # scipy numbers components in row-major order too
-    assert np.array_equal(cells, np.flatnonzero(labels == 1 + int(np.argmax(sizes))))
-
-
-@SETTINGS
-@given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 30), st.data())
-def test_draws(seed: int, index: int, cells: int, data: st.DataObject) -> None:
-    """Draw k of stream 5 is one of the cells left, in their order, as docs/format.md says."""
-    count = data.draw(st.integers(0, cells))
-    left, expected = list(range(100, 100 + cells)), []
-    for k in range(count):
-        word = reference.block(seed, index, 0, POINTS, k)[0]
-        expected.append(left.pop(word * len(left) >> 32))
-    found = draw_points(np.arange(100, 100 + cells), np.uint64(seed), np.uint64(index), count)
-    assert found.tolist() == expected
-
-
-@SETTINGS
-@given(
-    arrays.arrays(np.uint8, st.tuples(st.just(2), st.integers(1, 4), st.integers(1, 130)), elements=st.integers(0, 1))
-)
-def test_pack(grids: Bytes) -> None:
-    """Bit k of word j is column 64 j + k; spare bits are 0."""
-    packed = pack(grids)
-    for m, row in np.ndindex(grids.shape[:2]):
-        value = sum(int(word) << 64 * j for j, word in enumerate(packed[m, row]))
-        assert value == sum(int(cell) << k for k, cell in enumerate(grids[m, row]))
 
 
 def test_a_dataset_of_grids(tmp_path: Path) -> None:

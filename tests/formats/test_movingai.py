@@ -13,10 +13,10 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata.formats.files import FormatError, Limits
+from mapdata import read_shard
+from mapdata.formats import FormatError, Limits
 from mapdata.formats.movingai import Problem, agrees, check_scen, read_scen, read_terrain, world
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards import read_manifest
 
 MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
 LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]

@@ -10,21 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.specs import specs
 from helpers.wild import SETTINGS, cli, png
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from test_spec import specs
 
-from mapdata.formats import export, read_any, recognise
-from mapdata.formats.files import FormatError, Limits
-from mapdata.formats.importing import import_maps
+from mapdata import MapSpec, build, read_shard, verify
+from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
 from mapdata.formats.paper import floats, joined, numbers, read
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards import read_manifest
 
 csv.field_size_limit(2**27)
 

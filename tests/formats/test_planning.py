@@ -14,16 +14,12 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata.datasets.datamodule import MapDataModule
-from mapdata.evaluation import evaluate
-from mapdata.evaluation.planners import classical
-from mapdata.formats import export, recognise
-from mapdata.formats.files import FormatError, Limits, Npz
-from mapdata.formats.importing import import_maps
+from mapdata import MapDataModule, Problems, read_shard
+from mapdata.evaluation import classical, evaluate
+from mapdata.formats import FormatError, Limits, export, import_maps, recognise
+from mapdata.formats.files import Npz
 from mapdata.formats.planning import MOVEMENT, has_starts, hops, policy, read
-from mapdata.problems.problem_set import Problems
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
 Floats = npt.NDArray[np.float32]

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
-from mapdata.formats.files import FormatError, Limits
+from mapdata import read_shard
+from mapdata.formats import FormatError, Limits
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.ros import _classify, read, read_map, to_grid
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards import read_manifest
 
 YAML = """image: {image}
 resolution: 0.050000

@@ -8,17 +8,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers.reference import block, reference_map
+from helpers.specs import specs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from test_spec import specs
 
-from mapdata.generators.generator import generate
-from mapdata.generators.maps import Maps
-from mapdata.generators.rooms import MapSpec
+from mapdata import Maps, MapSpec, generate
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=300)
+SETTINGS = settings(max_examples=300)
 PRESETS = ["paper", "narrow", "dungeon", "dungeon128"]
 FIELDS = ["index", "occupancy", "rooms", "passage_width", "seed_points", "sizes", "directions", "connected", "split"]
 

@@ -74,8 +74,8 @@ class Browser:
         os.close(self._in)
         os.close(self._out)
 
-    def open(self, path: Path) -> float:
-        """Open a file and wait until it says that it is ready; return the seconds that took."""
+    def open(self, path: Path) -> None:
+        """Open a file and wait until it says that it is ready."""
         self.errors.clear()
         self.requests.clear()
         began = time.perf_counter()
@@ -84,7 +84,6 @@ class Browser:
             if time.perf_counter() - began > _PATIENCE:
                 raise TimeoutError(f"{path}: not ready; {self.errors}")
             time.sleep(0.02)
-        return time.perf_counter() - began
 
     def run(self, script: str) -> Any:  # noqa: ANN401  (any JSON value)
         """Return what an expression gives; promises are awaited."""

@@ -12,7 +12,7 @@ from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
-from mapdata.cli.app import main
+from mapdata.cli import main
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

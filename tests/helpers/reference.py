@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from mapdata.generators import Generator, MapSpec
+    from mapdata import Generator, MapSpec
     from mapdata.spec import Movement
 
 Cell: TypeAlias = tuple[int, int]

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mapdata import MapSpec, Movement, build
-from mapdata.datasets.sample import Sample
+from mapdata import MapSpec, Movement, Sample, build
 
 PADDING = -1
 """What fills a path beyond its cells."""

@@ -18,9 +18,9 @@ from hypothesis.extra import numpy as arrays
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mapdata.cli.app import main
+from mapdata.cli import main
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=40)
+SETTINGS = settings(max_examples=40)
 Bytes = npt.NDArray[np.uint8]
 
 GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(0, 1))

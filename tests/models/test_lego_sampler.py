@@ -18,8 +18,7 @@ import pytest
 import pytorch_lightning as pl
 import torch
 
-from mapdata import MapDataModule, MapSpec
-from mapdata.problems.problem_set import Problems
+from mapdata import MapDataModule, MapSpec, Problems
 from models.cvae import CVAE, LocalCVAE
 from models.experience import KINDS, Bank, FixedProblems, Mining, bottlenecks, mine, near_optimal_paths
 from models.lego_sampler import Heatmap, load, select

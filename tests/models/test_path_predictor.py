@@ -17,11 +17,19 @@ import pytorch_lightning as pl
 import torch
 from pytorch_lightning.callbacks import ModelCheckpoint
 
-from mapdata import DatasetNotFoundError, MapDataModule, MapSpec, Movement, OnlineMapDataset, astar, check_path
-from mapdata.evaluation.metrics import BatchPlanner, evaluate
-from mapdata.evaluation.planners import classical
-from mapdata.problems.problem_set import Problems
-from mapdata.search.lattice import STEPS
+from mapdata import (
+    DatasetNotFoundError,
+    MapDataModule,
+    MapSpec,
+    Movement,
+    OnlineMapDataset,
+    Problems,
+    astar,
+    check_path,
+    evaluate,
+)
+from mapdata.evaluation import BatchPlanner, classical
+from mapdata.search import STEPS
 from models.learned_planners import LearnedPlanner, planners
 from models.path_predictor import FIELDS, MixedBatches, PathPredictor, legal_moves
 

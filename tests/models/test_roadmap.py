@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
-from mapdata import MapSpec
-from mapdata.problems.problem_set import Problems
+from mapdata import MapSpec, Problems
 from models.roadmap import (
     SAMPLERS,
     between,
@@ -56,7 +55,7 @@ places = st.integers(0, 7 * 8 - 1).filter(lambda k: k % 8).map(lambda k: Fractio
 points = st.tuples(places, places)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(points, points, st.integers(0, 2**49 - 1))
 def test_segments_meet_exactly_the_cells_they_touch(start: Point, end: Point, bits: int) -> None:
     """Every cell that a segment meets, corners included, decides; both ways alike."""

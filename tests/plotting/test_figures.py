@@ -6,16 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.figures import assert_tidy, figure_of
 from helpers.samples import SPEC, WIDE, build_small
-from plotting.test_plot import assert_tidy, figure_of
 
 from mapdata import MapSpec, generate
-from mapdata.cli.app import main
-from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.importing import import_maps
-from mapdata.plotting.figures import FIGURES, pick_examples, plot_distributions, plot_figure, plot_gallery
-from mapdata.shards.root import read_map
-from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
+from mapdata.cli import main
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.plotting import plot_distributions, plot_figure, plot_gallery
+from mapdata.plotting.figures import FIGURES, pick_examples
+from mapdata.shards import DatasetStatistics, dataset_statistics, read_map
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.figures import assert_lines, assert_tidy, drawn, figure_of
 from helpers.samples import WIDE, build_small
 from matplotlib.collections import LineCollection, PathCollection
-from plotting.test_plot import assert_lines, assert_tidy, drawn, figure_of
 
 from mapdata import MapDataset
-from mapdata.plotting.plot import COLOURS
-from mapdata.plotting.plot_models import plot_prediction, plot_roadmap, plot_sample
+from mapdata.plotting import COLOURS, plot_prediction, plot_roadmap, plot_sample
 
 
 def test_sample_shows_what_it_holds(tmp_path: Path) -> None:

@@ -10,10 +10,8 @@ import pytest
 from helpers import reference
 from helpers.reference import Cell
 
-from mapdata.generators.rooms import MapSpec
-from mapdata.problems.problem_set import HARD, Problems
-from mapdata.search.api import astar
-from mapdata.shards.builder import build
+from mapdata import MapSpec, Problems, astar, build
+from mapdata.problems import HARD
 from mapdata.spec import Movement
 
 DUNGEON = MapSpec.preset("dungeon")

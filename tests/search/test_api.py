@@ -11,25 +11,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.grids import scipy_distances, serpentine
 from helpers.reference import Cell, Pair
+from helpers.specs import movements
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import sparse
-from scipy.sparse import csgraph
 
-from mapdata.search.api import SearchResult, astar, bfs, check_path, distance_field
+from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None)
 OCTILE, CUTTING = Movement(8), Movement(8, corner_cutting=True)
-MOVEMENTS = [
-    pytest.param(Movement(), id="4"),
-    pytest.param(OCTILE, id="8"),
-    pytest.param(CUTTING, id="8-cutting"),
-    pytest.param(Movement(8, diagonal_cost=1), id="8-one"),
-    pytest.param(Movement(8, corner_cutting=True, diagonal_cost=1), id="8-cutting-one"),
-]
-movements = pytest.mark.parametrize("movement", MOVEMENTS)
 planners = pytest.mark.parametrize(
     ("search", "truth"), [(bfs, reference.reference_bfs), (astar, reference.reference_astar)], ids=["bfs", "astar"]
 )
@@ -47,14 +38,6 @@ class Problem(NamedTuple):
     grid: npt.NDArray[np.uint8]
     start: Cell
     goal: Cell
-
-
-def serpentine(height: int, width: int, source: np.random.Generator) -> npt.NDArray[np.uint8]:
-    """Return rows of wall with one gap each: long detours, where A* changes its mind."""
-    grid = np.zeros((height, width), dtype=np.uint8)
-    grid[1::2] = 1
-    grid[np.arange(1, height, 2), source.integers(0, width, size=height // 2)] = 0
-    return grid
 
 
 @st.composite
@@ -87,7 +70,7 @@ def assert_same(found: SearchResult, expected: reference.ReferenceResult) -> Non
 
 @planners
 @movements
-@settings(SETTINGS, max_examples=400)
+@settings(max_examples=400)
 @given(problem=problems())
 def test_search_equals_the_reference(search: Planner, truth: Truth, movement: Movement, problem: Problem) -> None:
     """Path, cost and iterations are the reference's, cell by cell, on any grid."""
@@ -109,7 +92,7 @@ def test_search_equals_the_reference_far_away(
 
 
 @movements
-@settings(SETTINGS, max_examples=200)
+@settings(max_examples=200)
 @given(problem=problems())
 def test_distance_field_equals_the_reference(movement: Movement, problem: Problem) -> None:
     """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be reached."""
@@ -119,36 +102,8 @@ def test_distance_field_equals_the_reference(movement: Movement, problem: Proble
     np.testing.assert_array_equal(found, expected)
 
 
-def scipy_distances(grid: Array, cells: Sequence[Cell], movement: Movement) -> npt.NDArray[np.float64]:
-    """Return (n, H, W) distances from n cells, -1 unreachable: scipy on a graph of shifted copies of the grid."""
-    height, width = grid.shape
-    free = np.pad(grid == 0, 1)
-    number = np.pad(np.arange(height * width).reshape(height, width), 1)
-
-    def shifted(array: Array, down: int, right: int) -> Array:
-        """Return, per cell, the array's value at its neighbour."""
-        return array[1 + down : 1 + down + height, 1 + right : 1 + right + width]
-
-    rows, columns, costs = [], [], []
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            if (down, right) == (0, 0) or (movement.connectivity == 4 and down and right):
-                continue
-            usable = shifted(free, 0, 0) & shifted(free, down, right)
-            if down and right and not movement.corner_cutting:
-                usable = usable & shifted(free, down, 0) & shifted(free, 0, right)
-            rows.append(shifted(number, 0, 0)[usable])
-            columns.append(shifted(number, down, right)[usable])
-            costs.append(np.full(int(usable.sum()), movement.diagonal_cost if down and right else 1.0))
-    edges = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
-    graph = sparse.csr_array(edges, shape=(grid.size, grid.size))
-    distances = csgraph.dijkstra(graph, indices=[row * width + column for row, column in cells])
-    distances = distances.reshape(len(cells), height, width)
-    return np.where(np.isinf(distances), -1.0, distances)
-
-
 @movements
-@settings(SETTINGS, max_examples=200)
+@settings(max_examples=200)
 @given(problem=problems())
 def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> None:
     """A*'s cost, the distance field, and (on hops) the BFS cost are the shortest there are."""
@@ -163,7 +118,7 @@ def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> No
 pairs = st.tuples(st.integers(0, 2**21), st.integers(0, 2**21))
 
 
-@settings(SETTINGS, max_examples=500)
+@settings(max_examples=500)
 @given(one=pairs, other=pairs)
 def test_the_reference_orders_costs_exactly(one: Pair, other: Pair) -> None:
     """Its integers order a + b sqrt 2 as the squares of a - c and (d - b) sqrt 2 do."""
@@ -239,7 +194,7 @@ def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
 
 
 @movements
-@settings(SETTINGS, max_examples=200)
+@settings(max_examples=200)
 @given(problem=problems())
 def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) -> None:
     """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost 1)."""
@@ -257,7 +212,7 @@ def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) ->
 
 
 @movements
-@settings(SETTINGS, max_examples=300)
+@settings(max_examples=300)
 @given(problem=problems(), source=st.randoms(use_true_random=False))
 def test_check_path_agrees_with_the_reference(movement: Movement, problem: Problem, source: Random) -> None:
     """A path with one or two cells moved by a little is refused, naming its first bad step, exactly when it is bad."""

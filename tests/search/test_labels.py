@@ -7,23 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.grids import scipy_distances
+from helpers.specs import movements
 from scipy import ndimage
-from search.test_api import scipy_distances
 
-from mapdata.generators.generator import generate
-from mapdata.generators.maps import Maps
-from mapdata.generators.rooms import MapSpec
-from mapdata.search.labels import Labels, label
+from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.spec import Movement
 
 SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
-MOVEMENTS = [
-    pytest.param(Movement(), id="4"),
-    pytest.param(Movement(8), id="8"),
-    pytest.param(Movement(8, corner_cutting=True), id="8-cutting"),
-    pytest.param(Movement(8, diagonal_cost=1), id="8-one"),
-    pytest.param(Movement(8, corner_cutting=True, diagonal_cost=1), id="8-cutting-one"),
-]
 SPECS = {
     # Small rooms and few passages: many seeds without a path between them.
     "islands": MapSpec((20, 24), (2, 5), (2, 6), (2, 6), passage_width=(1, 2), skip_probability=0.6),
@@ -87,7 +78,7 @@ def assert_equals_reference(maps: Maps, labels: Labels, place: int, every_pair: 
 # --- equal to the reference -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
+@movements
 @pytest.mark.parametrize("name", SPECS)
 def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
     """Everything that `label` gives, both matrices searched entry by entry, on twenty maps of each kind."""
@@ -97,7 +88,7 @@ def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
         assert_equals_reference(maps, labels, place, every_pair=True)
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
+@movements
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_equal_the_reference(name: str, movement: Movement) -> None:
     """Everything that `label` gives, for maps of all presets."""
@@ -136,7 +127,7 @@ def test_four_connected_matrices(spec: MapSpec) -> None:
             assert matrix.diagonal(1).tolist() == [length - 1 for length in lengths]
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
+@movements
 @pytest.mark.parametrize("name", ["islands", "wide", "dungeon"])
 def test_no_connection_exactly_where_components_differ(name: str, movement: Movement) -> None:
     """-1, `reachable` and `all_connected` follow scipy's connected components; the smallest other entry is 0."""
@@ -161,7 +152,7 @@ def test_no_connection_exactly_where_components_differ(name: str, movement: Move
     assert 0 < apart < 200
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
+@movements
 def test_shapes_and_types(movement: Movement) -> None:
     """Flat arrays hold n - 1 segments a map, in order, and an empty batch has none."""
     for count in (0, 1, 25):
@@ -176,7 +167,7 @@ def test_shapes_and_types(movement: Movement) -> None:
             assert labels.of(search).iterations.shape == (segments,)
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
+@movements
 def test_labels_do_not_depend_on_the_batch(movement: Movement) -> None:
     """A map alone, last or first in its batch, has the same labels."""
     spec = replace(MapSpec.preset("narrow"), movement=movement)

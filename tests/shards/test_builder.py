@@ -11,44 +11,36 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from random import Random
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import h5py
 import pytest
-from shards.test_manifest import restated
-from shards.test_shard import unprivileged_folder
+from helpers.builds import (
+    MAPS,
+    SEED,
+    SIZE,
+    SPEC,
+    InTheCaller,
+    listing,
+    make,
+    names,
+    restated,
+    shard_name,
+    stamps,
+    unprivileged_folder,
+)
 
-from mapdata.generators.generator import generate, identity
-from mapdata.generators.rooms import MapSpec
-from mapdata.search.labels import label
-from mapdata.shards.builder import build, headers, make_shard
-from mapdata.shards.content import content_hash
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import MANIFEST, Manifest, merge, read_manifest, shard_name
-from mapdata.shards.reader import read_shard
-from mapdata.shards.recipe import Recipe
-from mapdata.shards.shard import ShardError
+from mapdata import MapSpec, ShardError, build, generate, identity, label, read_shard, verify
+from mapdata.shards import MANIFEST, Manifest, Recipe, content_hash, read_manifest
+from mapdata.shards.builder import headers, make_shard
+from mapdata.shards.manifest import merge
 from mapdata.spec import Movement
 
-SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)
 OTHER = replace(SPEC, skip_probability=0.2)
-SEED, MAPS, SIZE = 5, 11, 4
 KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
 """The arguments of the dataset of these tests."""
 
 SLOW = pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
-
-
-def make(
-    root: Path,
-    maps: int = MAPS,
-    shard_size: int = SIZE,
-    *,
-    workers: int | None = 1,
-    executor: Executor | None = None,
-) -> Manifest:
-    """Build the dataset of these tests."""
-    return build(root, SPEC, maps=maps, seed=SEED, shard_size=shard_size, workers=workers, executor=executor)
 
 
 Task: TypeAlias = Callable[..., Any]
@@ -64,31 +56,6 @@ def root(tmp_path: Path) -> Path:
 def truth() -> str:
     """Return the content hash of the dataset of these tests, made without any file."""
     return content_hash(label(generate(SPEC, SEED, range(MAPS))))
-
-
-class Stamp(NamedTuple):
-    """What changes when a file is written again."""
-
-    inode: int
-    modified: int
-    size: int
-
-
-def stamps(root: Path) -> dict[str, Stamp]:
-    """Return the stamps of all shards of a root."""
-    found = {path.name: path.stat() for path in root.glob("maps-*.h5")}
-    return {name: Stamp(status.st_ino, status.st_mtime_ns, status.st_size) for name, status in found.items()}
-
-
-def listing(root: Path) -> list[str]:
-    """Return the names in a root, without the lock."""
-    return sorted(name for name in os.listdir(root) if name != ".lock")
-
-
-def names(maps: int, shard_size: int) -> list[str]:
-    """Return the names that a finished root holds."""
-    starts = range(0, maps, shard_size)
-    return [MANIFEST, *(shard_name(start, min(start + shard_size, maps)) for start in starts)]
 
 
 # --- one content hash -------------------------------------------------------------------------------------------------
@@ -179,19 +146,6 @@ def test_shard_size_and_workers_do_not_matter(shard_size: int, workers: int, roo
     assert manifest == read_manifest(root)
     assert listing(root) == names(MAPS, shard_size)
     assert verify(root) == []
-
-
-class InTheCaller(Executor):
-    """Runs a task when it is submitted."""
-
-    def submit(self, function: Task, /, *arguments: object, **options: object) -> Future[Any]:
-        """Run ``function`` now."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*arguments, **options))
-        except BaseException as error:
-            future.set_exception(error)
-        return future
 
 
 class LastFirst(ThreadPoolExecutor):

@@ -8,12 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from shards.test_builder import SPEC
+from helpers.builds import SPEC
 
-from mapdata.shards.builder import build
+from mapdata import build, verify
+from mapdata.shards import read_manifest
 from mapdata.shards.cluster import executor_of
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import read_manifest
 
 MAPS, SHARD = 400, 5
 RECIPE = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": MAPS})
@@ -23,8 +22,8 @@ import logging, os, signal, sys, time
 from concurrent.futures import Executor, Future
 from dask import config
 from distributed import LocalCluster
-from mapdata.shards.recipe import Recipe
-from mapdata.shards.builder import build
+from mapdata import build
+from mapdata.shards import Recipe
 from mapdata.shards.cluster import executor_of
 
 def located(function, *arguments):
@@ -96,7 +95,7 @@ def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
 def test_the_command_starts_workers(tmp_path: Path, truth: Path) -> None:
     """``--scheduler local`` brings its own processes, and ends them."""
     pytest.importorskip("distributed")
-    code = "from mapdata.cli.app import main; main()"
+    code = "from mapdata.cli import main; main()"
     flags = ["--recipe", RECIPE, "--shard-size", str(SHARD), "--scheduler", "local", "--workers", "2"]
     command = [sys.executable, "-c", code, "build", str(tmp_path / "maps"), *flags]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)

@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.specs import specs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_spec import specs
 
-from mapdata.generators.generator import generate
-from mapdata.generators.rooms import MapSpec
-from mapdata.search.labels import Labels, label
-from mapdata.shards.content import combine, content_hash
+from mapdata import Labels, MapSpec, generate, label
+from mapdata.shards import content_hash
+from mapdata.shards.content import combine
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=40)
+SETTINGS = settings(max_examples=40)
 NUMBERS = st.integers(0, 1000) | st.integers(0, 2**63 - 1)
 SPECS = {
     "4": MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5),

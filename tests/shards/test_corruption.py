@@ -13,15 +13,15 @@ from typing import Any
 
 import h5py
 import pytest
-from formats.test_importing import collection, random_grids
-from shards.test_builder import MAPS, SIZE, make, names, stamps
-from shards.test_manifest import restated
+from helpers.builds import MAPS, SIZE, make, names, restated, shard_name, stamps
+from helpers.grids import random_grids
+from helpers.imported import collection
 
 import mapdata
-from mapdata.cli.app import main
-from mapdata.formats.importing import import_maps
-from mapdata.shards.corruption import repair, verify
-from mapdata.shards.manifest import MANIFEST, PROVENANCE, DatasetNotFoundError, read_manifest, shard_name
+from mapdata import DatasetNotFoundError, repair, verify
+from mapdata.cli import main
+from mapdata.formats import import_maps
+from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 
 
 @pytest.fixture

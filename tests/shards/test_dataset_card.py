@@ -11,17 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from helpers.imported import imported
 from helpers.samples import SPEC, WIDE, build_small
 
-from mapdata import MapDataset, MapSpec, Movement, build, generate, verify
-from mapdata.cli.app import main
-from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.importing import import_maps
-from mapdata.shards.dataset_card import card, movement_text
-from mapdata.shards.manifest import MANIFEST, PROVENANCE, read_manifest
+from mapdata import MapDataset, MapSpec, Movement, build, verify
+from mapdata.cli import main
+from mapdata.shards import MANIFEST, PROVENANCE, card, read_manifest
+from mapdata.shards.dataset_card import movement_text
 from mapdata.spec import SPLITS
-
-NASTY = "</script><img src=x onerror=alert(1)> | **bold** [a](b) `code`\n# head"
 
 
 def table(text: str, heading: str) -> dict[str, list[str]]:
@@ -43,25 +40,13 @@ def front_matter(text: str) -> dict[str, object]:
     return dict(yaml.safe_load(matter))
 
 
-def imported(root: Path) -> Path:
-    """Import a few maps: one twice in two splits, one turned over."""
-    grids = generate(SPEC, 5, range(6)).occupancy
-    grids[4], grids[5] = grids[0], grids[1][::-1]
-    splits = (0, 0, 1, 2, 2, 1)
-    maps = [
-        ForeignMap(f"{NASTY} {k}", grid, split=code) for k, (grid, code) in enumerate(zip(grids, splits, strict=True))
-    ]
-    import_maps(root, Collection(maps, movement=Movement(8)), seed_points=3)
-    return root
-
-
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["small", "wide"])
 def test_the_card_rebuilds_the_dataset_bit_for_bit(tmp_path: Path, spec: MapSpec) -> None:
     """The card rebuilds the dataset bit for bit."""
     build(tmp_path / "it's mine", spec, maps=20, seed=2**64 - 1, shard_size=16, workers=1)
     text = card(tmp_path / "it's mine")
     (tmp_path / "again").mkdir()
-    run = f"{sys.executable} -c 'from mapdata.cli.app import main; main()' build"
+    run = f"{sys.executable} -c 'from mapdata.cli import main; main()' build"
     script = block(text, "sh").replace("mapdata build", run)
     subprocess.run(["bash", "-ec", script], check=True, cwd=tmp_path / "again", capture_output=True)
     first, second = (read_manifest(tmp_path / where / "it's mine") for where in (".", "again"))

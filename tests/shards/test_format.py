@@ -21,10 +21,7 @@ import numpy.typing as npt
 import pytest
 from helpers import reference
 
-from mapdata.generators.generator import generate
-from mapdata.generators.rooms import MapSpec
-from mapdata.search.labels import Labels, label
-from mapdata.shards.builder import build
+from mapdata import Labels, MapSpec, build, generate, label
 from mapdata.spec import Movement
 
 Array: TypeAlias = npt.NDArray[Any]

@@ -1,4 +1,4 @@
-"""Hostile files to every loader: each is refused by name, within 200 MB and a few seconds, and nothing in it is run."""
+"""Hostile files to every loader: each is refused by name, within 200 MB and bounded work, and nothing in it is run."""
 
 from __future__ import annotations
 
@@ -18,17 +18,15 @@ import numpy as np
 import pytest
 import torch
 from helpers import hostile, run_helper, wild
+from helpers.builds import SOUND_SEED, SOUND_SPEC
 from torch import nn
 
-from mapdata.generators.rooms import MapSpec
-from mapdata.shards.builder import build
-from mapdata.shards.manifest import MANIFEST, Manifest, read_manifest
-from mapdata.spec import Movement
+from mapdata import build
+from mapdata.shards import MANIFEST, Manifest, read_manifest
 from models.path_predictor import PathPredictor
 from models.saved import load_model
 
 MOST = 200 << 20
-SPEC = MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8))
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")
 
 Case = tuple[str, Path, str]
@@ -39,7 +37,7 @@ Case = tuple[str, Path, str]
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The dataset of tests/helpers/hostile.py: three maps of 20 x 70 cells, 8-connected."""
     folder = tmp_path_factory.mktemp("hostile") / "sound"
-    build(folder, SPEC, maps=3, seed=3)
+    build(folder, SOUND_SPEC, maps=3, seed=SOUND_SEED)
     return folder
 
 
@@ -231,7 +229,7 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
 
 @LINUX
 def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
-    """In a process of their own: the loader's own error, on one line, little memory, little time, no code run."""
+    """In a process of their own: the loader's own error, on one line, little memory, bounded work, no code run."""
     wanted = []
     for cases in (shard_cases, manifest_cases, format_cases, model_cases):
         folder = tmp_path / cases.__name__
@@ -241,11 +239,10 @@ def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
     done = run_helper("refusals", *arguments)
     assert done.returncode == 0, done.stderr
     found = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [(loader, path, name) for loader, path, name, _, _ in found] == [
+    assert [(loader, path, name) for loader, path, name, _ in found] == [
         (loader, str(path), name) for loader, path, name in wanted
     ]
     assert max(found, key=lambda each: each[3])[3] < MOST, max(found, key=lambda each: each[3])
-    assert max(found, key=lambda each: each[4])[4] < 10, max(found, key=lambda each: each[4])
     assert list(tmp_path.glob("*/hacked")) == []
 
 

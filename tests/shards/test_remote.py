@@ -17,7 +17,7 @@ from helpers import samples
 from torch.utils.data import DataLoader
 
 from mapdata import DatasetNotFoundError, MapDataset, ShardError
-from mapdata.shards.manifest import read_manifest
+from mapdata.shards import read_manifest
 
 
 class Handler(SimpleHTTPRequestHandler):

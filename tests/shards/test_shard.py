@@ -10,9 +10,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
@@ -21,33 +19,19 @@ import h5py
 import numpy as np
 import pytest
 from helpers import hostile
+from helpers.builds import SOUND_SEED as SEED
+from helpers.builds import SOUND_SPEC as SPEC
+from helpers.builds import unprivileged_folder
+from helpers.specs import MOVEMENTS, movements, specs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_spec import MOVEMENTS, specs
 
-from mapdata.generators.generator import generate
-from mapdata.generators.rooms import MapSpec
-from mapdata.search.labels import Labels, label
-from mapdata.shards.content import content_hash
-from mapdata.shards.reader import open_shard, read_shard
-from mapdata.shards.shard import (
-    FIELDS,
-    Header,
-    ShardError,
-    bits_of,
-    decode,
-    pack_moves,
-    shard_image,
-    unpack_moves,
-    write_file,
-)
+from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
+from mapdata.shards import content_hash, open_shard, write_file
+from mapdata.shards.shard import FIELDS, Header, bits_of, decode, pack_moves, shard_image, unpack_moves
 from mapdata.spec import Movement
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=60)
-SEED = 3
-SPEC = MapSpec(
-    (20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8)
-)  # fmt: skip
+SETTINGS = settings(max_examples=60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")
 
 
@@ -129,7 +113,7 @@ def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: 
         assert content_hash(decode(shard)) == content == content_hash(labels)
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
+@movements
 def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
     """A zero-length dataset is valid, and never mapped."""
     labels = label(generate(MapSpec(movement=movement), 0, []))
@@ -260,7 +244,7 @@ def test_two_writers_of_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
-from mapdata.shards.shard import write_file
+from mapdata.shards import write_file
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
 try:
     write_file(Path(sys.argv[1]), bytes(1_000_000))
@@ -275,27 +259,6 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.startswith("OSError")
     assert os.listdir(tmp_path) == []
-
-
-@contextmanager
-def unprivileged_folder(mode: int = 0o555) -> Iterator[Path]:
-    """Give a folder of this mode to a user whom modes stop: root becomes nobody for as long as it lasts."""
-    with tempfile.TemporaryDirectory() as outer:
-        os.chmod(outer, 0o755)  # pytest's own folders are closed to other users
-        folder = Path(outer) / "root"
-        folder.mkdir()
-        folder.chmod(mode)
-        if os.geteuid() == 0:
-            try:
-                os.setresuid(65534, 65534, 0)
-            except (AttributeError, OSError):
-                pytest.skip("root, and cannot become anybody else")
-        try:
-            yield folder
-        finally:
-            if os.getresuid()[2] == 0:
-                os.setresuid(0, 0, 0)
-            folder.chmod(0o755)
 
 
 def test_a_read_only_folder_is_a_permission_error() -> None:

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from helpers.samples import SPEC, WIDE, build_small
 
-from mapdata import MapDataset, MapSpec, ShardError, generate
+from mapdata import Labels, MapDataset, MapSpec, ShardError, generate
 from mapdata.arrays import Bytes
-from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.importing import import_maps
-from mapdata.search.labels import Labels
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.root import read_map, shards
-from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.shards import DatasetStatistics, dataset_statistics, read_manifest, read_map
+from mapdata.shards.root import shards
+from mapdata.shards.statistics import histogram
 from mapdata.spec import SPLITS
 
 

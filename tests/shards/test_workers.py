@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shards.test_builder import MAPS, SEED, SIZE, SPEC, InTheCaller, make, names
+from helpers.builds import MAPS, SEED, SIZE, SPEC, InTheCaller, make, names
 
-from mapdata.shards.builder import build
-from mapdata.shards.corruption import verify
-from mapdata.shards.manifest import Manifest, read_manifest
+from mapdata import build, verify
+from mapdata.shards import Manifest, read_manifest
 from mapdata.shards.workers import bar, finished, threads
 
 

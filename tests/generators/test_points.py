@@ -1,0 +1,44 @@
+"""Seed points of maps that have none: the largest component is scipy's, the draws those of docs/format.md."""
+
+from __future__ import annotations
+
+import numpy as np
+from helpers import reference
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy import ndimage
+
+from mapdata.arrays import Bytes
+from mapdata.generators import draw_points, largest_component
+
+SETTINGS = settings(max_examples=100)
+GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
+POINTS = 5
+
+
+@SETTINGS
+@given(GRIDS, st.booleans())
+def test_largest_component(grid: Bytes, cut: bool) -> None:
+    """The component is scipy's largest, of equals the one that holds the first cell in row-major order."""
+    labels, count = ndimage.label(grid == 0, np.ones((3, 3)) if cut else None)
+    cells = largest_component(grid, 2 if cut else 1)
+    assert np.array_equal(cells, largest_component(grid, 2 if cut else 0))
+    if count == 0:
+        assert len(cells) == 0
+        return
+    sizes = np.bincount(labels.ravel())[1:]  # scipy numbers components in row-major order too
+    assert np.array_equal(cells, np.flatnonzero(labels == 1 + int(np.argmax(sizes))))
+
+
+@SETTINGS
+@given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 30), st.data())
+def test_draws(seed: int, index: int, cells: int, data: st.DataObject) -> None:
+    """Draw k of stream 5 is one of the cells left, in their order, as docs/format.md says."""
+    count = data.draw(st.integers(0, cells))
+    left, expected = list(range(100, 100 + cells)), []
+    for k in range(count):
+        word = reference.block(seed, index, 0, POINTS, k)[0]
+        expected.append(left.pop(word * len(left) >> 32))
+    found = draw_points(np.arange(100, 100 + cells), np.uint64(seed), np.uint64(index), count)
+    assert found.tolist() == expected

@@ -1,0 +1,58 @@
+"""Grids that are hard to search, and the distances on them by scipy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from helpers.reference import Cell
+from mapdata import Movement
+from mapdata.arrays import Bytes
+
+Array: TypeAlias = npt.NDArray[Any]
+
+
+def serpentine(height: int, width: int, source: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """Return rows of wall with one gap each: long detours, where A* changes its mind."""
+    grid = np.zeros((height, width), dtype=np.uint8)
+    grid[1::2] = 1
+    grid[np.arange(1, height, 2), source.integers(0, width, size=height // 2)] = 0
+    return grid
+
+
+def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
+    """Return grids with a third of the cells occupied."""
+    return list((np.random.default_rng(0).random((count, rows, columns)) < 0.3).astype(np.uint8))
+
+
+def scipy_distances(grid: Array, cells: Sequence[Cell], movement: Movement) -> npt.NDArray[np.float64]:
+    """Return (n, H, W) distances from n cells, -1 unreachable: scipy on a graph of shifted copies of the grid."""
+    height, width = grid.shape
+    free = np.pad(grid == 0, 1)
+    number = np.pad(np.arange(height * width).reshape(height, width), 1)
+
+    def shifted(array: Array, down: int, right: int) -> Array:
+        """Return, per cell, the array's value at its neighbour."""
+        return array[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+    rows, columns, costs = [], [], []
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            if (down, right) == (0, 0) or (movement.connectivity == 4 and down and right):
+                continue
+            usable = shifted(free, 0, 0) & shifted(free, down, right)
+            if down and right and not movement.corner_cutting:
+                usable = usable & shifted(free, down, 0) & shifted(free, 0, right)
+            rows.append(shifted(number, 0, 0)[usable])
+            columns.append(shifted(number, down, right)[usable])
+            costs.append(np.full(int(usable.sum()), movement.diagonal_cost if down and right else 1.0))
+    edges = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
+    graph = sparse.csr_array(edges, shape=(grid.size, grid.size))
+    distances = csgraph.dijkstra(graph, indices=[row * width + column for row, column in cells])
+    distances = distances.reshape(len(cells), height, width)
+    return np.where(np.isinf(distances), -1.0, distances)

@@ -1,0 +1,43 @@
+"""All movements, and specs drawn at random: hypothesis finds the one that fails."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import strategies as st
+
+from mapdata import MapSpec, Movement
+
+MOVEMENTS = [
+    Movement(),
+    Movement(8),
+    Movement(8, diagonal_cost=1),
+    Movement(8, corner_cutting=True),
+    Movement(8, corner_cutting=True, diagonal_cost=1),
+]
+movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-one", "8-cutting", "8-cutting-one"])
+
+
+@st.composite
+def limits(draw: st.DrawFn, low: int, high: int) -> tuple[int, int]:
+    """Draw (lower, upper) limits inside low..high."""
+    first, second = draw(st.integers(low, high)), draw(st.integers(low, high))
+    return min(first, second), max(first, second)
+
+
+@st.composite
+def specs(draw: st.DrawFn) -> MapSpec:
+    """Draw a valid spec: one row, one column, odd sizes, beyond 64 and 128 columns, rooms up to the whole map."""
+    height, width = (draw(st.one_of(st.just(1), st.integers(2, 33), st.sampled_from([63, 64, 65, 129]))) for _ in "hw")
+    train = draw(st.integers(0, 100))
+    validation = draw(st.integers(0, 100 - train))
+    return MapSpec(
+        map_size=(height, width),
+        rooms=draw(limits(2, 8)),
+        room_rows=draw(limits(1, height)),
+        room_columns=draw(limits(1, width)),
+        passage_width=draw(limits(1, min(height, width))),
+        skip_probability=draw(st.sampled_from([0.0, 0.1, 0.5, 1.0]) | st.floats(0, 1)),
+        resolution=draw(st.floats(1e-3, 1e3)),
+        movement=draw(st.sampled_from(MOVEMENTS)),
+        splits=(train / 100, validation / 100, (100 - train - validation) / 100),
+    )
