@@ -25,7 +25,7 @@ NOT_FROM = {"evaluation": {"datasets"}}
 
 TESTED_IN = {
     "mapdata/cli/common.py": ("cli/test_app.py",),
-    "mapdata/cli/convert.py": ("cli/test_app.py", "formats/test_formats.py"),
+    "mapdata/cli/convert.py": ("cli/test_app.py", "formats/test_registry.py"),
     "mapdata/cli/problems.py": ("evaluation/test_metrics.py",),
     "mapdata/datasets/field_kernels.py": ("datasets/test_fields.py",),
     "mapdata/datasets/online.py": ("datasets/test_dataset.py",),
@@ -34,8 +34,8 @@ TESTED_IN = {
     "mapdata/formats/files.py": ("formats/test_images.py", "formats/test_planning.py"),
     "mapdata/formats/images.py": ("formats/test_images.py", "formats/test_ros.py"),
     "mapdata/formats/movingai.py": ("formats/test_movingai.py", "formats/test_fuzz.py"),
-    "mapdata/formats/paper.py": ("formats/test_paper.py", "formats/test_formats.py"),
-    "mapdata/formats/stored.py": ("formats/test_formats.py",),
+    "mapdata/formats/paper.py": ("formats/test_paper.py", "formats/test_registry.py"),
+    "mapdata/formats/stored.py": ("formats/test_registry.py",),
     "mapdata/problems/sampling.py": ("datasets/test_dataset.py",),
     "mapdata/problems/symmetry.py": ("datasets/test_dataset.py",),
     "mapdata/search/kernels.py": ("search/test_api.py", "search/test_labels.py"),
@@ -220,7 +220,7 @@ def test_test_files_say_what_they_test() -> None:
         "shards/test_fuzzing.py": "random changes of files",
         "shards/test_hostile.py": "hostile files to all loaders",
         "shards/test_long_life.py": "kept datasets",
-        "formats/test_formats.py": "the registry, mapdata/formats/__init__.py",
+        "formats/test_registry.py": "the registry, mapdata/formats/__init__.py",
         "formats/test_fuzz.py": "random files of all formats",
         "test_house.py": "this",
     }

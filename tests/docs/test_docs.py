@@ -27,7 +27,7 @@ from mapdata.datasets import FIELDS
 ELSEWHERE = {
     "benchmarks.md": "benchmarks/test_benchmarks.py",
     "format.md": "shards/test_format.py",
-    "formats.md": "formats/test_formats.py",
+    "formats.md": "formats/test_registry.py",
     "promises.md": "docs/test_promises.py",
     "scale.md": "docs/test_scale.py",
 }
