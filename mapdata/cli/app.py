@@ -79,7 +79,7 @@ def verify_command(root: str, repair: bool) -> None:
     found = len(findings.faults)
     if found and not repair:
         raise DisagreeError(f"{found} found; --repair makes them again from the recipe")
-    left = repair_found(root, findings, progress=True) if found else []
+    left = repair_found(findings, progress=True) if found else []
     for fault in left:
         print(f"not mended: {fault}")
     if left:

@@ -6,7 +6,6 @@ shards.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import llvmlite.ir
@@ -20,9 +19,9 @@ from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.generators.maps import WORD, unpack
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.lattice import STEPS
-from mapdata.shards.manifest import Entry, Manifest, read_manifest
-from mapdata.shards.reader import head, open_shard
-from mapdata.shards.remote import local_file, local_root
+from mapdata.shards.manifest import Entry, Manifest
+from mapdata.shards.reader import head
+from mapdata.shards.root import Root, Source
 from mapdata.shards.shard import Shard, ShardError, bits_of
 from mapdata.spec import MAX_ROOMS, SPLITS
 
@@ -170,44 +169,33 @@ def read_rooms(
 
 
 class BatchReader:
-    """The shards of one or more roots, and the problems in them.
+    """The shards of a dataset, and the problems in them.
 
     Attributes:
-        manifests: one a root.
-        map_size, movement: what all roots share.
-        most_rooms: R, the largest number of rooms a map can have.
+        root, shards, manifests: the dataset.
+        map_size, movement: of all its maps.
+        most_seed_points: R, the largest number of seed points that a map can have.
     """
 
-    def __init__(self, roots: Sequence[str], split: str | None, problems: str, unsolvable: bool) -> None:
+    def __init__(self, root: Source, split: str | None, problems: str, unsolvable: bool) -> None:
         """Read the manifests; no shard is opened yet.
 
         Raises:
-            DatasetNotFoundError: a root without a dataset.
-            ShardError: a damaged manifest.
-            ValueError: roots that do not fit together.
+            DatasetNotFoundError, ShardError, ValueError: as `Root.open`.
         """
-        self.roots = list(roots)
-        self.manifests = [read_manifest(local_root(root)) for root in roots]
-        first = self.manifests[0]
-        for root, manifest in zip(roots, self.manifests, strict=True):
-            for name in ("map_size", "movement"):
-                if getattr(manifest, name) != getattr(first, name):
-                    raise ValueError(
-                        f"root: {root} has {name} {getattr(manifest, name)}, {roots[0]} has {getattr(first, name)}; "
-                        f"the roots of one dataset must have one"
-                    )
-        self.map_size, self.movement = first.map_size, first.movement
+        self.root = Root.open(root)
+        self.shards = self.root.shards
+        self.manifests = self.root.manifests
+        self.map_size = self.root.map_size
+        self.movement = self.root.movement
         self.most_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
         if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
             raise ShardError(
-                f"{roots}: the manifest says maps of {self.most_seed_points} rooms, expected up to {MAX_ROOMS}"
+                f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected up to {MAX_ROOMS}"
             )
-        self.shards = [
-            (root, entry) for root, manifest in zip(roots, self.manifests, strict=True) for entry in manifest.shards
-        ]
         self._split, self._problems, self._unsolvable = split, problems, unsolvable
         self.offsets = np.concatenate(
-            ([0], np.cumsum([self._count(entry) for _, entry in self.shards], dtype=np.int64))
+            ([0], np.cumsum([self._count(entry) for _, _, entry in self.shards], dtype=np.int64))
         )
         self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._open: dict[int, Shard] = {}
@@ -216,7 +204,7 @@ class BatchReader:
             self._rows = np.empty((self.offsets[-1], 3), np.int32)
         except (MemoryError, ValueError):
             raise ShardError(
-                f"{roots}: the manifest says {self.offsets[-1]} problems, more than memory holds"
+                f"{self.root}: the manifest says {self.offsets[-1]} problems, more than memory holds"
             ) from None
 
     def __len__(self) -> int:
@@ -237,23 +225,24 @@ class BatchReader:
         )
 
     def open(self, k: int) -> Shard:
-        """Return shard ``k``, opened and guarded at its first touch.
+        """Return shard ``k``, opened and checked at its first touch.
 
         Raises:
-            FileNotFoundError: the file is gone.
-            ShardError: the file is not what the manifest says.
+            ShardError: the file is gone, or not what the manifest says.
+            DatasetNotFoundError: it lies at a URL, and cannot be fetched.
         """
         if k in self._open:
             return self._open[k]
-        root, entry = self.shards[k]
+        place, _, entry = self.shards[k]
         try:
-            shard = self._checked(root, entry)
+            shard = self.root.open_shard(k)
         except (FileNotFoundError, ShardError):
             # It may have been replaced since the manifest was read, as by a larger one when the dataset grew.
-            now = _successor(self.manifests[self.roots.index(root)], read_manifest(local_root(root)), entry)
-            if now is None:
+            now = Root.open(self.root.places[place])
+            successor = _successor(self.manifests[place], now.manifests[0], entry)
+            if successor is None:
                 raise
-            shard = head(self._checked(root, now), entry.stop - entry.start)
+            shard = head(now.open_shard(successor), entry.stop - entry.start)
         if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points:  # kernels rely on it
             raise ShardError(
                 f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_seed_points})"
@@ -265,15 +254,6 @@ class BatchReader:
         self._rows[first:last] = rows
         shard = self._open.setdefault(k, shard)  # of two threads, the first one's: its addresses may be in use
         self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
-        return shard
-
-    def _checked(self, root: str, entry: Entry) -> Shard:
-        """Return the shard of an entry of the manifest."""
-        shard = open_shard(local_file(root, entry), entry.bytes)
-        header = shard.header
-        found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
-        if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
-            raise ShardError(f"{shard.path}: holds other maps than the manifest says")
         return shard
 
     def _count(self, entry: Entry) -> int:
@@ -312,8 +292,8 @@ class BatchReader:
 
     def damage(self, shard: Int, number: Int, what: str) -> ShardError:
         """Return the error that says what is wrong with a map of a shard; {} in it becomes the map's number."""
-        root, entry = self.shards[int(shard)]
-        return ShardError(f"{root}/{entry.name}: {what.format(entry.start + int(number))}")
+        place, _, entry = self.shards[int(shard)]
+        return ShardError(f"{self.root.places[place]}/{entry.name}: {what.format(entry.start + int(number))}")
 
     def rooms(self, shards: Ints, maps: Ints, search: str) -> tuple[Float32s, Ints]:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
@@ -332,13 +312,13 @@ class BatchReader:
         return matrices, seed_points
 
 
-def _successor(before: Manifest, now: Manifest, entry: Entry) -> Entry | None:
-    """Return what holds the maps of ``entry`` now; None where it is the same, or they are others."""
+def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
+    """Return which shard holds the maps of ``entry`` now; None where it is the same, or they are others."""
     drawn = before.identity is not None and before.identity == now.identity
-    for other in now.shards:
+    for k, other in enumerate(now.shards):
         same = drawn or (other.stop, other.content_hash) == (entry.stop, entry.content_hash)
         if same and other.start == entry.start and other.stop >= entry.stop and other != entry:
-            return other
+            return k
     return None
 
 

@@ -6,6 +6,7 @@ from mapdata.shards.dataset_card import card
 from mapdata.shards.manifest import DatasetNotFoundError, Manifest
 from mapdata.shards.reader import read_shard
 from mapdata.shards.recipe import Recipe
+from mapdata.shards.root import Root
 from mapdata.shards.shard import ShardError, write_file
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
@@ -14,6 +15,7 @@ __all__ = [
     "DatasetStatistics",
     "Manifest",
     "Recipe",
+    "Root",
     "ShardError",
     "build",
     "card",

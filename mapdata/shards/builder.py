@@ -30,6 +30,7 @@ from mapdata.shards.manifest import (
     sweep,
 )
 from mapdata.shards.reader import open_shard
+from mapdata.shards.root import folder_of
 from mapdata.shards.shard import Header, Shard, ShardError, shard_image, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
@@ -78,11 +79,11 @@ def build(
         The manifest: that of the finished dataset, or of what is there when other parts are not finished.
 
     Raises:
-        ValueError: bad arguments; the root is a file or holds something else; another spec, seed, shard size, or more
-            maps.
+        ValueError: bad arguments; the root is a URL, a file or holds something else; another spec, seed, shard size,
+            or more maps.
         OSError: the disk is full or may not be written to.
     """
-    root = Path(root)
+    root = folder_of(root)
     if not isinstance(spec, MapGenerator):
         raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
     if workers is not None and executor is not None:

@@ -111,7 +111,7 @@ class Header:
 
 
 class Shard(NamedTuple):
-    """A guarded shard: its header and its arrays, views of one memory mapping."""
+    """A checked shard: its header and its arrays, views of one memory mapping."""
 
     path: Path
     header: Header
