@@ -55,11 +55,22 @@ def _pointer(_context: Any, address: Any) -> Any:  # noqa: ANN401  (numba's own 
     return types.voidptr(types.int64), generate
 
 
+_LONG = 2**40
+"""The length of each view that kernels take: who opened the shard has checked where its arrays end."""
+
+
 @inlined
-def _array(address: Int, shape: tuple[Int, ...], dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
+def _array(address: Int, dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
     """Return the array at an address, as a view."""
     pointer: Any = _pointer
-    return numba.carray(pointer(address), shape, dtype)  # type: ignore[attr-defined]
+    return numba.carray(pointer(address), _LONG, dtype)  # type: ignore[attr-defined]
+
+
+@inlined
+def _cells(address: Int) -> Any:  # noqa: ANN401  (as above)
+    """Return the seed points at an address, as a view (_, 2)."""
+    pointer: Any = _pointer
+    return numba.carray(pointer(address), (_LONG, 2), np.int16)  # type: ignore[attr-defined]
 
 
 @kernel
@@ -67,20 +78,18 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
     """Unpack map ``maps[b]`` of shard ``shards[b]`` into ``grids[b]``, (B, H, W)."""
     size = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD)
     for b in range(len(shards)):
-        words = _array(table[shards[b], _MAPS], ((maps[b] + 1) * size,), np.uint64)
-        unpack(words, maps[b] * size, grids[b])
+        unpack(_array(table[shards[b], _MAPS], np.uint64), maps[b] * size, grids[b])
 
 
 @kernel
 def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
     """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no such room."""
     for b in range(len(shards)):
-        offsets = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
+        offsets = _array(table[shards[b], _ROOMS], np.int64)
         room = offsets[maps[b]] + rooms[b]
-        out[b, 0] = out[b, 1] = -1
-        if room < offsets[maps[b] + 1]:
-            seed_points = _array(table[shards[b], _SEEDS], (2 * room + 2,), np.int16)
-            out[b, 0], out[b, 1] = seed_points[2 * room], seed_points[2 * room + 1]
+        stored = _cells(table[shards[b], _SEEDS])
+        for axis in range(2):
+            out[b, axis] = stored[room, axis] if room < offsets[maps[b] + 1] else -1
 
 
 @kernel
@@ -97,21 +106,20 @@ def read_paths(
     places, within = np.uint64(2 if two_bits else 1), np.uint64(3 if two_bits else 1)  # moves of a byte: 4 or 2
     offsets, iterations, first = np.zeros(count + 1, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     for b in range(count):
-        room_offsets = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)
-        segment = room_offsets[maps[b]] - maps[b] + rooms[b]
-        moves = _array(table[shards[b], search], (segment + 2,), np.int64)
-        taken = _array(table[shards[b], search + 2], (segment + 1,), np.int32)
-        iterations[b], first[b] = taken[segment], moves[segment]
+        segment = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
+        moves = _array(table[shards[b], search], np.int64)
+        iterations[b] = _array(table[shards[b], search + 2], np.int32)[segment]
+        first[b] = moves[segment]
         offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
     cells = np.empty((offsets[count], 2), np.int64)
     height, width, mask, at = np.uint64(size[0]), np.uint64(size[1]), np.uint64(2**bits - 1), 0
     for b in range(count):
         length = offsets[b + 1] - offsets[b] - 1
-        room = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)[maps[b]] + rooms[b]
-        seed_points = _array(table[shards[b], _SEEDS], (2 * room + 4,), np.int16)
-        row, column = np.int64(seed_points[2 * room]), np.int64(seed_points[2 * room + 1])
-        goal_row, goal_column = np.int64(seed_points[2 * room + 2]), np.int64(seed_points[2 * room + 3])
-        packed = _array(table[shards[b], search + 1], ((first[b] + length) * bits // 8 + 1,), np.uint8)
+        room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
+        stored = _cells(table[shards[b], _SEEDS])
+        row, column = np.int64(stored[room, 0]), np.int64(stored[room, 1])
+        goal_row, goal_column = stored[room + 1, 0], stored[room + 1, 1]
+        packed = _array(table[shards[b], search + 1], np.uint8)
         offsets[b] = at
         if length == 0 and (row != goal_row or column != goal_column):
             continue
@@ -147,18 +155,17 @@ def read_rooms(
 ) -> None:
     """Fill connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding."""
     for b in range(len(shards)):
-        rooms = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
+        rooms = _array(table[shards[b], _ROOMS], np.int64)
         first, last = rooms[maps[b]], rooms[maps[b] + 1]
-        pair = _array(table[shards[b], _PAIRS], (maps[b] + 1,), np.int64)[maps[b]]
-        pairs = pair + (last - first) * (last - first - 1) // 2
-        stored = _array(table[shards[b], _SEEDS], (2 * last,), np.int16)
-        moves = _array(table[shards[b], straight], (pairs,), np.int32)
-        diagonals = _array(table[shards[b], _DIAGONAL], (pairs,), np.int32)
+        pair = _array(table[shards[b], _PAIRS], np.int64)[maps[b]]
+        stored = _cells(table[shards[b], _SEEDS])
+        moves = _array(table[shards[b], straight], np.int32)
+        diagonals = _array(table[shards[b], _DIAGONAL], np.int32)
         matrices[b] = -2
         seed_points[b] = -1
         for i in range(last - first):
-            seed_points[b, i, 0] = stored[2 * (first + i)]
-            seed_points[b, i, 1] = stored[2 * (first + i) + 1]
+            seed_points[b, i, 0] = stored[first + i, 0]
+            seed_points[b, i, 1] = stored[first + i, 1]
             matrices[b, i, i] = 0
             for j in range(i + 1, last - first):
                 cost = float(moves[pair])
@@ -216,13 +223,8 @@ class BatchReader:
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
         for k in np.unique(shards[self._table[shards, 0] == 0]).tolist():
             self.open(k)
-        rows = self._rows[indices].astype(np.int64)
-        return (
-            shards,
-            np.ascontiguousarray(rows[:, 0]),
-            np.ascontiguousarray(rows[:, 1]),
-            np.ascontiguousarray(rows[:, 2]),
-        )
+        maps, first, second = np.ascontiguousarray(self._rows[indices].T, np.int64)
+        return shards, maps, first, second
 
     def open(self, k: int) -> Shard:
         """Return shard ``k``, opened and checked at its first touch.

@@ -30,7 +30,8 @@ from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 MAPS = 500
 """Maps in the browser of a report."""
 
-_TYPES = {"u1": np.uint8, "i1": np.int8, "i4": np.int32, "f8": np.float64}
+_TYPES = {"b": "u1", "u": "u1", "i": "i4", "f": "f8"}
+"""How the page's script names the type of a table, by the kind of numbers in it."""
 
 
 def report(root: Source, maps: int = MAPS) -> str:
@@ -87,13 +88,12 @@ def _pack(of: DatasetStatistics, places: Ints) -> tuple[dict[str, Any], bytes]:
     root = of.root
     columns = _columns(of, places)
     tables = {}
-    at = 0
     block = b""
-    for name, (kind, values) in columns.items():
-        data = np.ascontiguousarray(values, np.dtype(_TYPES[kind]).newbyteorder("<")).tobytes()
-        tables[name] = (kind, at, len(data) // np.dtype(_TYPES[kind]).itemsize)
-        block += data + bytes(-len(data) % 8)
-        at = len(block)
+    for name, values in columns.items():
+        kind = _TYPES[values.dtype.kind]
+        tables[name] = (kind, len(block), values.size)
+        block += np.ascontiguousarray(values, f"<{kind}").tobytes()
+        block += bytes(-len(block) % 8)  # where a script's array may begin
     header = {
         "tables": tables,
         "size": root.map_size,
@@ -105,57 +105,50 @@ def _pack(of: DatasetStatistics, places: Ints) -> tuple[dict[str, Any], bytes]:
     return header, zlib.compress(block, 9)
 
 
-def _columns(of: DatasetStatistics, places: Ints) -> dict[str, tuple[str, npt.NDArray[Any]]]:
-    """Return the tables of a page: type and values."""
-    parts: dict[str, list[npt.NDArray[Any]]] = {}
-    kinds: dict[str, str] = {}
+def _columns(of: DatasetStatistics, places: Ints) -> dict[str, npt.NDArray[Any]]:
+    """Return the tables of a page."""
+    parts = []
     first = 0
     for k, (_, _, entry) in enumerate(of.root.shards):
         last = first + entry.stop - entry.start
         chosen = places[(places >= first) & (places < last)] - first
         if len(chosen):
-            labels = of.root.shard_labels(k)
-            for name, (kind, values) in _tables(labels, chosen).items():
-                parts.setdefault(name, []).append(values)
-                kinds[name] = kind
+            parts.append(_tables(of.root.shard_labels(k), chosen))
         first = last
-    columns = {name: (kinds[name], np.concatenate(values)) for name, values in parts.items()}
-    bits = bits_of(of.root.movement)
-    for search in ("bfs", "astar"):
-        kind, moves = columns.get(f"{search}_moves", ("u1", np.empty(0, np.uint8)))
-        columns[f"{search}_moves"] = (kind, pack_moves(moves, bits))
-    columns["hardest"] = ("f8", of.hardest[places])
-    columns["free"] = ("f8", of.free[places])
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
+    for name in {"bfs_moves", "astar_moves"} & columns.keys():
+        columns[name] = pack_moves(columns[name], bits_of(of.root.movement))
+    columns["hardest"] = of.hardest[places]
+    columns["free"] = of.free[places]
     return columns
 
 
-def _tables(labels: Labels, chosen: Ints) -> dict[str, tuple[str, npt.NDArray[Any]]]:
-    """Return what the page shows of maps ``chosen`` of a shard: type and values of each table."""
+def _tables(labels: Labels, chosen: Ints) -> dict[str, npt.NDArray[Any]]:
+    """Return what the page shows of maps ``chosen`` of a shard."""
     maps = labels.maps
     n = maps.rooms[chosen]
     used = np.arange(maps.seed_points.shape[1]) < n[:, None]
     segments, pairs = _ranges(maps.segment_offsets, chosen), _ranges(maps.pair_offsets, chosen)
-    columns = -(-maps.columns // 8)
-    octets = maps.packed[chosen].astype("<u8", copy=False).view(np.uint8)[:, :, :columns]
-    tables: dict[str, tuple[str, npt.NDArray[Any]]] = {
-        "maps": ("u1", octets.reshape(-1)),
-        "index": ("f8", maps.index[chosen]),
-        "split": ("u1", maps.split[chosen]),
-        "connected": ("u1", labels.all_connected[chosen]),
-        "rooms": ("i4", n),
-        "width": ("i4", maps.passage_width[chosen]),
-        "seeds": ("i4", maps.seed_points[chosen][used].reshape(-1)),
-        "sizes": ("i4", maps.sizes[chosen][used].reshape(-1)),
-        "directions": ("i1", maps.directions[chosen][used[:, 1:]].reshape(-1)),
-        "reachable": ("u1", labels.reachable[segments]),
-        "astar_diagonal": ("i4", labels.astar.costs[pairs, 1]),
+    octets = maps.packed[chosen].astype("<u8", copy=False).view(np.uint8)
+    tables: dict[str, npt.NDArray[Any]] = {
+        "maps": octets[:, :, : -(-maps.columns // 8)].reshape(-1),
+        "index": maps.index[chosen].astype(np.float64),  # they may be larger than 32 bits
+        "split": maps.split[chosen],
+        "connected": labels.all_connected[chosen],
+        "rooms": n,
+        "width": maps.passage_width[chosen],
+        "seeds": maps.seed_points[chosen][used].reshape(-1),
+        "sizes": maps.sizes[chosen][used].reshape(-1),
+        "directions": maps.directions[chosen][used[:, 1:]].reshape(-1),
+        "reachable": labels.reachable[segments],
+        "astar_diagonal": labels.astar.costs[pairs, 1],
     }
     for name in ("bfs", "astar"):
         search = labels.of(name)
-        tables[f"{name}_steps"] = ("i4", np.diff(search.offsets)[segments])
-        tables[f"{name}_moves"] = ("u1", search.moves[_ranges(search.offsets, segments)])
-        tables[f"{name}_iterations"] = ("i4", search.iterations[segments])
-        tables[f"{name}_straight"] = ("i4", search.costs[pairs, 0])
+        tables[f"{name}_steps"] = np.diff(search.offsets)[segments]
+        tables[f"{name}_moves"] = search.moves[_ranges(search.offsets, segments)]
+        tables[f"{name}_iterations"] = search.iterations[segments]
+        tables[f"{name}_straight"] = search.costs[pairs, 0]
     return tables
 
 

@@ -131,11 +131,7 @@ def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspect
         return Inspection(place, None, tuple(faults))
     if manifest.spec is None:
         faults += _provenance(place)
-    if listed:
-        faults += _check_listed(place, manifest, progress)
-    else:
-        manifest, wrong = _check_unlisted(Path(place), manifest, progress)
-        faults += wrong
+    faults += _check_shards(place, manifest, listed, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -181,8 +177,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     return left
 
 
-def _check_listed(place: str, manifest: Manifest, progress: bool) -> list[Corruption]:
-    """Check the shards that a manifest lists, and which it should list."""
+def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
+    """Check the shards that a manifest lists, and which it should list; without ``listed`` it lists the sound ones."""
     planned = {(header.start, header.stop): header for header in headers(manifest)}
     tasks: list[tuple[Entry, Header | None]] = []
     for entry in manifest.shards:
@@ -195,29 +191,15 @@ def _check_listed(place: str, manifest: Manifest, progress: bool) -> list[Corrup
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for missing, header in planned.items():
-        faults.append(Corruption(f"{place}/{shard_name(*missing)}", "missing (the build did not finish)", header))
+    for limits, header in planned.items():
+        path = f"{place}/{shard_name(*limits)}"
+        unlisted = "damaged" if os.path.exists(path) else "missing"
+        faults.append(Corruption(path, "missing (the build did not finish)" if listed else unlisted, header))
     return faults
 
 
-def _check_unlisted(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Corruption]]:
-    """Check shards by what they say of themselves, where the manifest is gone; list the sound ones."""
-    found, wrong = [], []
-    with bar(progress, manifest.maps) as advance, threads() as pool:
-        for header, entry in finished(pool, partial(load_shard, root), headers(manifest), 2 * CORES):
-            if entry is not None:
-                found.append(entry)
-            else:
-                path = root / shard_name(header.start, header.stop)
-                wrong.append(Corruption(str(path), "damaged" if path.exists() else "missing", header))
-            advance(header.stop - header.start)
-    found.sort(key=lambda entry: entry.start)
-    wrong.sort(key=lambda fault: fault.path)
-    return replace(manifest, shards=tuple(found)), wrong
-
-
 def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
-    """Return what most shards say they are a part of, none listed yet; None if none can be read."""
+    """Return what most shards say they are a part of, with the sound ones; None if none can be read."""
     said: Counter[Header] = Counter()
     for path in shards:
         try:
@@ -235,15 +217,8 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     fits = [size for size in sizes if size >= largest and not any(start % size for start, _ in limits)]
     if not fits or maps > MOST_SHARDS * fits[0]:
         return None
-    return Manifest(
-        spec=header.spec,
-        seed=header.seed,
-        maps=maps,
-        shard_size=fits[0],
-        map_size=header.map_size,
-        movement=header.movement,
-        resolution=header.resolution,
-    )
+    manifest = Manifest(**header.origin(), maps=maps, shard_size=fits[0])
+    return replace(manifest, shards=tuple(filter(None, (load_shard(root, one) for one in headers(manifest)))))
 
 
 def _provenance(place: str) -> list[Corruption]:

@@ -146,9 +146,8 @@ def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
 def estimate(starts: Ints, goals: Ints, movement: Movement) -> Floats:
     """Return the heuristic between cells, (..., 2) each, as (...): Manhattan, or octile under 8-connectivity."""
     gap = np.abs(starts - goals)
-    if movement.connectivity == 4:
-        return np.asarray(gap.sum(axis=-1), np.float64)
-    return np.asarray(gap.max(axis=-1) + gap.min(axis=-1) * (movement.diagonal_cost - 1), np.float64)
+    diagonal = 2.0 if movement.connectivity == 4 else movement.diagonal_cost
+    return np.asarray(gap.max(axis=-1) + gap.min(axis=-1) * (diagonal - 1))
 
 
 def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:

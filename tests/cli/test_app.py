@@ -333,7 +333,7 @@ def test_bad_recipe_files(says: str, content: bytes, run: Command, tmp_path: Pat
     ("says", "arguments"),
     [
         ("with seed 5, asked for seed 6", ["--seed", 6, "--maps", MAPS, "--shard-size", SIZE]),
-        ("with shard size 4, asked for shard size 5", ["--maps", MAPS, "--shard-size", 5]),
+        ("with shard_size 4, asked for shard_size 5", ["--maps", MAPS, "--shard-size", 5]),
         ("holds 11 maps, asked for 10: a dataset only grows", ["--maps", 10, "--shard-size", SIZE]),
     ],
 )
