@@ -58,40 +58,54 @@ def build_command(
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
 
-def info_command(root: str, recipe: bool, card: str | None) -> None:
+def info_command(root: list[str], recipe: bool, card: str | None) -> None:
     """Say what a dataset is, or write its card."""
+    from mapdata.shards import Root, write_file
     from mapdata.shards import card as card_of
-    from mapdata.shards import write_file
-    from mapdata.shards.manifest import read_manifest
+    from mapdata.shards.root import folder_of
 
-    manifest = read_manifest(Path(root))
+    found = Root.open(root)
     if card is None:
-        print(manifest.recipe() if recipe else summary(root, manifest))
+        for place, manifest in zip(found.places, found.manifests, strict=True):
+            print(manifest.recipe() if recipe else summary(place, manifest))
         return
-    path = Path(card) if card else Path(root) / "README.md"
+    if not card and len(root) > 1:
+        raise ValueError("--card: say the FILE for a card of several datasets")
+    path = Path(card) if card else folder_of(root[0]) / "README.md"
     write_file(path, card_of(root).encode())
     print(f"wrote {path}")
 
 
-def verify_command(root: str, repair: bool) -> None:
+def verify_command(root: list[str], repair: bool) -> None:
     """Check every file of a dataset; exit code 1 if one is damaged."""
     from mapdata.shards.corruption import inspect, repair_found
+    from mapdata.shards.root import folder_of, places
 
-    findings = inspect(root, progress=True)
-    for fault in findings.faults:
-        print(fault)
-    found = len(findings.faults)
-    if found and not repair:
-        raise DisagreeError(f"{found} found; --repair makes them again from the recipe")
-    left = repair_found(root, findings, progress=True) if found else []
-    for fault in left:
-        print(f"not repaired: {fault}")
-    if left:
-        raise DisagreeError(f"{len(left)} of {found} not repaired")
-    print(f"{root}: {found} repaired" if found else f"{root}: all is well")
+    where = places(root)
+    if repair:
+        where = tuple(map(str, map(folder_of, where)))  # what can only be read is refused first
+    total = unsound = 0
+    for place in where:
+        findings = inspect(place, progress=True)
+        for fault in findings.faults:
+            print(fault)
+        found = len(findings.faults)
+        left = repair_found(findings, progress=True) if repair and found else []
+        for fault in left:
+            print(f"not repaired: {fault}")
+        total += found
+        unsound += len(left) if repair else found
+        if not found:
+            print(f"{place}: all is well")
+        elif repair and not left:
+            print(f"{place}: {found} repaired")
+    if unsound and repair:
+        raise DisagreeError(f"{unsound} of {total} not repaired")
+    if unsound:
+        raise DisagreeError(f"{unsound} found; --repair makes them again from the recipe")
 
 
-def show_command(root: str, index: int | None, output: str, paper_colours: bool, figure: str) -> None:
+def show_command(root: list[str], index: int | None, output: str, paper_colours: bool, figure: str) -> None:
     """Draw one map with both paths and its numbered seeds, or another figure."""
     from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
 
@@ -105,7 +119,7 @@ def show_command(root: str, index: int | None, output: str, paper_colours: bool,
     print(f"wrote {output}")
 
 
-def report_command(root: str, output: str, maps: int) -> None:
+def report_command(root: list[str], output: str, maps: int) -> None:
     """Write one page to look at a dataset in a browser: maps with filters, distributions, the card."""
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_file
@@ -147,12 +161,13 @@ def build_main(arguments: list[str] | None = None) -> None:
     run(build_command, **vars(parser.parse_args(arguments)))
 
 
-def _add_root(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("root", metavar="ROOT", type=path_name, help="folder of the dataset")
+def _add_roots(parser: argparse.ArgumentParser) -> None:
+    what = "folder or URL of the dataset; several are one after another"
+    parser.add_argument("root", metavar="ROOT", type=path_name, nargs="+", help=what)
 
 
 def _add_build_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_root(parser)
+    parser.add_argument("root", metavar="ROOT", type=path_name, help="folder of the dataset")
     _add_build_flags(parser)
 
 
@@ -190,12 +205,12 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _add_verify_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_root(parser)
+    _add_roots(parser)
     parser.add_argument("--repair", action="store_true", help="make damaged and missing shards again from the recipe")
 
 
 def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_root(parser)
+    _add_roots(parser)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--recipe", action="store_true", help="print the few lines of JSON that are the dataset")
     what.add_argument(
@@ -204,7 +219,7 @@ def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_root(parser)
+    _add_roots(parser)
     parser.add_argument("--index", metavar="I", type=int, help="number of the map (default: 0)")
     parser.add_argument("-o", "--output", metavar="FILE", default="map.png", help="picture (default: %(default)s)")
     parser.add_argument("--paper-colours", action="store_true", help="free black and occupied white")
@@ -217,6 +232,6 @@ def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_root(parser)
+    _add_roots(parser)
     parser.add_argument("-o", "--output", metavar="FILE", default="report.html", help="page (default: %(default)s)")
     parser.add_argument("--maps", metavar="N", type=int, default=500, help="maps to browse (default: %(default)s)")

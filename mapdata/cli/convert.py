@@ -85,7 +85,7 @@ def _movement(connectivity: int | None, corner_cutting: bool, diagonal_cost: flo
     return movement if diagonal_cost is None else Movement(connectivity, corner_cutting, diagonal_cost)
 
 
-def export_command(root: str, target: str, kind: str, **options: Any) -> None:  # noqa: ANN401  (those of formats)
+def export_command(root: list[str], target: str, kind: str, **options: Any) -> None:  # noqa: ANN401  (those of formats)
     """Write a dataset in a foreign format."""
     from mapdata.formats import export
 
@@ -141,7 +141,9 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     from mapdata.formats.registry import FORMATS, functions
 
     files = [f"{name}: new {one.target_ending} file" for name, one in FORMATS.items() if one.target_ending]
-    parser.add_argument("root", metavar="ROOT", type=path_name, help="folder of the dataset")
+    parser.add_argument(
+        "root", metavar="ROOT", type=path_name, nargs="+", help="folder or URL of the dataset, or several"
+    )
     parser.add_argument("target", metavar="DST", type=path_name, help=f"new folder ({', '.join(files)})")
     parser.add_argument("--format", dest="kind", choices=functions("write"), required=True, help="what to write")
     _add_format_options(parser, "write")

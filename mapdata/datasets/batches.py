@@ -6,7 +6,6 @@ shards.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import llvmlite.ir
@@ -21,9 +20,9 @@ from mapdata.generators.maps import WORD, unpack
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.lattice import STEPS
-from mapdata.shards.manifest import Entry, Manifest, read_manifest
-from mapdata.shards.reader import head, open_shard
-from mapdata.shards.remote import local_file, local_root
+from mapdata.shards.manifest import Entry, Manifest
+from mapdata.shards.reader import head
+from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import Shard, ShardError, bits_of
 from mapdata.spec import MAX_ROOMS, SPLITS
 
@@ -57,11 +56,22 @@ def _pointer(_context: Any, address: Any) -> Any:  # noqa: ANN401  (numba's own 
     return types.voidptr(types.int64), generate
 
 
+_LONG = 2**40
+"""The length of each view that kernels take: who opened the shard has checked where its arrays end."""
+
+
 @inlined
-def _array(address: Int, shape: tuple[Int, ...], dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
+def _array(address: Int, dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
     """Return the array at an address, as a view."""
     pointer: Any = _pointer
-    return numba.carray(pointer(address), shape, dtype)  # type: ignore[attr-defined]
+    return numba.carray(pointer(address), _LONG, dtype)  # type: ignore[attr-defined]
+
+
+@inlined
+def _cells(address: Int) -> Any:  # noqa: ANN401  (as above)
+    """Return the seed points at an address, as a view (_, 2)."""
+    pointer: Any = _pointer
+    return numba.carray(pointer(address), (_LONG, 2), np.int16)  # type: ignore[attr-defined]
 
 
 @kernel
@@ -69,20 +79,18 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
     """Unpack map ``maps[b]`` of shard ``shards[b]`` into ``grids[b]``, (B, H, W)."""
     size = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD)
     for b in range(len(shards)):
-        words = _array(table[shards[b], _MAPS], ((maps[b] + 1) * size,), np.uint64)
-        unpack(words, maps[b] * size, grids[b])
+        unpack(_array(table[shards[b], _MAPS], np.uint64), maps[b] * size, grids[b])
 
 
 @kernel
 def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
     """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no such room."""
     for b in range(len(shards)):
-        offsets = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
+        offsets = _array(table[shards[b], _ROOMS], np.int64)
         room = offsets[maps[b]] + rooms[b]
-        out[b, 0] = out[b, 1] = -1
-        if room < offsets[maps[b] + 1]:
-            seed_points = _array(table[shards[b], _SEEDS], (2 * room + 2,), np.int16)
-            out[b, 0], out[b, 1] = seed_points[2 * room], seed_points[2 * room + 1]
+        stored = _cells(table[shards[b], _SEEDS])
+        for axis in range(2):
+            out[b, axis] = stored[room, axis] if room < offsets[maps[b] + 1] else -1
 
 
 @kernel
@@ -99,21 +107,20 @@ def read_paths(
     places, within = np.uint64(2 if two_bits else 1), np.uint64(3 if two_bits else 1)  # moves of a byte: 4 or 2
     offsets, iterations, first = np.zeros(count + 1, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     for b in range(count):
-        room_offsets = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)
-        segment = room_offsets[maps[b]] - maps[b] + rooms[b]
-        moves = _array(table[shards[b], search], (segment + 2,), np.int64)
-        taken = _array(table[shards[b], search + 2], (segment + 1,), np.int32)
-        iterations[b], first[b] = taken[segment], moves[segment]
+        segment = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
+        moves = _array(table[shards[b], search], np.int64)
+        iterations[b] = _array(table[shards[b], search + 2], np.int32)[segment]
+        first[b] = moves[segment]
         offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
     cells = np.empty((offsets[count], 2), np.int64)
     height, width, mask, at = np.uint64(size[0]), np.uint64(size[1]), np.uint64(2**bits - 1), 0
     for b in range(count):
         length = offsets[b + 1] - offsets[b] - 1
-        room = _array(table[shards[b], _ROOMS], (maps[b] + 1,), np.int64)[maps[b]] + rooms[b]
-        seed_points = _array(table[shards[b], _SEEDS], (2 * room + 4,), np.int16)
-        row, column = np.int64(seed_points[2 * room]), np.int64(seed_points[2 * room + 1])
-        goal_row, goal_column = np.int64(seed_points[2 * room + 2]), np.int64(seed_points[2 * room + 3])
-        packed = _array(table[shards[b], search + 1], ((first[b] + length) * bits // 8 + 1,), np.uint8)
+        room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
+        stored = _cells(table[shards[b], _SEEDS])
+        row, column = np.int64(stored[room, 0]), np.int64(stored[room, 1])
+        goal_row, goal_column = stored[room + 1, 0], stored[room + 1, 1]
+        packed = _array(table[shards[b], search + 1], np.uint8)
         offsets[b] = at
         if length == 0 and (row != goal_row or column != goal_column):
             continue
@@ -149,18 +156,17 @@ def read_rooms(
 ) -> None:
     """Fill connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding."""
     for b in range(len(shards)):
-        rooms = _array(table[shards[b], _ROOMS], (maps[b] + 2,), np.int64)
+        rooms = _array(table[shards[b], _ROOMS], np.int64)
         first, last = rooms[maps[b]], rooms[maps[b] + 1]
-        pair = _array(table[shards[b], _PAIRS], (maps[b] + 1,), np.int64)[maps[b]]
-        pairs = pair + (last - first) * (last - first - 1) // 2
-        stored = _array(table[shards[b], _SEEDS], (2 * last,), np.int16)
-        moves = _array(table[shards[b], straight], (pairs,), np.int32)
-        diagonals = _array(table[shards[b], _DIAGONAL], (pairs,), np.int32)
+        pair = _array(table[shards[b], _PAIRS], np.int64)[maps[b]]
+        stored = _cells(table[shards[b], _SEEDS])
+        moves = _array(table[shards[b], straight], np.int32)
+        diagonals = _array(table[shards[b], _DIAGONAL], np.int32)
         matrices[b] = -2
         seed_points[b] = -1
         for i in range(last - first):
-            seed_points[b, i, 0] = stored[2 * (first + i)]
-            seed_points[b, i, 1] = stored[2 * (first + i) + 1]
+            seed_points[b, i, 0] = stored[first + i, 0]
+            seed_points[b, i, 1] = stored[first + i, 1]
             matrices[b, i, i] = 0
             for j in range(i + 1, last - first):
                 cost = float(moves[pair])
@@ -171,44 +177,33 @@ def read_rooms(
 
 
 class BatchReader:
-    """The shards of one or more roots, and the problems in them.
+    """The shards of a dataset, and the problems in them.
 
     Attributes:
-        manifests: one a root.
-        map_size, movement: what all roots share.
-        most_rooms: R, the largest number of rooms a map can have.
+        root, shards, manifests: the dataset.
+        map_size, movement: of all its maps.
+        most_seed_points: R, the largest number of seed points that a map can have.
     """
 
-    def __init__(self, roots: Sequence[str], split: str | None, problems: Source) -> None:
+    def __init__(self, root: Places, split: str | None, problems: Source) -> None:
         """Read the manifests; no shard is opened yet.
 
         Raises:
-            DatasetNotFoundError: a root without a dataset.
-            ShardError: a damaged manifest.
-            ValueError: roots that do not fit together.
+            DatasetNotFoundError, ShardError, ValueError: as `Root.open`.
         """
-        self.roots = list(roots)
-        self.manifests = [read_manifest(local_root(root)) for root in roots]
-        first = self.manifests[0]
-        for root, manifest in zip(roots, self.manifests, strict=True):
-            for name in ("map_size", "movement"):
-                if getattr(manifest, name) != getattr(first, name):
-                    raise ValueError(
-                        f"root: {root} has {name} {getattr(manifest, name)}, {roots[0]} has {getattr(first, name)}; "
-                        f"the roots of one dataset must have one"
-                    )
-        self.map_size, self.movement = first.map_size, first.movement
+        self.root = Root.open(root)
+        self.shards = self.root.shards
+        self.manifests = self.root.manifests
+        self.map_size = self.root.map_size
+        self.movement = self.root.movement
         self.most_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
         if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
             raise ShardError(
-                f"{roots}: the manifest says maps of {self.most_seed_points} rooms, expected up to {MAX_ROOMS}"
+                f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected up to {MAX_ROOMS}"
             )
-        self.shards = [
-            (root, entry) for root, manifest in zip(roots, self.manifests, strict=True) for entry in manifest.shards
-        ]
         self._split, self._problems = split, problems
         self.offsets = np.concatenate(
-            ([0], np.cumsum([self._count(entry) for _, entry in self.shards], dtype=np.int64))
+            ([0], np.cumsum([self._count(entry) for _, _, entry in self.shards], dtype=np.int64))
         )
         self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._open: dict[int, Shard] = {}
@@ -217,7 +212,7 @@ class BatchReader:
             self._rows = np.empty((self.offsets[-1], 3), np.int32)
         except (MemoryError, ValueError):
             raise ShardError(
-                f"{roots}: the manifest says {self.offsets[-1]} problems, more than memory holds"
+                f"{self.root}: the manifest says {self.offsets[-1]} problems, more than memory holds"
             ) from None
 
     def __len__(self) -> int:
@@ -229,32 +224,28 @@ class BatchReader:
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
         for k in np.unique(shards[self._table[shards, 0] == 0]).tolist():
             self.open(k)
-        rows = self._rows[indices].astype(np.int64)
-        return (
-            shards,
-            np.ascontiguousarray(rows[:, 0]),
-            np.ascontiguousarray(rows[:, 1]),
-            np.ascontiguousarray(rows[:, 2]),
-        )
+        maps, first, second = np.ascontiguousarray(self._rows[indices].T, np.int64)
+        return shards, maps, first, second
 
     def open(self, k: int) -> Shard:
-        """Return shard ``k``, opened and guarded at its first touch.
+        """Return shard ``k``, opened and checked at its first touch.
 
         Raises:
-            FileNotFoundError: the file is gone.
-            ShardError: the file is not what the manifest says.
+            ShardError: the file is gone, or not what the manifest says.
+            DatasetNotFoundError: it lies at a URL, and cannot be fetched.
         """
         if k in self._open:
             return self._open[k]
-        root, entry = self.shards[k]
+        place, _, entry = self.shards[k]
         try:
-            shard = self._checked(root, entry)
+            shard = self.root.open_shard(k)
         except (FileNotFoundError, ShardError):
             # It may have been replaced since the manifest was read, as by a larger one when the dataset grew.
-            now = _successor(self.manifests[self.roots.index(root)], read_manifest(local_root(root)), entry)
-            if now is None:
+            now = Root.open(self.root.places[place])
+            successor = _successor(self.manifests[place], now.manifests[0], entry)
+            if successor is None:
                 raise
-            shard = head(self._checked(root, now), entry.stop - entry.start)
+            shard = head(now.open_shard(successor), entry.stop - entry.start)
         if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points:  # kernels rely on it
             raise ShardError(
                 f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_seed_points})"
@@ -266,15 +257,6 @@ class BatchReader:
         self._rows[first:last] = rows
         shard = self._open.setdefault(k, shard)  # of two threads, the first one's: its addresses may be in use
         self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
-        return shard
-
-    def _checked(self, root: str, entry: Entry) -> Shard:
-        """Return the shard of an entry of the manifest."""
-        shard = open_shard(local_file(root, entry), entry.bytes)
-        header = shard.header
-        found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
-        if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
-            raise ShardError(f"{shard.path}: holds other maps than the manifest says")
         return shard
 
     def _count(self, entry: Entry) -> int:
@@ -313,8 +295,8 @@ class BatchReader:
 
     def damage(self, shard: Int, number: Int, what: str) -> ShardError:
         """Return the error that says what is wrong with a map of a shard; {} in it becomes the map's number."""
-        root, entry = self.shards[int(shard)]
-        return ShardError(f"{root}/{entry.name}: {what.format(entry.start + int(number))}")
+        place, _, entry = self.shards[int(shard)]
+        return ShardError(f"{self.root.places[place]}/{entry.name}: {what.format(entry.start + int(number))}")
 
     def rooms(self, shards: Ints, maps: Ints, search: str) -> tuple[Float32s, Ints]:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
@@ -333,13 +315,13 @@ class BatchReader:
         return matrices, seed_points
 
 
-def _successor(before: Manifest, now: Manifest, entry: Entry) -> Entry | None:
-    """Return what holds the maps of ``entry`` now; None where it is the same, or they are others."""
+def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
+    """Return which shard holds the maps of ``entry`` now; None where it is the same, or they are others."""
     drawn = before.identity is not None and before.identity == now.identity
-    for other in now.shards:
+    for k, other in enumerate(now.shards):
         same = drawn or (other.stop, other.content_hash) == (entry.stop, entry.content_hash)
         if same and other.start == entry.start and other.stop >= entry.stop and other != entry:
-            return other
+            return k
     return None
 
 

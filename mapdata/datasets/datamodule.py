@@ -20,7 +20,7 @@ from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
-from mapdata.shards.remote import is_url
+from mapdata.shards.root import is_url
 from mapdata.spec import SPLITS, Movement
 
 if TYPE_CHECKING:

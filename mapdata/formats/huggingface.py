@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,10 +15,11 @@ import numpy as np
 from PIL import Image
 
 from mapdata.formats.registry import Format
-from mapdata.formats.stored import Stored
 from mapdata.search.labels import Labels
+from mapdata.shards.dataset_card import Section, card
+from mapdata.shards.root import Root
 from mapdata.shards.table import SEARCHES, map_row
-from mapdata.spec import SPLITS, canonical_json
+from mapdata.spec import SPLITS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -28,7 +28,7 @@ _NAMES = {"train": "train", "val": "validation", "test": "test"}
 """The Hub's names of the splits."""
 
 
-def write(target: Path, source: Stored) -> list[str]:
+def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write ``data/<split>-<shard>.parquet``, one file a shard and split, and ``README.md``.
 
     A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, and the columns of the paper's CSV.
@@ -46,17 +46,18 @@ def write(target: Path, source: Stored) -> list[str]:
         raise ValueError("format huggingface needs pyarrow: pip install 'mapdata[hub]'") from None
     (target / "data").mkdir(parents=True)
     schema = _schema()
-    shards = len(source.manifest.shards)
+    shards = len(root.shards)
     counts = dict.fromkeys(SPLITS, 0)
-    for number, labels in enumerate(source.batches()):
+    for number, labels in enumerate(root.labels(progress=progress)):
         for code, split in enumerate(SPLITS):
             indices = np.flatnonzero(labels.maps.split == code).tolist()
-            rows = [_row(labels, k, source.manifest.resolution) for k in indices]
+            rows = [_row(labels, k, root.resolution) for k in indices]
             if rows:
                 name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
                 parquet.write_table(pa.Table.from_pylist(rows, schema), target / "data" / name, compression="zstd")
                 counts[split] += len(rows)
-    (target / "README.md").write_text(_card(source, counts), encoding="utf-8", newline="\n")
+    files = {_NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if counts[split]}
+    (target / "README.md").write_text(card(root.places, files=files, extra=[_COLUMNS]), encoding="utf-8", newline="\n")
     return []
 
 
@@ -110,48 +111,19 @@ def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
     return {"image": {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}, "map": grid.tolist(), **row}
 
 
-def _card(source: Stored, counts: dict[str, int]) -> str:
-    """Return the card: front matter that says where each split lies, and what a cell of the table means."""
-    manifest, (rows, columns) = source.manifest, source.manifest.map_size
-    total = sum(counts.values())
-    category = next((name for bound, name in _SIZES if total < bound), "1M<n<10M")
-    files = "".join(
-        f"  - split: {_NAMES[split]}\n    path: data/{_NAMES[split]}-*.parquet\n" for split in SPLITS if counts[split]
-    )
-    origin = f"identity `{manifest.identity}`, seed {manifest.seed}" if manifest.identity else "imported maps"
-    return f"""---
-pretty_name: mapdata {rows} x {columns}
-task_categories:
-- robotics
-size_categories:
-- {category}
-tags:
-- path planning
-- occupancy grid
-configs:
-- config_name: default
-  data_files:
-{files}---
-
-# {total:,} grid maps of {rows} x {columns} cells with shortest paths
-
-Written by mapdata: {origin}, content hash `{manifest.content_hash}`.
-Splits: {", ".join(f"{_NAMES[split]} {count:,}" for split, count in counts.items())}.
-
-- `map`: 1 occupied, 0 free; `image` shows free white. Cells are (row, col), origin upper left;
-  {manifest.resolution} metres a cell.
-- `seed_rows`, `seed_columns`, `size_rows`, `size_columns`: seed point, and rows and columns, of each room (-1 unknown).
-  `direction_for_passages`: the two legs of each passage, 1 horizontal, 0 vertical, -1 none; `connected`: it was drawn;
-  `reachable`: a path to the next room exists.
-- `row_path`, `column_path` of `bfs` and `astar`: the cells of the route through all seed points, where one exists;
-  `iterations`: cells expanded on the way to each next room; `connection_matrix`: cost between rooms, -1 no path.
-- Movement: `{canonical_json(asdict(manifest.movement))}`.
-
-Source of the distribution: Flores-Aquino et al., "2D Grid Map Generation for Deep-Learning-based Navigation
-Approaches", arXiv 2110.13242.
-"""
-
-
-_SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+_COLUMNS = Section(
+    "Columns",
+    "A row is a map. Lists have a number a room (seed point), passage or segment between consecutive rooms.",
+    (
+        ("column", "meaning"),
+        ("map, image", "(H, W) of 1 occupied and 0 free; the picture shows free white"),
+        ("seed_rows, seed_columns, size_rows, size_columns", "seed point, rows and columns of each room, -1 unknown"),
+        ("direction_for_passages", "two a passage, its legs at either room: 1 horizontal, 0 vertical, -1 none"),
+        ("connected, reachable", "whether a passage was drawn to the next room; whether a path leads there"),
+        ("bfs_row_path, bfs_column_path and those of astar", "the cells of the route through all seed points"),
+        ("bfs_iterations, astar_iterations", "cells expanded, one number a segment"),
+        ("bfs_connection_matrix, astar_connection_matrix", "path costs between all rooms, -1 no path"),
+    ),
+)
 
 FORMAT = Format("huggingface", write=write)

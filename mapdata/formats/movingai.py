@@ -28,9 +28,9 @@ from mapdata.arrays import Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.registry import Format
-from mapdata.formats.stored import Stored
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import MAX_CELLS
+from mapdata.shards.root import Root
 from mapdata.spec import MAX_ROOMS, SPLITS, Movement
 
 Cell: TypeAlias = tuple[int, int]
@@ -315,7 +315,7 @@ def _end_points(source: Path, limits: Limits, maps: str | Path | None, found: Co
     return points
 
 
-def write(target: Path, source: Stored) -> list[str]:
+def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write each map as ``<split>/map<i>.map`` with ``<split>/map<i>.map.scen`` beside it: all its room pairs.
 
     Lengths are those of the benchmark's rule, whatever the movement of the dataset; pairs without a path have 0.
@@ -323,7 +323,7 @@ def write(target: Path, source: Stored) -> list[str]:
     Returns:
         Notes for the user.
     """
-    for labels in source.batches():
+    for labels in root.labels(progress=progress):
         maps = labels.maps
         rows, columns = maps.occupancy.shape[1:]
         for k, grid in enumerate(maps.occupancy):

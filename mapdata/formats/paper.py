@@ -49,8 +49,8 @@ from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, walk
 from mapdata.formats.images import PICTURES, brightness, read_pixels
 from mapdata.formats.registry import Format
-from mapdata.formats.stored import Stored
 from mapdata.search.labels import Labels
+from mapdata.shards.root import Root
 from mapdata.shards.table import SEARCHES, map_row
 from mapdata.spec import Movement, canonical_json
 
@@ -70,7 +70,7 @@ _OTHER_NAMES = {
 """Our names of columns that section III-D, or an earlier mapdata, calls otherwise."""
 
 
-def write(target: Path, source: Stored) -> list[str]:
+def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write ``maps.csv`` and ``images/map<i>.png``.
 
     Returns:
@@ -80,11 +80,11 @@ def write(target: Path, source: Stored) -> list[str]:
 
     (target / "images").mkdir(parents=True)
     with open(target / "maps.csv", "w", encoding="utf-8", newline="") as file:
-        for labels in source.batches():
+        for labels in root.labels(progress=progress):
             movement = canonical_json(asdict(labels.maps.movement))
             rows = []
             for k, grid in enumerate(labels.maps.occupancy):
-                row = map_row(labels, k, source.manifest.resolution)
+                row = map_row(labels, k, root.resolution)
                 Image.fromarray(255 * grid).convert("1").save(target / "images" / f"{row['label']}.png")
                 cells = {name: value if isinstance(value, str) else json.dumps(value) for name, value in row.items()}
                 rows.append({**cells, "movement": movement})

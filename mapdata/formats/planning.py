@@ -21,7 +21,6 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +32,8 @@ from mapdata.arrays import Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.registry import Format
-from mapdata.formats.stored import Stored
 from mapdata.search.api import distance_field
+from mapdata.shards.root import Root
 from mapdata.spec import SPLITS, Movement
 
 MOVEMENT = Movement(8, corner_cutting=True, diagonal_cost=1)
@@ -127,14 +126,15 @@ def has_starts(values: npt.NDArray[np.float32]) -> bool:
     return all(bool(((cells >= bounds[k + 1]) & (cells <= bounds[k])).any()) for k in range(3))
 
 
-def write(target: Path, source: Stored) -> list[str]:
+def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write an .npz that neural-astar's ``create_dataloader`` reads; the goal is the first seed point of each map.
 
     The arrays go to disk a shard at a time; maps and actions are uint8, distances float32 (the loader converts).
 
     Args:
         target: file.
-        source: dataset.
+        root: dataset.
+        progress: show a progress bar.
 
     Returns:
         Notes for the user.
@@ -142,26 +142,25 @@ def write(target: Path, source: Stored) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
-    quiet = replace(source, progress=False)  # the one bar below is enough
-    splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(quiet)]
+    splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(root)]
     counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
     if 0 in counts:
         missing = SPLITS[counts.index(0)]
         raise FormatError(f"the split {missing!r} has no usable map, neural-astar's loader needs one")
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
-        for number in tqdm(range(12), unit=" arrays", leave=False, disable=not source.progress):
+        for number in tqdm(range(12), unit=" arrays", leave=False, disable=not progress):
             code, k = divmod(number, len(_ARRAYS))
             lead, dtype, make = _ARRAYS[k]
-            shape = (counts[code], *lead, *source.manifest.map_size)
+            shape = (counts[code], *lead, *root.map_size)
             header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
             info = zipfile.ZipInfo(f"arr_{number}.npy")  # its date is fixed: equal content, equal bytes
             info.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(info, "w", force_zip64=True) as member:
                 np.lib.format.write_array_header_1_0(member, header)
-                for (grids, goals, _), split in zip(_batches(quiet), splits, strict=True):
+                for (grids, goals, _), split in zip(_batches(root), splits, strict=True):
                     for i in np.flatnonzero(split == code):
                         member.write(np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes())
-    left = source.manifest.maps - sum(counts)
+    left = root.maps - sum(counts)
     return [f"{left} maps are left out: the loader finds no start on them"] if left else []
 
 
@@ -180,9 +179,9 @@ _ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...
 """The four arrays of a split: the axes between N and H, the type, and what one is of a grid and its goal."""
 
 
-def _batches(source: Stored) -> Iterator[tuple[Bytes, Array, Bytes]]:
+def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
     """Yield grids, goals and splits of each shard."""
-    for labels in source.batches():
+    for labels in root.labels():
         yield labels.maps.occupancy, labels.maps.seed_points[:, 0], labels.maps.split
 
 

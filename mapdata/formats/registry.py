@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, empty_target, walk
-from mapdata.formats.stored import Stored
+from mapdata.shards.root import Places, Root
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class Format:
         name: as ``--format`` takes it.
         endings: of its files, in lower case.
         read: called with a path and `Limits`, returns a `Collection`; None if it can only be written.
-        write: called with a target and a `Stored`, returns notes for the user; None if it can only be read.
+        write: called with a target, a `Root` and whether to show a progress bar, returns notes for the user; None if
+            it can only be read.
         is_mine: whether a file with one of the endings is of this format.
         beside: endings of files that belong to it where they lie beside its own: the pictures of a ROS map.
         target_ending: the ending of the one file that it writes; empty if it writes a folder.
@@ -134,7 +135,7 @@ def read_any(
 
 
 def export(
-    root: str | os.PathLike[str],
+    root: Places,
     target: str | os.PathLike[str],
     kind: str,
     *,
@@ -144,7 +145,7 @@ def export(
     """Write a dataset in a foreign format; ``target`` appears when it is complete.
 
     Args:
-        root: folder of the dataset.
+        root: folder or URL of the dataset, or several.
         target: new name, or an empty folder; for planning-datasets a name that ends with .npz.
         kind: name of a format that can be written.
         progress: show a progress bar.
@@ -164,12 +165,12 @@ def export(
     ending = FORMATS[kind].target_ending
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
-    source = Stored.open(Path(root), progress=progress)
+    source = Root.open(root, complete=True)
     empty_target(target)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{os.getpid()}-{target.name}")
     try:
-        notes: list[str] = write(temporary, source, **options)
+        notes: list[str] = write(temporary, source, progress, **options)
         if target.is_dir():
             target.rmdir()
         os.replace(temporary, target)

@@ -28,7 +28,7 @@ from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.images import PICTURES, Pixels, read_pixels
 from mapdata.formats.registry import Format
-from mapdata.formats.stored import Stored
+from mapdata.shards.root import Root
 from mapdata.spec import SPLITS
 
 ENDINGS = (".yaml", ".yml")
@@ -209,18 +209,19 @@ def read(source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", 
     return found
 
 
-def write(target: Path, source: Stored, *, image: Literal["pgm", "png", "bmp"] = "pgm") -> list[str]:
+def write(target: Path, root: Root, progress: bool, *, image: Literal["pgm", "png", "bmp"] = "pgm") -> list[str]:
     """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, pixels as map_saver writes them.
 
     Args:
         target: folder.
-        source: dataset.
+        root: dataset.
+        progress: show a progress bar.
         image: kind of the pictures.
 
     Returns:
         Notes for the user.
     """
-    for labels in source.batches():
+    for labels in root.labels(progress=progress):
         maps = labels.maps
         for k, grid in enumerate(maps.occupancy):
             folder, name = target / SPLITS[maps.split[k]], f"map{maps.index[k]}"
@@ -232,7 +233,7 @@ def write(target: Path, source: Stored, *, image: Literal["pgm", "png", "bmp"] =
             else:
                 Image.fromarray(pixels).save(folder / f"{name}.{image}")
             (folder / f"{name}.yaml").write_text(
-                f"image: {name}.{image}\nmode: trinary\nresolution: {source.manifest.resolution!r}\n"
+                f"image: {name}.{image}\nmode: trinary\nresolution: {root.resolution!r}\n"
                 "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
                 newline="\n",
             )

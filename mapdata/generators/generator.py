@@ -41,6 +41,7 @@ class Generator(ABC):
     Attributes:
         name: what JSON calls the family.
         description: what its maps are, in words that go on as "... made by mapdata".
+        citation: what the paper below this sentence has to do with them.
         map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
         resolution: metres per cell.
         movement: how paths move.
@@ -49,6 +50,7 @@ class Generator(ABC):
 
     name: ClassVar[str]
     description: ClassVar[str]
+    citation: ClassVar[str] = "The labels are those that this paper computes:"
     map_size: Range
     resolution: float
     movement: Movement

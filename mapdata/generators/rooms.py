@@ -46,6 +46,7 @@ class MapSpec(Generator):
 
     name: ClassVar[str] = "rooms"
     description: ClassVar[str] = "maps drawn by Algorithm 1 of arXiv 2110.13242"
+    citation: ClassVar[str] = "Please cite the paper whose maps these are:"
 
     map_size: Range = (64, 64)
     rooms: Range = (2, 9)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from mapdata.arrays import Floats
 from mapdata.plotting.plot import COLOURS, plot_grid, plot_map, plot_matrix, plot_path
-from mapdata.shards.root import read_map
+from mapdata.shards.root import Places, Root
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
 
 if TYPE_CHECKING:
@@ -70,12 +70,13 @@ def plot_gallery(
     examples = pick_examples(of)
     columns = min(4, len(examples)) or 1
     rows = -(-len(examples) // columns) or 1
-    size = (2.6 * columns, 2.85 * rows * of.manifest.map_size[0] / of.manifest.map_size[1] + 0.5)
-    axes = _new_axes(rows, columns, size) if axes is None else list(axes)
+    high, wide = of.root.map_size
+    size = (2.6 * columns, 2.85 * rows * high / wide + 0.5)
+    axes = new_axes(rows, columns, size) if axes is None else list(axes)
     for ax in axes:
         ax.set_axis_off()
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
-        labels, i = read_map(of.root, index)
+        labels, i = of.root.map(index)
         ax.set_axis_on()
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
         seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
@@ -100,32 +101,37 @@ def plot_distributions(of: DatasetStatistics, axes: Sequence[Axes] | None = None
         of: what `dataset_statistics` returns.
         axes: where to draw, four of them; a new figure without.
     """
-    from matplotlib.ticker import MaxNLocator
-
-    axes = _new_axes(2, 2, (9, 6)) if axes is None else list(axes)
+    axes = new_axes(2, 2, (9, 6)) if axes is None else list(axes)
     for ax, (name, values) in zip(axes, of.distributions().items(), strict=False):
-        edges, counts = histogram(values)
-        ax.bar(
-            edges[:-1], counts, np.diff(edges), align="edge", color=COLOURS["astar"], edgecolor="white", linewidth=0.5
-        )
-        if (values == np.rint(values)).all():
-            ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        logarithmic = name in LOGARITHMIC
-        if logarithmic:
-            ax.set_yscale("log")
-        ax.set(xlabel=name, ylabel=("segments" if "segment" in name else "maps") + " (log)" * logarithmic)
-        if len(values):
-            mean = float(values.mean())
-            ax.axvline(mean, color="black", linewidth=1, linestyle=(0, (4, 2)))
-            ax.set_title(f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}", fontsize="medium")
+        plot_distribution(name, values, ax)
     return list(axes)
 
 
-def plot_figure(root: str | os.PathLike[str], kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:
+def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
+    """Draw one of `DatasetStatistics.distributions`: its histogram, the mean as a dashed line."""
+    from matplotlib.ticker import MaxNLocator
+
+    edges, counts = histogram(values)
+    style: dict[str, Any] = {"color": COLOURS["astar"], "edgecolor": "white", "linewidth": 0.5}
+    ax.bar(edges[:-1], counts, np.diff(edges), align="edge", **style)
+    if (values == np.rint(values)).all():
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    counted = "segments" if "segment" in name else "maps"
+    if name in LOGARITHMIC:
+        ax.set_yscale("log")
+        counted += " (log)"
+    ax.set(xlabel=name, ylabel=counted)
+    if len(values):
+        mean = float(values.mean())
+        ax.axvline(mean, color="black", linewidth=1, linestyle=(0, (4, 2)))
+        ax.set_title(f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}", fontsize="medium")
+
+
+def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:
     """Return one of `FIGURES` of a dataset: what ``mapdata show`` writes.
 
     Args:
-        root: folder of the dataset.
+        root: folder or URL of the dataset, or several.
         kind: "map", "gallery", "path", "matrix" or "distributions".
         index: number of the map, for those of one map.
         paper_colours: free black, occupied white, where a map is drawn.
@@ -135,42 +141,42 @@ def plot_figure(root: str | os.PathLike[str], kind: str, *, index: int = 0, pape
     """
     if kind not in FIGURES:
         raise ValueError(f"figure: got {kind!r}, expected one of {', '.join(FIGURES)}")
-    return FIGURES[kind](root, index, paper_colours)
+    return FIGURES[kind](Root.open(root), index, paper_colours)
 
 
-def _figure_map(root: str | os.PathLike[str], index: int, paper_colours: bool) -> Figure:
-    labels, i = read_map(root, index)
-    (ax,) = _new_axes(1, 1, (6, _height(labels, 5.4) + 1.1))
+def _figure_map(root: Root, index: int, paper_colours: bool) -> Figure:
+    labels, i = root.map(index)
+    (ax,) = new_axes(1, 1, (6, _height(labels, 5.4) + 1.1))
     plot_map(labels, i, ax, paper_colours=paper_colours)
-    return _figure_of(ax)
+    return figure_of(ax)
 
 
-def _figure_path(root: str | os.PathLike[str], index: int, paper_colours: bool) -> Figure:
-    labels, i = read_map(root, index)
+def _figure_path(root: Root, index: int, paper_colours: bool) -> Figure:
+    labels, i = root.map(index)
     lines = min(int(labels.maps.rooms[i]) - 1, 16)
-    axes = _new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2))))
+    axes = new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2))))
     for search, ax in zip(("bfs", "astar"), axes, strict=True):
         plot_path(labels, i, search, ax, paper_colours=paper_colours)
-    return _figure_of(axes[0])
+    return figure_of(axes[0])
 
 
-def _figure_matrix(root: str | os.PathLike[str], index: int, _: bool) -> Figure:
-    labels, i = read_map(root, index)
-    axes = _new_axes(1, 2, (12, 5.8))
+def _figure_matrix(root: Root, index: int, _: bool) -> Figure:
+    labels, i = root.map(index)
+    axes = new_axes(1, 2, (12, 5.8))
     for search, ax in zip(("bfs", "astar"), axes, strict=True):
         plot_matrix(labels, i, search, ax)
-    return _figure_of(axes[0])
+    return figure_of(axes[0])
 
 
-def _figure_gallery(root: str | os.PathLike[str], _: int, paper_colours: bool) -> Figure:
-    return _figure_of(plot_gallery(dataset_statistics(root), paper_colours=paper_colours)[0])
+def _figure_gallery(root: Root, _: int, paper_colours: bool) -> Figure:
+    return figure_of(plot_gallery(dataset_statistics(root.places), paper_colours=paper_colours)[0])
 
 
-def _figure_distributions(root: str | os.PathLike[str], _: int, __: bool) -> Figure:
-    return _figure_of(plot_distributions(dataset_statistics(root))[0])
+def _figure_distributions(root: Root, _: int, __: bool) -> Figure:
+    return figure_of(plot_distributions(dataset_statistics(root.places))[0])
 
 
-FIGURES: dict[str, Callable[[str | os.PathLike[str], int, bool], Figure]] = {
+FIGURES: dict[str, Callable[[Root, int, bool], Figure]] = {
     "map": _figure_map,
     "gallery": _figure_gallery,
     "path": _figure_path,
@@ -186,7 +192,8 @@ WITH_GRID = ("map", "path", "gallery")
 """Those of `FIGURES` that show a grid, which ``--paper-colours`` turns over."""
 
 
-def _new_axes(rows: int, columns: int, size: tuple[float, float]) -> list[Axes]:
+def new_axes(rows: int, columns: int, size: tuple[float, float]) -> list[Axes]:
+    """Return the axes of a new figure of this size in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
@@ -199,7 +206,8 @@ def _height(labels: Labels, width: float) -> float:
     return float(min(max(width * rows / columns, 1.2), 3 * width))
 
 
-def _figure_of(axes: Axes) -> Figure:
+def figure_of(axes: Axes) -> Figure:
+    """Return the figure that axes are part of."""
     from matplotlib.figure import Figure
 
     figure = axes.figure

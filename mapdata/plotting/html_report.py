@@ -9,37 +9,36 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 import re
 import zlib
 from html import escape
 from importlib.resources import files
+from io import StringIO
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Floats, Ints
-from mapdata.plotting.figures import LOGARITHMIC
+from mapdata.plotting.figures import figure_of, new_axes, plot_distribution
 from mapdata.search.labels import Labels
 from mapdata.shards.dataset_card import Section, sections, title
-from mapdata.shards.reader import open_shard
-from mapdata.shards.shard import bits_of, decode, pack_moves
-from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
+from mapdata.shards.root import Places
+from mapdata.shards.shard import bits_of, pack_moves
+from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
 MAPS = 500
 """Maps in the browser of a report."""
 
-_TYPES = {"u1": np.uint8, "i1": np.int8, "i4": np.int32, "f8": np.float64}
-_ANCHORS = {1: ("middle",), 2: ("start", "end"), 3: ("start", "middle", "end")}
-_WIDTH, _HEIGHT, _LEFT, _TOP = 320, 190, 44, 12
+_TYPES = {"b": "u1", "u": "u1", "i": "i4", "f": "f8"}
+"""How the page's script names the type of a table, by the kind of numbers in it."""
 
 
-def report(root: str | os.PathLike[str], maps: int = MAPS) -> str:
+def report(root: Places, maps: int = MAPS) -> str:
     """Return the report of a dataset as one HTML page: a browser of a sample of maps, the distributions and the card.
 
     Args:
-        root: folder of the dataset.
+        root: folder or URL of the dataset, or several.
         maps: how many maps the browser shows, evenly spaced over the dataset.
 
     Raises:
@@ -75,7 +74,7 @@ def _policy(template: str) -> str:
         found = re.findall(f"<{tag}>(.*?)</{tag}>", template, re.DOTALL)
         hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in found]
         allowed.append(" ".join([f"{tag}-src", *(f"'sha256-{value}'" for value in hashes)]))
-    return "; ".join(["default-src 'none'", *allowed, "base-uri 'none'", "form-action 'none'"])
+    return "; ".join(["default-src 'none'", *allowed, "img-src data:", "base-uri 'none'", "form-action 'none'"])
 
 
 def _sample(count: int, maps: int) -> Ints:
@@ -85,77 +84,71 @@ def _sample(count: int, maps: int) -> Ints:
 
 
 def _pack(of: DatasetStatistics, places: Ints) -> tuple[dict[str, Any], bytes]:
-    """Return what the page's script must know, and the tables of the maps at ``places`` of the survey."""
-    manifest, tables = of.manifest, {}
+    """Return what the page's script must know, and the tables of the maps at ``places``."""
+    root = of.root
     columns = _columns(of, places)
-    at, block = 0, b""
-    for name, (kind, values) in columns.items():
-        data = np.ascontiguousarray(values, np.dtype(_TYPES[kind]).newbyteorder("<")).tobytes()
-        tables[name] = (kind, at, len(data) // np.dtype(_TYPES[kind]).itemsize)
-        block += data + bytes(-len(data) % 8)
-        at = len(block)
+    tables = {}
+    block = b""
+    for name, values in columns.items():
+        kind = _TYPES[values.dtype.kind]
+        tables[name] = (kind, len(block), values.size)
+        block += np.ascontiguousarray(values, f"<{kind}").tobytes()
+        block += bytes(-len(block) % 8)  # where a script's array may begin
     header = {
         "tables": tables,
-        "size": manifest.map_size,
-        "bits": bits_of(manifest.movement),
-        "diagonal": manifest.movement.diagonal_cost,
-        "resolution": manifest.resolution,
+        "size": root.map_size,
+        "bits": bits_of(root.movement),
+        "diagonal": root.movement.diagonal_cost,
+        "resolution": root.manifests[0].resolution,
         "word": "rooms" if of.rooms_known else "seed points",
     }
     return header, zlib.compress(block, 9)
 
 
-def _columns(of: DatasetStatistics, places: Ints) -> dict[str, tuple[str, npt.NDArray[Any]]]:
-    """Return the tables of a page: type and values."""
-    parts: dict[str, list[npt.NDArray[Any]]] = {}
-    kinds: dict[str, str] = {}
+def _columns(of: DatasetStatistics, places: Ints) -> dict[str, npt.NDArray[Any]]:
+    """Return the tables of a page."""
+    parts = []
     first = 0
-    for entry in of.manifest.shards:
+    for k, (_, _, entry) in enumerate(of.root.shards):
         last = first + entry.stop - entry.start
         chosen = places[(places >= first) & (places < last)] - first
         if len(chosen):
-            labels = decode(open_shard(of.root / entry.name, entry.bytes))
-            for name, (kind, values) in _tables(labels, chosen).items():
-                parts.setdefault(name, []).append(values)
-                kinds[name] = kind
+            parts.append(_tables(of.root.shard_labels(k), chosen))
         first = last
-    columns = {name: (kinds[name], np.concatenate(values)) for name, values in parts.items()}
-    bits = bits_of(of.manifest.movement)
-    for search in ("bfs", "astar"):
-        kind, moves = columns.get(f"{search}_moves", ("u1", np.empty(0, np.uint8)))
-        columns[f"{search}_moves"] = (kind, pack_moves(moves, bits))
-    columns["hardest"] = ("f8", of.hardest[places])
-    columns["free"] = ("f8", of.free[places])
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
+    for name in {"bfs_moves", "astar_moves"} & columns.keys():
+        columns[name] = pack_moves(columns[name], bits_of(of.root.movement))
+    columns["hardest"] = of.hardest[places]
+    columns["free"] = of.free[places]
     return columns
 
 
-def _tables(labels: Labels, chosen: Ints) -> dict[str, tuple[str, npt.NDArray[Any]]]:
-    """Return what the page shows of maps ``chosen`` of a shard: type and values of each table."""
+def _tables(labels: Labels, chosen: Ints) -> dict[str, npt.NDArray[Any]]:
+    """Return what the page shows of maps ``chosen`` of a shard."""
     maps = labels.maps
     n = maps.rooms[chosen]
     used = np.arange(maps.seed_points.shape[1]) < n[:, None]
     segments, pairs = _ranges(maps.segment_offsets, chosen), _ranges(maps.pair_offsets, chosen)
-    columns = -(-maps.columns // 8)
-    octets = maps.packed[chosen].astype("<u8", copy=False).view(np.uint8)[:, :, :columns]
-    tables: dict[str, tuple[str, npt.NDArray[Any]]] = {
-        "maps": ("u1", octets.reshape(-1)),
-        "index": ("f8", maps.index[chosen]),
-        "split": ("u1", maps.split[chosen]),
-        "connected": ("u1", labels.all_connected[chosen]),
-        "rooms": ("i4", n),
-        "width": ("i4", maps.passage_width[chosen]),
-        "seeds": ("i4", maps.seed_points[chosen][used].reshape(-1)),
-        "sizes": ("i4", maps.sizes[chosen][used].reshape(-1)),
-        "directions": ("i1", maps.directions[chosen][used[:, 1:]].reshape(-1)),
-        "reachable": ("u1", labels.reachable[segments]),
-        "astar_diagonal": ("i4", labels.astar.costs[pairs, 1]),
+    octets = maps.packed[chosen].astype("<u8", copy=False).view(np.uint8)
+    tables: dict[str, npt.NDArray[Any]] = {
+        "maps": octets[:, :, : -(-maps.columns // 8)].reshape(-1),
+        "index": maps.index[chosen].astype(np.float64),  # they may be larger than 32 bits
+        "split": maps.split[chosen],
+        "connected": labels.all_connected[chosen],
+        "rooms": n,
+        "width": maps.passage_width[chosen],
+        "seeds": maps.seed_points[chosen][used].reshape(-1),
+        "sizes": maps.sizes[chosen][used].reshape(-1),
+        "directions": maps.directions[chosen][used[:, 1:]].reshape(-1),
+        "reachable": labels.reachable[segments],
+        "astar_diagonal": labels.astar.costs[pairs, 1],
     }
     for name in ("bfs", "astar"):
         search = labels.of(name)
-        tables[f"{name}_steps"] = ("i4", np.diff(search.offsets)[segments])
-        tables[f"{name}_moves"] = ("u1", search.moves[_ranges(search.offsets, segments)])
-        tables[f"{name}_iterations"] = ("i4", search.iterations[segments])
-        tables[f"{name}_straight"] = ("i4", search.costs[pairs, 0])
+        tables[f"{name}_steps"] = np.diff(search.offsets)[segments]
+        tables[f"{name}_moves"] = search.moves[_ranges(search.offsets, segments)]
+        tables[f"{name}_iterations"] = search.iterations[segments]
+        tables[f"{name}_straight"] = search.costs[pairs, 0]
     return tables
 
 
@@ -184,44 +177,21 @@ def _html(section: Section) -> str:
 
 
 def _chart(name: str, values: Floats) -> str:
-    """Return a histogram as SVG, with words for those who do not see it."""
-    edges, counts = histogram(values)
-    logarithmic = name in LOGARITHMIC
-    heights = np.log10(np.maximum(counts, 0.5) * 2) if logarithmic else counts.astype(np.float64)
-    right, bottom, low, high, top = _WIDTH - 8, _HEIGHT - 24, float(edges[0]), float(edges[-1]), max(heights.max(), 1)
+    """Return a histogram as a picture, with words for those who do not see it."""
+    import matplotlib
 
-    def x_of(value: float) -> float:
-        return _LEFT + (right - _LEFT) * (value - low) / (high - low)
-
-    bars = []
-    for first, last, count, height in zip(edges[:-1], edges[1:], counts, heights, strict=True):
-        tall = float((bottom - _TOP) * height / top)
-        where = _tick(first + 0.5) if last - first == 1 else f"{_tick(first)} to {_tick(last)}"
-        bars.append(
-            f'<rect x="{x_of(first):.1f}" y="{bottom - tall:.1f}" width="{max(x_of(last) - x_of(first) - 1, 0.5):.1f}" '
-            f'height="{tall:.1f}"><title>{where}: {count:,}</title></rect>'
-        )
-    shift = 0.5 if bool((values == np.rint(values)).all()) else 0.0
-    ticks = sorted({low + shift, float(np.floor((low + high) / 2)) if shift else (low + high) / 2, high - shift})
-    labels = "".join(
-        f'<text x="{x_of(tick):.1f}" y="{bottom + 15}" text-anchor="{anchor}">{_tick(tick)}</text>'
-        for tick, anchor in zip(ticks, _ANCHORS[len(ticks)], strict=True)
-    )
-    mean, what = float(values.mean()), "segments" if "segment" in name else "maps"
+    (ax,) = new_axes(1, 1, (4.6, 3))
+    plot_distribution(name, values, ax)
+    image = StringIO()
+    # Text stays text, so that the picture is small; the same salt and no date make it the same again.
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mapdata"}):
+        figure_of(ax).savefig(image, format="svg", transparent=True, metadata={"Date": None})
+    data = base64.b64encode(image.getvalue().encode()).decode()
     words = (
-        f"{name}: mean {mean:.4g}, median {np.median(values):.4g}, from {values.min():.4g} to {values.max():.4g}, "
-        f"{len(values):,} {what}"
+        f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, "
+        f"from {values.min():.4g} to {values.max():.4g}, {len(values):,} {ax.get_ylabel().split()[0]}"
     )
     return (
-        f'<figure><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(words)}">{"".join(bars)}'
-        f'<line x1="{_LEFT}" y1="{bottom}" x2="{right}" y2="{bottom}"/>{labels}'
-        f'<text x="{_LEFT - 6}" y="{_TOP + 8}" text-anchor="end">{counts.max():,}</text>'
-        f'<text x="{_LEFT - 6}" y="{bottom}" text-anchor="end">0</text>'
-        f'<line class="mean" x1="{x_of(mean):.1f}" y1="{_TOP}" x2="{x_of(mean):.1f}" y2="{bottom}"/></svg>'
-        f"<figcaption>{escape(words)}{' (height: logarithm of the count)' * logarithmic}</figcaption></figure>"
+        f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(words)}">'
+        f"<figcaption>{escape(words)}</figcaption></figure>"
     )
-
-
-def _tick(value: float) -> str:
-    """Return a number as a tick shows it."""
-    return f"{value:.3g}"

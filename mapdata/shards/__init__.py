@@ -7,7 +7,7 @@ from mapdata.shards.dataset_card import card
 from mapdata.shards.manifest import MANIFEST, PROVENANCE, DatasetNotFoundError, Manifest, read_manifest
 from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.recipe import Recipe
-from mapdata.shards.root import read_map
+from mapdata.shards.root import Root
 from mapdata.shards.shard import ShardError, write_file
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
@@ -18,6 +18,7 @@ __all__ = [
     "DatasetStatistics",
     "Manifest",
     "Recipe",
+    "Root",
     "ShardError",
     "build",
     "card",
@@ -25,7 +26,6 @@ __all__ = [
     "dataset_statistics",
     "open_shard",
     "read_manifest",
-    "read_map",
     "read_shard",
     "repair",
     "verify",

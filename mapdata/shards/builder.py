@@ -30,7 +30,8 @@ from mapdata.shards.manifest import (
     sweep,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.shard import Header, Shard, ShardError, shard_image, write_file
+from mapdata.shards.root import folder_of
+from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
 
@@ -78,11 +79,11 @@ def build(
         The manifest: that of the finished dataset, or of what is there when other parts are not finished.
 
     Raises:
-        ValueError: bad arguments; the root is a file or holds something else; another spec, seed, shard size, or more
-            maps.
+        ValueError: bad arguments; the root is a URL, a file or holds something else; another spec, seed, shard size,
+            or more maps.
         OSError: the disk is full or may not be written to.
     """
-    root = Path(root)
+    root = folder_of(root)
     if not isinstance(spec, MapGenerator):
         raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
     if workers is not None and executor is not None:
@@ -140,15 +141,7 @@ def build(
 def headers(manifest: Manifest) -> Iterator[Header]:
     """Yield the header of every shard that ``manifest`` plans."""
     for start, stop in manifest.plan:
-        yield Header(
-            spec=manifest.spec,
-            seed=manifest.seed,
-            start=start,
-            stop=stop,
-            map_size=manifest.map_size,
-            movement=manifest.movement,
-            resolution=manifest.resolution,
-        )
+        yield Header(**manifest.origin(), start=start, stop=stop)
 
 
 def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
@@ -203,13 +196,7 @@ def _prepare(root: Path, wanted: Manifest) -> tuple[dict[tuple[int, int], Entry]
         found = merge(root, wanted)
     else:
         found = read_manifest(root)
-    for name, mine, theirs in (
-        ("spec", wanted.spec, found.spec),
-        ("seed", wanted.seed, found.seed),
-        ("shard size", wanted.shard_size, found.shard_size),
-    ):
-        if mine != theirs:
-            raise ValueError(f"root: {root} holds a dataset with {name} {theirs}, asked for {name} {mine}")
+    _check_same(root, wanted, found, "spec", "seed", "shard_size")
     if wanted.maps < found.maps:
         raise ValueError(f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows")
     plan, have, torn = set(wanted.plan), {}, set()
@@ -228,9 +215,15 @@ def _check_owner(path: Path, wanted: Manifest) -> None:
         header = open_shard(path).header
     except ShardError:
         return
-    for name, mine, theirs in (("spec", wanted.spec, header.spec), ("seed", wanted.seed, header.seed)):
+    _check_same(path, wanted, header, "spec", "seed")
+
+
+def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> None:
+    """Refuse what is found of another dataset than the wanted one."""
+    for name in names:
+        mine, theirs = getattr(wanted, name), getattr(found, name)
         if mine != theirs:
-            raise ValueError(f"root: {path} is of a dataset with {name} {theirs}, asked for {name} {mine}")
+            raise ValueError(f"root: {where} is of a dataset with {name} {theirs}, asked for {name} {mine}")
 
 
 def _ours(name: str) -> bool:

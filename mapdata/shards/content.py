@@ -14,7 +14,10 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Int32s, Ints
 from mapdata.jit import kernel
-from mapdata.search.labels import Labels
+from mapdata.search.labels import Labels, SearchLabels
+
+_Arrays = tuple[Bytes, Ints, Ints, Ints]
+"""Moves, their offsets, iterations and costs of one search: kernels take no dataclass."""
 
 
 def content_hash(labels: Labels) -> str:
@@ -61,16 +64,14 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
             maps.directions,
             maps.segment_offsets,
             maps.pair_offsets,
-            labels.bfs.moves,
-            labels.bfs.offsets,
-            labels.bfs.iterations,
-            labels.bfs.costs,
-            labels.astar.moves,
-            labels.astar.offsets,
-            labels.astar.iterations,
-            labels.astar.costs,
+            _arrays(labels.bfs),
+            _arrays(labels.astar),
         )
     return records, offsets
+
+
+def _arrays(search: SearchLabels) -> _Arrays:
+    return search.moves, search.offsets, search.iterations, search.costs
 
 
 @kernel
@@ -86,14 +87,8 @@ def _write(
     directions: Ints,
     segments: Ints,
     pairs: Ints,
-    bfs_moves: Bytes,
-    bfs_offsets: Ints,
-    bfs_iterations: Ints,
-    bfs_costs: Ints,
-    astar_moves: Bytes,
-    astar_offsets: Ints,
-    astar_iterations: Ints,
-    astar_costs: Ints,
+    bfs: _Arrays,
+    astar: _Arrays,
 ) -> None:
     """Write the record of every map; ``words`` is ``records`` as int32."""
     for m in range(len(table)):
@@ -105,20 +100,17 @@ def _write(
         at = _copy_pairs(words, at, seed_points[m], 0, n)
         at = _copy_pairs(words, at, room_sizes[m], 0, n)
         at = _copy_pairs(words, at, directions[m], 0, n - 1)
-        at = _copy_segments(words, at, bfs_offsets, bfs_iterations, segments[m], segments[m + 1])
-        at = _copy_pairs(words, at, bfs_costs, pairs[m], pairs[m + 1])
-        at = _copy_segments(words, at, astar_offsets, astar_iterations, segments[m], segments[m + 1])
-        at = _copy_pairs(words, at, astar_costs, pairs[m], pairs[m + 1])
+        for _, offsets_of_moves, iterations, costs in (bfs, astar):
+            at = _copy_segments(words, at, offsets_of_moves, iterations, segments[m], segments[m + 1])
+            at = _copy_pairs(words, at, costs, pairs[m], pairs[m + 1])
         at *= 4
         for k in range(packed.shape[1]):
             records[at + k] = packed[m, k]
         at += packed.shape[1]
-        for k in range(bfs_offsets[segments[m]], bfs_offsets[segments[m + 1]]):
-            records[at] = bfs_moves[k]
-            at += 1
-        for k in range(astar_offsets[segments[m]], astar_offsets[segments[m + 1]]):
-            records[at] = astar_moves[k]
-            at += 1
+        for moves, offsets_of_moves, _, _ in (bfs, astar):
+            for k in range(offsets_of_moves[segments[m]], offsets_of_moves[segments[m + 1]]):
+                records[at] = moves[k]
+                at += 1
 
 
 @kernel

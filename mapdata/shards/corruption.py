@@ -1,10 +1,9 @@
-"""What is wrong with a dataset on disk, and how to mend it: a shard that is damaged or gone is made again from the
-recipe, a manifest from the shards.
+"""What is wrong with a dataset, and how to repair it: a shard that is damaged or gone is made again from the recipe,
+a manifest from the shards.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -28,10 +27,10 @@ from mapdata.shards.manifest import (
     load_shard,
     merge,
     provenance_text,
-    read_manifest,
     shard_name,
 )
 from mapdata.shards.reader import open_shard
+from mapdata.shards.root import Places, file_hash, folder_of, local_file, manifest_at, places, read_file
 from mapdata.shards.shard import Header, ShardError, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 
@@ -41,102 +40,124 @@ class Corruption:
     """One file that is not what it should be.
 
     Attributes:
-        path: the file.
+        path: the file, or its URL.
         what: what is wrong with it.
         header: of the shard that belongs there; None if it is no shard, or belongs nowhere.
     """
 
-    path: Path
+    path: str
     what: str
     header: Header | None = None
 
     def __str__(self) -> str:
         """Return one line."""
-        return self.what if str(self.path) in self.what else f"{self.path}: {self.what}"
+        return self.what if self.path in self.what else f"{self.path}: {self.what}"
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is wrong with a dataset.
+    """What is wrong with one dataset.
 
     Attributes:
+        place: its folder or URL.
         manifest: what its manifest says, or, where that is damaged, what its sound shards say; None if there is none.
         faults: in the order of the maps.
     """
 
+    place: str
     manifest: Manifest | None
     faults: tuple[Corruption, ...]
 
 
-def verify(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]:
+def verify(root: Places, *, progress: bool = False) -> list[str]:
     """Return what is wrong with a dataset, a line each; an empty list when all is well.
 
-    Every file is hashed before HDF5 opens it, then guarded, and its content hash is computed again.
+    Every file is hashed before HDF5 opens it, then checked, and its content hash is computed again.
+
+    Args:
+        root: folder or URL of a dataset, or several.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    return [str(fault) for fault in inspect(root, progress=progress).faults]
+    return [str(fault) for place in places(root) for fault in inspect(place, progress=progress).faults]
 
 
-def repair(root: str | os.PathLike[str], *, progress: bool = False) -> list[str]:
+def repair(root: Places, *, progress: bool = False) -> list[str]:
     """Make again what `verify` finds damaged or missing, and nothing else; return what is wrong still, a line each.
 
     Imported maps have no recipe, so their shards cannot be made again.
 
+    Args:
+        root: folder of a dataset, or several.
+        progress: show a progress bar.
+
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
+        ValueError: it lies at a URL.
         OSError: the disk is full or may not be written to.
     """
-    return [str(fault) for fault in repair_found(root, inspect(root, progress=progress), progress=progress)]
+    left: list[Corruption] = []
+    for folder in list(map(folder_of, places(root))):  # all of them before anything is made
+        left += repair_found(inspect(folder, progress=progress), progress=progress)
+    return [str(fault) for fault in left]
 
 
-def inspect(root: str | os.PathLike[str], *, progress: bool = False) -> Inspection:
-    """Check every file of a dataset.
+def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspection:
+    """Check every file of the dataset of one folder or URL.
 
     Raises:
-        DatasetNotFoundError: there is no dataset under ``root``.
+        DatasetNotFoundError: there is no dataset.
     """
-    root = Path(root)
+    (place,) = places(place)
     faults: list[Corruption] = []
     listed = True
+    at = f"{place}/{MANIFEST}"
     try:
-        manifest: Manifest | None = read_manifest(root)
-        text = (root / MANIFEST).read_text(encoding="utf-8")
+        manifest: Manifest | None = manifest_at(place)
+        text = read_file(place, MANIFEST).decode()
         if text != json.dumps(json.loads(text), indent=1) + "\n":
-            faults.append(Corruption(root / MANIFEST, "damaged (its text is not as it was written)"))
+            faults.append(Corruption(at, "damaged (its text is not as it was written)"))
     except (ShardError, DatasetNotFoundError) as error:
-        shards = [path for path in sorted(root.glob("maps-*.h5")) if is_shard_name(path.name)]
-        if not shards and isinstance(error, DatasetNotFoundError):
+        shards = [path for path in sorted(Path(place).glob("maps-*.h5")) if is_shard_name(path.name)]
+        missing = isinstance(error, DatasetNotFoundError)
+        if missing and not shards:
             raise
-        faults.append(Corruption(root / MANIFEST, "missing" if isinstance(error, DatasetNotFoundError) else str(error)))
-        manifest, listed = _gather(root, shards), False
+        faults.append(Corruption(at, "missing" if missing else str(error)))
+        manifest, listed = _gather(Path(place), shards), False
     if manifest is None:
-        faults += [Corruption(path, "damaged, or its place is lost") for path in shards]
-        return Inspection(None, tuple(faults))
+        faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
+        return Inspection(place, None, tuple(faults))
     if manifest.spec is None:
-        faults += _provenance(root / PROVENANCE)
-    manifest, wrong = (_check_listed if listed else _check_unlisted)(root, manifest, progress)
-    return Inspection(manifest, (*faults, *wrong))
+        faults += _provenance(place)
+    faults += _check_shards(place, manifest, listed, progress)
+    return Inspection(place, manifest, tuple(faults))
 
 
-def repair_found(root: str | os.PathLike[str], findings: Inspection, *, progress: bool = False) -> list[Corruption]:
+def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corruption]:
     """Make again what can be; return what is wrong still.
 
     Raises:
+        ValueError: the dataset lies at a URL.
         OSError: the disk is full or may not be written to.
     """
-    root, manifest, left = Path(root), findings.manifest, []
+    root = folder_of(findings.place)
+    manifest = findings.manifest
     if manifest is None:
         why = "no sound shard says what it was: delete it and run the same build again"
         return [replace(fault, what=f"{fault.what}; {why}") for fault in findings.faults]
+    left: list[Corruption] = []
     again: list[Header] = []
+    relisted = False
     for fault in findings.faults:
         if fault.header is not None and fault.header.spec is not None:
             again.append(fault.header)
-        elif fault.path.name != MANIFEST:
-            why = "imported maps have no recipe: delete it and import again" if manifest.spec is None else ""
-            left.append(replace(fault, what=f"{fault.what}; it cannot be made again{why and ', '}{why}"))
+        elif fault.path.endswith(MANIFEST):
+            relisted = True
+        else:
+            why = ", imported maps have no recipe: delete it and import again" if manifest.spec is None else ""
+            left.append(replace(fault, what=f"{fault.what}; it cannot be made again{why}"))
     said = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
     with bar(progress, sum(header.stop - header.start for header in again)) as advance, threads() as pool:
@@ -144,20 +165,20 @@ def repair_found(root: str | os.PathLike[str], findings: Inspection, *, progress
             made.append(entry)
             if said.get(entry.name, entry.content_hash) != entry.content_hash:
                 what = f"made again with content hash {entry.content_hash}, the manifest said {said[entry.name]}"
-                left.append(Corruption(root / entry.name, what, header))
+                left.append(Corruption(str(root / entry.name), what, header))
             advance(header.stop - header.start)
-    mended = replace(manifest, shards=(*manifest.shards, *made))
-    if findings.faults and findings.faults[0].path.name == MANIFEST:
-        shards = {entry.start: entry for entry in mended.shards}
-        mended = replace(mended, shards=tuple(shards[start] for start in sorted(shards)))
-        write_file(root / MANIFEST, mended.to_json().encode())
+    repaired = replace(manifest, shards=(*manifest.shards, *made))
+    if relisted:
+        shards = {entry.start: entry for entry in repaired.shards}
+        repaired = replace(repaired, shards=tuple(shards[start] for start in sorted(shards)))
+        write_file(root / MANIFEST, repaired.to_json().encode())
     elif made:
-        merge(root, mended)
+        merge(root, repaired)
     return left
 
 
-def _check_listed(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Corruption]]:
-    """Check the shards that a manifest lists, and which it should list."""
+def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
+    """Check the shards that a manifest lists, and which it should list; without ``listed`` it lists the sound ones."""
     planned = {(header.start, header.stop): header for header in headers(manifest)}
     tasks: list[tuple[Entry, Header | None]] = []
     for entry in manifest.shards:
@@ -165,34 +186,20 @@ def _check_listed(root: Path, manifest: Manifest, progress: bool) -> tuple[Manif
         tasks.append((entry, header))
     faults = []
     with bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance, threads() as pool:
-        for (entry, header), what in finished(pool, partial(_fault, root), tasks, 2 * CORES):
+        for (entry, header), what in finished(pool, partial(_fault, place), tasks, 2 * CORES):
             if what:
-                faults.append(Corruption(root / entry.name, what, header))
+                faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for missing, header in planned.items():
-        faults.append(Corruption(root / shard_name(*missing), "missing (the build did not finish)", header))
-    return manifest, faults
-
-
-def _check_unlisted(root: Path, manifest: Manifest, progress: bool) -> tuple[Manifest, list[Corruption]]:
-    """Check shards by what they say of themselves, where the manifest is gone; list the sound ones."""
-    found, wrong = [], []
-    with bar(progress, manifest.maps) as advance, threads() as pool:
-        for header, entry in finished(pool, partial(load_shard, root), headers(manifest), 2 * CORES):
-            if entry is not None:
-                found.append(entry)
-            else:
-                path = root / shard_name(header.start, header.stop)
-                wrong.append(Corruption(path, "damaged" if path.exists() else "missing", header))
-            advance(header.stop - header.start)
-    found.sort(key=lambda entry: entry.start)
-    wrong.sort(key=lambda fault: fault.path)
-    return replace(manifest, shards=tuple(found)), wrong
+    for limits, header in planned.items():
+        path = f"{place}/{shard_name(*limits)}"
+        unlisted = "damaged" if os.path.exists(path) else "missing"
+        faults.append(Corruption(path, "missing (the build did not finish)" if listed else unlisted, header))
+    return faults
 
 
 def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
-    """Return what most shards say they are a part of, none listed yet; None if none can be read."""
+    """Return what most shards say they are a part of, with the sound ones; None if none can be read."""
     said: Counter[Header] = Counter()
     for path in shards:
         try:
@@ -210,21 +217,15 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     fits = [size for size in sizes if size >= largest and not any(start % size for start, _ in limits)]
     if not fits or maps > MOST_SHARDS * fits[0]:
         return None
-    return Manifest(
-        spec=header.spec,
-        seed=header.seed,
-        maps=maps,
-        shard_size=fits[0],
-        map_size=header.map_size,
-        movement=header.movement,
-        resolution=header.resolution,
-    )
+    manifest = Manifest(**header.origin(), maps=maps, shard_size=fits[0])
+    return replace(manifest, shards=tuple(filter(None, (load_shard(root, one) for one in headers(manifest)))))
 
 
-def _provenance(path: Path) -> list[Corruption]:
+def _provenance(place: str) -> list[Corruption]:
     """Check the file that says where imported maps came from."""
+    path = f"{place}/{PROVENANCE}"
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_file(place, PROVENANCE).decode()
         values = json.loads(text)
         del values["hash"]
         return [] if text == provenance_text(values) else [Corruption(path, "damaged (its hash does not fit)")]
@@ -242,18 +243,20 @@ def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
     return None
 
 
-def _fault(root: Path, task: tuple[Entry, Header | None]) -> str | None:
+def _fault(place: str, task: tuple[Entry, Header | None]) -> str | None:
     """Return what is wrong with one shard file, or None."""
     entry, header = task
-    path = root / entry.name
     if header is None:
         return "not a shard of this dataset"
     try:
+        path = local_file(place, entry)
         if (size := path.stat().st_size) != entry.bytes:
             return f"has {size} bytes, the manifest says {entry.bytes}"
-        if _file_hash(path) != entry.sha256:
+        if file_hash(path) != entry.sha256:
             return "damaged (its file hash does not fit)"
         shard = open_shard(path, entry.bytes)
+    except DatasetNotFoundError as error:
+        return error.why
     except FileNotFoundError:
         return "missing"
     except OSError as error:
@@ -268,11 +271,3 @@ def _fault(root: Path, task: tuple[Entry, Header | None]) -> str | None:
     if counts_of(labels) != entry.counts:
         return "the manifest counts other problems than it holds"
     return None
-
-
-def _file_hash(path: Path) -> str:
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        for block in iter(partial(file.read, 2**20), b""):
-            digest.update(block)
-    return digest.hexdigest()

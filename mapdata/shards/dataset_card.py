@@ -1,6 +1,6 @@
 """The dataset card: what is in a dataset, how to make it again, and what to know before one uses it.
 
-The card is a list of sections, which become Markdown here and HTML in `mapdata.report`.
+The card is a list of sections, which become Markdown here and HTML in `mapdata.plotting`.
 """
 
 from __future__ import annotations
@@ -9,14 +9,15 @@ import json
 import os
 import re
 import shlex
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mapdata._version import __version__
-from mapdata.generators.generator import PRESETS
-from mapdata.shards.manifest import Manifest
+from mapdata.generators.generator import PRESETS, Generator
+from mapdata.shards.manifest import PROVENANCE, Manifest
+from mapdata.shards.root import Places, read_file
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.spec import SPLITS, Movement
 
@@ -49,111 +50,128 @@ class Section(NamedTuple):
     language: str = ""
 
 
-def card(root: str | os.PathLike[str]) -> str:
+def card(root: Places, *, files: Mapping[str, str] | None = None, extra: Sequence[Section] = ()) -> str:
     """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
+
+    Args:
+        root: folder or URL of the dataset, or several.
+        files: of a copy in another format that ``datasets.load_dataset`` reads: the pattern of the
+            files of each of its splits.
+        extra: sections to put behind the facts, as what the columns of such a copy mean.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
     of = dataset_statistics(root, repeats=True)
-    return (
-        front_matter(of) + "\n" + "\n".join(_markdown(section, 1 + (k > 0)) for k, section in enumerate(sections(of)))
-    )
+    first, facts, *others = sections(of, copied=files is not None)
+    parts = [_markdown(section, 2) for section in (facts, *extra, *others)]
+    return "\n".join([_front_matter(of, files), _markdown(first, 1), *parts])
 
 
-def front_matter(of: DatasetStatistics) -> str:
+def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str:
     """Return the YAML block that the Hub reads. A licence is not stated: that is the publisher's choice."""
     size = next((name for limit, name in _SIZES if len(of) < limit), "n>10M")
-    tags = ["path-planning", "occupancy-grid", "motion-planning", "mapdata"]
-    lines = {
+    lines: dict[str, object] = {
         "pretty_name": title(of),
         "task_categories": ["robotics"],
-        "tags": tags,
+        "tags": ["path-planning", "occupancy-grid", "motion-planning", "mapdata"],
         "size_categories": [size],
         "annotations_creators": ["machine-generated"],
     }
+    if files is not None:
+        data_files = [{"split": split, "path": path} for split, path in files.items()]
+        lines["configs"] = [{"config_name": "default", "data_files": data_files}]
     # JSON is YAML: text from files cannot leave its quotes
     texts = {name: json.dumps(value, ensure_ascii=False) for name, value in lines.items()}
     return "---\n" + "".join(f"{name}: {text}\n" for name, text in texts.items()) + "---\n"
 
 
 def title(of: DatasetStatistics) -> str:
-    """Return the name of the dataset: its folder, the number of maps and their size."""
-    rows, columns = of.manifest.map_size
-    return f"{_name(of)}: {len(of):,} grid maps of {rows} x {columns} cells"
+    """Return the name of the dataset: its folders, the number of maps and their size."""
+    rows, columns = of.root.map_size
+    return f"{' + '.join(_names(of))}: {len(of):,} grid maps of {rows} x {columns} cells"
 
 
-def sections(of: DatasetStatistics) -> list[Section]:
-    """Return the card of a dataset that `dataset_statistics` looked at with ``repeats=True``."""
-    found = [Section(title(of), _introduction(of)), _facts(of)]
-    found += [_origin(of)] if of.manifest.spec is None else [_rebuild(of)]
-    found += [_splits(of.manifest), _shares(of), _distributions(of), _duplicates(of)]
-    return [*found, _use(of), Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
+def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
+    """Return the card of a dataset that `dataset_statistics` looked at with ``repeats=True``.
+
+    Args:
+        of: the dataset.
+        copied: it is the card of a copy in another format, not of the shards.
+    """
+    found = [Section(title(of), _introduction(of)), _facts(of, copied)]
+    for name, place, manifest in zip(_names(of), of.root.places, of.root.manifests, strict=True):
+        found.append(_rebuild(name, manifest) if manifest.spec else _origin(place, of.rooms_known))
+    found += [_splits(of), _shares(of), _distributions(of), _duplicates(of), _use(of, copied)]
+    return [*found, Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
 
 
 def _introduction(of: DatasetStatistics) -> str:
     what = "rooms" if of.rooms_known else "seed points"
-    spec = of.manifest.spec
-    source = "imported maps, labelled by" if spec is None else f"{spec.description}, made by"
-    unfinished = "" if of.manifest.complete else f" Not finished: {of.manifest.maps:,} maps were asked for."
+    sources = ["imported maps, labelled" if spec is None else f"{spec.description}, made" for spec in _specs(of)]
+    asked = of.root.maps
+    unfinished = f" Not finished: {asked:,} maps were asked for." if len(of) < asked else ""
     return (
         f"Occupancy grids with shortest paths by BFS and A* between consecutive {what} and the distances between all "
-        f"{what}: {source} mapdata {__version__}.{unfinished}"
+        f"{what}: {'; '.join(dict.fromkeys(sources))} by mapdata {__version__}.{unfinished}"
     )
 
 
-def _facts(of: DatasetStatistics) -> Section:
-    manifest, (rows, columns) = of.manifest, of.manifest.map_size
+def _facts(of: DatasetStatistics, copied: bool) -> Section:
+    """Return what each dataset is, a column each."""
+    names = _names(of)
+    facts = [_facts_of(manifest, copied) for manifest in of.root.manifests]
+    rows = [(name, *(each[name] for each in facts)) for name in facts[0]]
+    head = ("", *names) if len(names) > 1 else ("", "")
+    return Section("What it is", table=(head, *(row for row in rows if any(row[1:]))))
+
+
+def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
+    rows, columns = manifest.map_size
+    maps = sum(entry.stop - entry.start for entry in manifest.shards)
     size = sum(entry.bytes for entry in manifest.shards) / 1e3
-    facts = {
-        "maps": f"{len(of):,} in {_count(len(manifest.shards), 'shard')}",
+    shards = {
+        "size on disk": f"{size / 1e3:,.1f} MB" if size >= 1e3 else f"{size:,.0f} kB",
+        "format": f"mapdata shards (HDF5), version {manifest.format_version}",
+    }
+    return {
+        "maps": f"{maps:,} in {_count(len(manifest.shards), 'shard')}",
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
         "cells": "(row, col), origin upper left",
         "polarity": "1 occupied, 0 free",
         "movement": movement_text(manifest.movement),
-        "size on disk": f"{size / 1e3:,.1f} MB" if size >= 1e3 else f"{size:,.0f} kB",
-        "format": f"mapdata shards (HDF5), version {manifest.format_version}",
+        **({} if copied else shards),
         "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
         "seed": "" if manifest.seed is None else str(manifest.seed),
         "identity": manifest.identity or "none: imported maps are what their content hash says",
         "content hash": manifest.content_hash,
     }
-    return Section("What it is", table=(("", ""), *((name, text) for name, text in facts.items() if text)))
 
 
-def _rebuild(of: DatasetStatistics) -> Section:
+def _rebuild(name: str, manifest: Manifest) -> Section:
     text = (
         "Map i is a pure function of the spec, the seed and i, so these lines make the same maps and labels, bit for "
         "bit, on any machine; the command says whether the content hash agrees."
     )
-    size = of.manifest.shard_size
-    command = f"mapdata build {shlex.quote(_name(of))} --recipe recipe.json" + f" --shard-size {size}" * (size != 1000)
-    lines = ("cat > recipe.json <<'END'", recipe_text(of.manifest), "END", command)
+    command = f"mapdata build {shlex.quote(name)} --recipe recipe.json"
+    if manifest.shard_size != 1000:
+        command += f" --shard-size {manifest.shard_size}"
+    lines = ("cat > recipe.json <<'END'", manifest.recipe(), "END", command)
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 
 
-def recipe_text(manifest: Manifest) -> str:
-    """Return the recipe, an item a line; without the content hash while the dataset is not finished."""
-    values = json.loads(manifest.recipe())
-    if not manifest.complete:
-        values.pop("content_hash", None)
-    return "{" + ",\n ".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()) + "}"
-
-
-def _origin(of: DatasetStatistics) -> Section:
+def _origin(place: str, rooms_known: bool) -> Section:
     """Say where imported maps came from, as far as the import wrote it down."""
-    from mapdata.shards.manifest import PROVENANCE
-
     try:
-        values: dict[str, Any] = dict(json.loads((of.root / PROVENANCE).read_text(encoding="utf-8")))
+        values: dict[str, Any] = dict(json.loads(read_file(place, PROVENANCE)))
         sources = [str(source) for source in values.get("sources", ())]
     except (OSError, ValueError, TypeError):
         return Section("Where it comes from", "Imported; there is no record of the source beside the data.")
     seed_points = f"Up to {values.get('seeds', '?')} seed points a map were drawn with seed {values.get('seed', '?')}. "
     text = (
         f"Imported from {_count(len(sources), 'source')}. "
-        + ("" if of.rooms_known else seed_points)
+        + ("" if rooms_known else seed_points)
         + "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
     )
     rows = [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
@@ -162,12 +180,12 @@ def _origin(of: DatasetStatistics) -> Section:
     return Section("Where it comes from", text, table=(("map", "source"), *rows))
 
 
-def _splits(manifest: Manifest) -> Section:
+def _splits(of: DatasetStatistics) -> Section:
     heads = ("split", "maps", "route problems", "without a path", "pairs", "pairs without a path")
     names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
     rows = []
     for split in SPLITS:
-        counts = [sum(int(entry.counts[split][name]) for entry in manifest.shards) for name in names]
+        counts = [sum(int(entry.counts[split][name]) for _, _, entry in of.root.shards) for name in names]
         rows.append((split, *(f"{count:,}" for count in counts)))
     text = (
         "Each map belongs to one split and keeps it when the dataset grows. A route problem is a segment between "
@@ -177,19 +195,16 @@ def _splits(manifest: Manifest) -> Section:
 
 
 def _shares(of: DatasetStatistics) -> Section:
-    manifest = of.manifest
-    segments, found = max(manifest.total("segments"), 1), of.lengths > 0
+    found = of.lengths > 0
+    hard = f"hard segments (hardness >= {HARD:g})"
     rows = [("share", "of", "")]
     if of.rooms_known:
-        rows.append(("drawn passages", "pairs of consecutive rooms", _share(manifest.total("drawn"), segments)))
+        drawn = sum(manifest.total("drawn") for manifest in of.root.manifests)
+        rows.append(("drawn passages", "pairs of consecutive rooms", _share(drawn, len(found))))
     rows += [
-        ("reachable segments", "segments", _share(manifest.total("reachable"), segments)),
-        ("fully connected maps", "maps", _share(manifest.total("all_connected"), len(of))),
-        (
-            f"hard segments (hardness >= {HARD:g})",
-            "reachable segments",
-            _share((of.hardness >= HARD).sum(), found.sum()),
-        ),
+        ("reachable segments", "segments", _share(found.sum(), len(found))),
+        ("fully connected maps", "maps", _share(of.all_connected.sum(), len(of))),
+        (hard, "reachable segments", _share((of.hardness >= HARD).sum(), found.sum())),
     ]
     text = (
         "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight at the goal is best."
@@ -222,28 +237,34 @@ def _duplicates(of: DatasetStatistics) -> Section:
 
 
 def _verdict(exact: Repeats, symmetric: Repeats) -> str:
-    same, turned = (any(repeats.across.values()) for repeats in (exact, symmetric))
-    if same:
+    if any(exact.across.values()):
         return "Some maps are in more than one split: results on val and test are not independent of train."
-    if turned:
+    if any(symmetric.across.values()):
         return "No map is in two splits, but some are turned or mirrored copies of maps of another split."
     return "No map is in two splits, not even turned or mirrored."
 
 
-def _use(of: DatasetStatistics) -> Section:
+def _use(of: DatasetStatistics, copied: bool) -> Section:
+    names = _names(of)
+    root = repr(names[0] if len(names) == 1 else names)
     code = (
         "from mapdata import MapDataModule, MapDataset\n\n"
-        f'train = MapDataset({_name(of)!r}, split="train")\n'
+        f'train = MapDataset({root}, split="train")\n'
         "map, start, goal, path = train[0]\n"
-        f"loaders = MapDataModule({_name(of)!r})  # for pytorch-lightning"
+        f"loaders = MapDataModule({root})  # for pytorch-lightning"
     )
+    if copied:
+        code = f'from datasets import load_dataset\n\ntrain = load_dataset({root}, split="train")'
     return Section("Use it", code=code, language="python")
 
 
 def _whom_to_cite(of: DatasetStatistics) -> str:
-    if of.manifest.spec is None:
-        return "Cite the source of the maps. The labels are those that this paper computes:"
-    return "Please cite the paper whose maps these are:"
+    imported = f"Cite the source of the maps. {Generator.citation}"
+    return " ".join(dict.fromkeys(imported if spec is None else spec.citation for spec in _specs(of)))
+
+
+def _specs(of: DatasetStatistics) -> list[Generator | None]:
+    return [manifest.spec for manifest in of.root.manifests]
 
 
 def movement_text(movement: Movement) -> str:
@@ -255,10 +276,10 @@ def movement_text(movement: Movement) -> str:
     return f"8-connected: straight steps at cost 1, diagonal steps at cost {cost}, {rule}"
 
 
-def _name(of: DatasetStatistics) -> str:
-    """Return the name of the root's folder, characters that no text file should hold replaced."""
-    name = Path(os.path.abspath(of.root)).name or "maps"
-    return "".join(letter if letter.isprintable() else "?" for letter in name)
+def _names(of: DatasetStatistics) -> list[str]:
+    """Return the names of the dataset's folders, characters that no text file should hold replaced."""
+    names = [os.path.basename(os.path.abspath(place)) for place in of.root.places]
+    return ["".join(letter if letter.isprintable() else "?" for letter in name) or "maps" for name in names]
 
 
 def _count(number: int, what: str) -> str:

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,11 @@ if sys.platform != "win32":
     import fcntl
 
 from mapdata._version import __version__
-from mapdata.generators.generator import Generator, identity
+from mapdata.generators.generator import Generator
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine, content_hash
 from mapdata.shards.reader import is_hash, open_shard
-from mapdata.shards.shard import Header, Shard, ShardError, check_version, decode, write_file
+from mapdata.shards.shard import Header, Origin, Shard, ShardError, check_version, decode, write_file
 from mapdata.spec import SPLITS, Movement, canonical_json, check_count, check_seed
 
 MANIFEST = "manifest.json"
@@ -93,35 +93,18 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Manifest:
-    """All shards of a root.
+class Manifest(Origin):
+    """All shards of a dataset.
 
     Attributes:
-        spec, seed: what the maps are drawn from; None for imported maps.
         maps: how many maps the dataset shall have.
         shard_size: maps a shard.
-        map_size, movement, resolution: as in the shards.
         shards: finished shards in the order of their maps.
     """
 
-    spec: Generator | None
-    seed: int | None
     maps: int
     shard_size: int
-    map_size: tuple[int, int]
-    movement: Movement
-    resolution: float
-    shards: tuple[Entry, ...] = field(default=())
-
-    @property
-    def identity(self) -> str | None:
-        """The identity of the dataset; None for imported maps."""
-        return None if self.spec is None or self.seed is None else identity(self.spec, self.seed)
-
-    @property
-    def format_version(self) -> int:
-        """The version of the format that the dataset is written in."""
-        return 1 if self.spec is None else self.spec.format_version
+    shards: tuple[Entry, ...] = ()
 
     @property
     def content_hash(self) -> str:

@@ -75,7 +75,7 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
                     if not os.path.samestat(os.stat(path), status):  # HDF5 opens by name: another file, so once more
                         continue
                     header, content = _read_header(_read_attributes(h5))
-                    return Shard(path, header, content, _guard(h5, mapping, header))
+                    return Shard(path, header, content, _checked_arrays(h5, mapping, header))
                 finally:
                     h5.close()
             except ShardError as error:
@@ -234,7 +234,7 @@ def is_hash(text: str) -> bool:
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
-def _guard(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> dict[str, Array]:
+def _checked_arrays(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> dict[str, Array]:
     """Return the arrays of a shard, after checking that each is plain data inside this very file."""
     arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
     rows, columns = header.map_size

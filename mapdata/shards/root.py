@@ -1,34 +1,252 @@
-"""A dataset where it lies: its shards one after another, and one map of it."""
+"""`Root`: a dataset where it lies, a folder, a URL or several of them, read a shard at a time.
+
+What lies at a URL is fetched once to a local cache and checked against its hashes.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mapdata.jit import cache_home
 from mapdata.search.labels import Labels
-from mapdata.shards.manifest import Manifest, read_manifest
+from mapdata.shards.manifest import (
+    MANIFEST,
+    MOST_BYTES,
+    DatasetNotFoundError,
+    Entry,
+    Manifest,
+    parse_manifest,
+    read_manifest,
+)
 from mapdata.shards.reader import open_shard
-from mapdata.shards.shard import ShardError, decode
+from mapdata.shards.shard import Shard, ShardError, decode, write_file
+from mapdata.shards.workers import bar
+from mapdata.spec import Movement
+
+Places = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+"""What names a dataset: a folder, a URL, or several of them."""
 
 
-def shards(root: Path, manifest: Manifest) -> Iterator[Labels]:
-    """Yield the maps of each finished shard."""
-    for entry in manifest.shards:
+@dataclass(frozen=True)
+class Root:
+    """The dataset of a folder or URL, or those of several, one after another.
+
+    Attributes:
+        places: the folders and URLs.
+        manifests: one a place.
+        map_size, movement: of all maps.
+        shards: the finished shards in the order of their maps: number of the place, how many maps
+            the places before it have, entry in its manifest.
+        maps: how many maps there are when all is finished.
+    """
+
+    places: tuple[str, ...]
+    manifests: tuple[Manifest, ...]
+    map_size: tuple[int, int]
+    movement: Movement
+    shards: tuple[tuple[int, int, Entry], ...]
+    maps: int
+
+    @staticmethod
+    def open(source: Places, *, complete: bool = False) -> Root:
+        """Return the dataset that ``source`` names; no shard is opened yet.
+
+        Args:
+            source: a folder, a URL, or several of them, whose maps have one size and one movement.
+            complete: refuse a dataset that is not finished.
+
+        Raises:
+            DatasetNotFoundError: there is no dataset.
+            ShardError: a manifest is damaged.
+            ValueError: no place; places that do not fit together; an unfinished dataset; a URL
+                that needs a package that is not installed (the message names it).
+        """
+        where = places(source)
+        manifests = tuple(map(manifest_at, where))
+        shards: list[tuple[int, int, Entry]] = []
+        maps = 0
+        for number, (place, manifest) in enumerate(zip(where, manifests, strict=True)):
+            for name in ("map_size", "movement"):
+                value, first = getattr(manifest, name), getattr(manifests[0], name)
+                if value != first:
+                    raise ValueError(
+                        f"root: {place} has {name} {value}, {where[0]} has {first}; "
+                        f"the roots of one dataset must have one"
+                    )
+            if complete and not manifest.complete:
+                raise ValueError(f"root: {place} is not finished: run the command that makes it once more")
+            shards += [(number, maps, entry) for entry in manifest.shards]
+            maps += manifest.maps
+        return Root(where, manifests, manifests[0].map_size, manifests[0].movement, tuple(shards), maps)
+
+    @property
+    def resolution(self) -> float:
+        """Metres per cell of all maps.
+
+        Raises:
+            ValueError: those of several places differ.
+        """
+        first, *others = {manifest.resolution for manifest in self.manifests}
+        if others:
+            raise ValueError(f"root: {self} have resolutions {first} and {others[0]}; take those of one alone")
+        return first
+
+    def __str__(self) -> str:
+        """Return the places."""
+        return ", ".join(self.places)
+
+    def open_shard(self, k: int) -> Shard:
+        """Return shard ``k``, fetched if it lies at a URL, and checked.
+
+        Raises:
+            ShardError: it is missing, damaged, or not what the manifest says.
+            DatasetNotFoundError: it lies at a URL, and cannot be fetched.
+        """
+        number, _, entry = self.shards[k]
+        place = self.places[number]
+        path = local_file(place, entry)
         try:
-            yield decode(open_shard(root / entry.name, entry.bytes))
+            shard = open_shard(path, entry.bytes)
         except FileNotFoundError:
-            raise ShardError(f"{root / entry.name}: missing; 'mapdata verify {root}' tells what else is") from None
+            raise ShardError(f"{path}: missing; 'mapdata verify {place}' tells what else is") from None
+        header = shard.header
+        found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
+        if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
+            raise ShardError(f"{path}: holds other maps than the manifest says")
+        return shard
+
+    def shard_labels(self, k: int) -> Labels:
+        """Return the maps of shard ``k`` with their labels, numbered as by `labels`.
+
+        Raises:
+            ShardError, DatasetNotFoundError: as `open_shard`.
+        """
+        _, first, _ = self.shards[k]
+        labels = decode(self.open_shard(k))
+        return replace(labels, maps=replace(labels.maps, index=labels.maps.index + first))
+
+    def labels(self, *, progress: bool = False) -> Iterator[Labels]:
+        """Yield the maps with their labels, a shard at a time.
+
+        The numbers of the maps go on from one place to the next: those of the second begin at the
+        number of maps that the first one has when it is finished.
+
+        Raises:
+            ShardError, DatasetNotFoundError: as `open_shard`.
+        """
+        with bar(progress, sum(entry.stop - entry.start for _, _, entry in self.shards)) as advance:
+            for k, (_, _, entry) in enumerate(self.shards):
+                yield self.shard_labels(k)
+                advance(entry.stop - entry.start)
+
+    def map(self, index: int) -> tuple[Labels, int]:
+        """Return the shard that holds map ``index``, and the place of the map in it.
+
+        Raises:
+            ValueError: the dataset has no such map.
+        """
+        for k, (_, first, entry) in enumerate(self.shards):
+            if entry.start <= index - first < entry.stop:
+                return self.shard_labels(k), index - first - entry.start
+        raise ValueError(f"index: got {index}, {self} holds maps 0 to {self.maps - 1}")
 
 
-def read_map(root: str | os.PathLike[str], index: int) -> tuple[Labels, int]:
-    """Return the shard that holds map ``index``, and the place of the map in it.
+def places(source: Places) -> tuple[str, ...]:
+    """Return the folders and URLs that ``source`` names, without a slash at the end.
 
     Raises:
-        ValueError: the dataset has no such map.
+        ValueError: there is none.
     """
-    manifest = read_manifest(Path(root))
-    entry = next((entry for entry in manifest.shards if entry.start <= index < entry.stop), None)
-    if entry is None:
-        raise ValueError(f"index: got {index}, {root} holds maps 0 to {manifest.maps - 1}")
-    return decode(open_shard(Path(root) / entry.name, entry.bytes)), index - entry.start
+    names = [source] if isinstance(source, (str, os.PathLike)) else source
+    if not names:
+        raise ValueError("root: got an empty list, expected at least one dataset")
+    return tuple(_place(os.fspath(name)) for name in names)
+
+
+def _place(name: str) -> str:
+    return name.rstrip("/") if is_url(name) else str(Path(name))
+
+
+def is_url(place: str) -> bool:
+    """Return whether a place is a URL rather than a folder."""
+    return "://" in place
+
+
+def folder_of(place: str | os.PathLike[str]) -> Path:
+    """Return a place to write to as a path.
+
+    Raises:
+        ValueError: it is a URL.
+    """
+    if is_url(os.fspath(place)):
+        raise ValueError(f"root: {place} is a URL, which can only be read; expected a folder")
+    return Path(place)
+
+
+def manifest_at(place: str) -> Manifest:
+    """Return the manifest of a place, which is read or fetched anew.
+
+    Raises:
+        DatasetNotFoundError: no dataset there.
+        ShardError: it is damaged.
+    """
+    if not is_url(place):
+        return read_manifest(Path(place))
+    return parse_manifest(read_file(place, MANIFEST).decode(errors="replace"), place)
+
+
+def read_file(place: str, name: str, most: int = MOST_BYTES) -> bytes:
+    """Return a file of a place; of one at a URL no more than one byte above ``most``.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    return _fetch(place, name, most) if is_url(place) else (Path(place) / name).read_bytes()
+
+
+def local_file(place: str, entry: Entry) -> Path:
+    """Return the local file of a shard; one at a URL is fetched unless it was, and checked.
+
+    Raises:
+        DatasetNotFoundError: it cannot be fetched.
+        ShardError: what was fetched does not have the hash that the manifest states.
+    """
+    if not is_url(place):
+        return Path(place) / entry.name
+    cache = cache_home() / "mapdata" / "remote" / hashlib.sha256(place.encode()).hexdigest()[:24]
+    path = cache / f"{entry.sha256[:16]}-{entry.name}"
+    if not path.exists() or file_hash(path) != entry.sha256:
+        data = read_file(place, entry.name, entry.bytes)
+        if hashlib.sha256(data).hexdigest() != entry.sha256:
+            raise ShardError(f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)")
+        cache.mkdir(parents=True, exist_ok=True)
+        write_file(path, data)
+    return path
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _fetch(place: str, name: str, most: int) -> bytes:
+    """Return a file at a URL, and no more of it than one byte above ``most``."""
+    import fsspec
+
+    url = f"{place}/{name}"
+    try:
+        with fsspec.open(url, "rb") as file:
+            return bytes(file.read(most + 1))
+    except ImportError as error:
+        raise ValueError(f"root: {place} needs another package: {error}") from None
+    except ValueError as error:  # a protocol that fsspec does not know
+        raise ValueError(f"root: {place}: {error}") from None
+    except Exception as error:  # each file system has its own errors, and what went wrong may lie behind one of them
+        cause = error.__cause__ or error
+        missing = isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) == 404
+        why = "was not found" if missing else f"could not be read: {cause}"
+        raise DatasetNotFoundError(place, f"{url} {why}") from error

@@ -10,7 +10,7 @@ import itertools
 import os
 import socket
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,13 +79,12 @@ FIELDS = (
 
 
 @dataclass(frozen=True)
-class Header:
-    """What the root attributes of a shard say.
+class Origin:
+    """What all shards of a dataset say.
 
     Attributes:
         spec: the spec that the maps were drawn from, None for imported maps.
         seed: the seed they were drawn with, None for imported maps.
-        start, stop: the maps are start <= i < stop.
         map_size: (rows, columns).
         movement: how the stored paths move.
         resolution: metres per cell.
@@ -93,8 +92,6 @@ class Header:
 
     spec: Generator | None
     seed: int | None
-    start: int
-    stop: int
     map_size: tuple[int, int]
     movement: Movement
     resolution: float
@@ -106,12 +103,28 @@ class Header:
 
     @property
     def format_version(self) -> int:
-        """The version of the format that the shard is written in."""
+        """The version of the format that the dataset is written in."""
         return 1 if self.spec is None else self.spec.format_version
+
+    def origin(self) -> dict[str, Any]:
+        """Return these values by name, without those that a subclass adds."""
+        return {field.name: getattr(self, field.name) for field in fields(Origin)}
+
+
+@dataclass(frozen=True)
+class Header(Origin):
+    """What the root attributes of a shard say.
+
+    Attributes:
+        start, stop: the maps are start <= i < stop.
+    """
+
+    start: int
+    stop: int
 
 
 class Shard(NamedTuple):
-    """A guarded shard: its header and its arrays, views of one memory mapping."""
+    """A checked shard: its header and its arrays, views of one memory mapping."""
 
     path: Path
     header: Header

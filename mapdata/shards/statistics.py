@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
-from mapdata.search.labels import Labels
-from mapdata.shards.manifest import Manifest, read_manifest
-from mapdata.shards.root import shards
+from mapdata.generators.maps import Maps
+from mapdata.search.labels import Labels, label
+from mapdata.shards.root import Places, Root
 from mapdata.spec import SPLITS, Movement
 
 _CELLS_AT_ONCE = 2**22
@@ -42,7 +40,7 @@ class DatasetStatistics:
     """What N maps with S route segments are like.
 
     Attributes:
-        root, manifest: the dataset.
+        root: the dataset.
         index: (N,) int64, number of each map.
         rooms: (N,) int64, rooms, or seed points where rooms are not known.
         free: (N,) float64, share of free cells.
@@ -57,8 +55,7 @@ class DatasetStatistics:
         digests: (N, 16) and (N, 16) uint8: hash of the map, and the least hash of its symmetric images.
     """
 
-    root: Path
-    manifest: Manifest
+    root: Root
     index: Ints
     rooms: Ints
     free: Floats
@@ -79,13 +76,14 @@ class DatasetStatistics:
     @property
     def symmetries(self) -> int:
         """How many symmetries a map of this size has."""
-        return 8 if self.manifest.map_size[0] == self.manifest.map_size[1] else 4
+        rows, columns = self.root.map_size
+        return 8 if rows == columns else 4
 
     @cached_property
     def repeats(self) -> tuple[Repeats, Repeats]:
         """Repeated maps: exactly the same, and the same up to the symmetries."""
         if self.digests is None:
-            raise ValueError("repeats: not counted; use survey(root, repeats=True)")
+            raise ValueError("repeats: not counted; use dataset_statistics(root, repeats=True)")
         exact, symmetric = (_repeats(digests, self.split) for digests in self.digests)
         return exact, symmetric
 
@@ -100,27 +98,28 @@ class DatasetStatistics:
         }
 
 
-def dataset_statistics(root: str | os.PathLike[str], *, repeats: bool = False) -> DatasetStatistics:
+def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatistics:
     """Look at all finished maps of a dataset once.
 
     Args:
-        root: folder of the dataset.
-        repeats: hash all maps, too, so that `Survey.repeats` can be counted.
+        root: folder or URL of the dataset, or several.
+        repeats: hash all maps, too, so that `DatasetStatistics.repeats` can be counted.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
-    root = Path(root)
-    manifest = read_manifest(root)
-    parts = [_look(labels, repeats) for labels in shards(root, manifest)] or [_look(None, repeats)]
+    opened = Root.open(root)
+    parts = [_columns(labels, repeats) for labels in opened.labels()]
+    if not parts:  # the columns of no map have their types too
+        nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
+        parts = [_columns(nothing, repeats)]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     known = bool(table.pop("known").any())
     digests = (table.pop("exact"), table.pop("symmetric"))
     iterations = {name: table.pop(name) for name in ("bfs", "astar")}
     return DatasetStatistics(
-        root=root,
-        manifest=manifest,
+        root=opened,
         iterations=iterations,
         rooms_known=known,
         digests=digests if repeats else None,
@@ -147,24 +146,17 @@ def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
 def estimate(starts: Ints, goals: Ints, movement: Movement) -> Floats:
     """Return the heuristic between cells, (..., 2) each, as (...): Manhattan, or octile under 8-connectivity."""
     gap = np.abs(starts - goals)
-    if movement.connectivity == 4:
-        return np.asarray(gap.sum(axis=-1), np.float64)
-    return np.asarray(gap.max(axis=-1) + gap.min(axis=-1) * (movement.diagonal_cost - 1), np.float64)
+    diagonal = 2.0 if movement.connectivity == 4 else movement.diagonal_cost
+    return np.asarray(gap.max(axis=-1) + gap.min(axis=-1) * (diagonal - 1))
 
 
-def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
-    """Return what a shard adds to each array of a `DatasetStatistics`; of no shard: empty arrays."""
-    if labels is None:
-        empty = np.empty(0, np.int64)
-        names = ("index", "rooms", "free", "all_connected", "redundant", "hardest", "lengths", "hardness")
-        digests = np.empty((0, _DIGEST), np.uint8)
-        parts = dict.fromkeys((*names, "bfs", "astar", "known"), empty)
-        return parts | {"split": empty.astype(np.uint8), "exact": digests, "symmetric": digests}
+def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
+    """Return what a shard adds to each array of a `DatasetStatistics`."""
     maps, movement = labels.maps, labels.maps.movement
     used = np.arange(maps.directions.shape[1]) < (maps.rooms - 1)[:, None]
     starts, goals = maps.seed_points[:, :-1][used], maps.seed_points[:, 1:][used]
     steps = np.diff(labels.astar.offsets)
-    diagonal = (np.abs(np.diff(_cells_moved(labels)))) if movement.connectivity == 8 else np.zeros_like(steps)
+    diagonal = np.diff(_diagonal_moves(labels))
     costs = steps - diagonal + diagonal * movement.diagonal_cost
     least = estimate(starts, goals, movement)
     hardness = np.maximum(costs / np.maximum(least, 1), 1.0)  # 1, not 1 - 1e-16; and 1 from a cell to itself
@@ -172,7 +164,7 @@ def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     hardest = np.zeros(len(maps))
     np.maximum.at(hardest, np.repeat(np.arange(len(maps)), maps.rooms - 1), hardness)
     known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
-    free, exact, symmetric = _look_at_grids(labels, hashes)
+    free, exact, symmetric = _grid_columns(labels, hashes)
     return {
         "index": maps.index,
         "rooms": maps.rooms,
@@ -191,12 +183,12 @@ def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     }
 
 
-def _cells_moved(labels: Labels) -> Ints:
+def _diagonal_moves(labels: Labels) -> Ints:
     """Return (S + 1,) int64, diagonal moves of A* before each segment."""
     return np.concatenate(([0], np.cumsum(labels.astar.moves >= 4)))[labels.astar.offsets]
 
 
-def _look_at_grids(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
+def _grid_columns(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
     """Return the free share of each map and its two digests."""
     maps = labels.maps
     count, rows, columns = len(maps), maps.packed.shape[1], maps.columns
@@ -218,10 +210,11 @@ def _look_at_grids(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
 
 def _images(grids: Bytes) -> Iterator[Bytes]:
     """Yield the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
-    for turned in (grids, grids.swapaxes(1, 2))[: 1 + (grids.shape[1] == grids.shape[2])]:
-        for rows in (slice(None), slice(None, None, -1)):
-            yield turned[:, rows]
-            yield turned[:, rows, ::-1]
+    square = grids.shape[1] == grids.shape[2]
+    for image in (grids, grids.swapaxes(1, 2)) if square else (grids,):
+        for flipped in (image, image[:, ::-1]):
+            yield flipped
+            yield flipped[:, :, ::-1]
 
 
 def _digest(grids: Bytes) -> Bytes:

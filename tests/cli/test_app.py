@@ -331,7 +331,7 @@ def test_bad_recipe_files(says: str, content: bytes, run: Command, tmp_path: Pat
     ("says", "arguments"),
     [
         ("with seed 5, asked for seed 6", ["--seed", 6, "--maps", MAPS, "--shard-size", SIZE]),
-        ("with shard size 4, asked for shard size 5", ["--maps", MAPS, "--shard-size", 5]),
+        ("with shard_size 4, asked for shard_size 5", ["--maps", MAPS, "--shard-size", 5]),
         ("holds 11 maps, asked for 10: a dataset only grows", ["--maps", 10, "--shard-size", SIZE]),
     ],
 )
@@ -376,7 +376,7 @@ def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) ->
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("arguments", [[], ["burn"], ["build"], ["info"], ["verify", "a", "b"], ["show", "a", "--red"]])
+@pytest.mark.parametrize("arguments", [[], ["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]])
 def test_usage(arguments: list[str], run: Command) -> None:
     """Usage errors are one line that points to the help."""
     run.refused(2, r"--help says more\)$", *arguments)

@@ -33,7 +33,7 @@ from mapdata import (
     verify,
 )
 from mapdata.datasets import EpochSampler
-from mapdata.problems.sources import Source
+from mapdata.problems import Source
 from mapdata.shards import Recipe, read_manifest
 
 pytestmark = [

@@ -14,7 +14,7 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import MapDataModule, Problems, read_shard
+from mapdata import MapDataModule, Problems, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, recognise
 from mapdata.formats.files import Npz
@@ -175,7 +175,7 @@ def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | N
         assert sum(len(batch[0]) for batch in batches) == 12 * 3
         assert batches[0][2].shape == (8, 1, 9, 9)
     rule = movement or MOVEMENT
-    table = evaluate(classical(rule), Problems.read(tmp_path / "mazes", movement=rule), bootstrap=10)
+    table = evaluate(classical(rule), Problems.read(tmp_path / "mazes", problems=Random(), movement=rule), bootstrap=10)
     best = table[(table["planner"] == "A*") & (table["subset"] == "all")].iloc[0]
     assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
 

@@ -25,7 +25,7 @@ from mapdata.formats import (
     register,
 )
 from mapdata.formats.registry import functions
-from mapdata.formats.stored import Stored
+from mapdata.shards import Root
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
@@ -61,17 +61,17 @@ def test_an_export_is_whole_or_nothing(kind: str, root: Path, tmp_path: Path, mo
     if kind == "huggingface":
         pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")
     calls = 0
-    batches = Stored.batches
+    labels_of = Root.labels
 
-    def broken(self: Stored) -> object:
+    def broken(self: Root, **how: bool) -> object:
         nonlocal calls
-        for labels in batches(self):
+        for labels in labels_of(self, **how):
             calls += 1
             if calls > 1:
                 raise OSError(28, "No space left on device")
             yield labels
 
-    monkeypatch.setattr(Stored, "batches", broken)
+    monkeypatch.setattr(Root, "labels", broken)
     with pytest.raises(OSError, match="No space left"):
         export(root, tmp_path / "out.npz", kind)
     assert list(tmp_path.iterdir()) == []

@@ -14,7 +14,7 @@ from mapdata.cli import main
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.plotting import plot_distributions, plot_figure, plot_gallery
 from mapdata.plotting.figures import FIGURES, pick_examples
-from mapdata.shards import DatasetStatistics, dataset_statistics, read_map
+from mapdata.shards import DatasetStatistics, dataset_statistics
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
     assert len(set(examples.values())) == len(examples)
     words = {"two": 2, "three": 3, "four": 4, "five": 5}
     for caption, index in examples.items():
-        labels, i = read_map(small.root, index)
+        labels, i = small.root.map(index)
         n = int(labels.maps.rooms[i])
         if caption.endswith("rooms"):
             assert n == words[caption.split()[0]]
@@ -48,7 +48,7 @@ def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
             assert (labels.matrix("astar", i) < 0).any()
         if caption == "redundant":
             assert not labels.maps.connected[i, : n - 1].all()
-    assert pick_examples(dataset_statistics(small.root)) == examples
+    assert pick_examples(dataset_statistics(small.root.places)) == examples
 
 
 def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
@@ -144,4 +144,4 @@ def test_command_refuses(
 def test_unknown_figure_is_refused(small: DatasetStatistics) -> None:
     """Unknown figure is refused."""
     with pytest.raises(ValueError, match="expected one of map, gallery"):
-        plot_figure(small.root, "pie")
+        plot_figure(small.root.places, "pie")

@@ -187,7 +187,7 @@ def test_any_executor_gives_the_same(executor: Callable[[], Executor], root: Pat
 @pytest.mark.parametrize("seed", range(4))
 def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str) -> None:
     """Shards that other hands made, in random order and twice, become the dataset without being made again."""
-    planned = Manifest(SPEC, SEED, MAPS, 2, SPEC.map_size, SPEC.movement, SPEC.resolution)
+    planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
     todo = [*headers(planned)] * 2
     Random(seed).shuffle(todo)

@@ -11,21 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from helpers.cards import table
 from helpers.imported import imported
 from helpers.samples import SPEC, WIDE, build_small
 
-from mapdata import MapDataset, MapSpec, Movement, Pairs, Route, build, verify
+from mapdata import MapDataset, MapSpec, Maze, Movement, Pairs, Route, build, verify
 from mapdata.cli import main
 from mapdata.shards import MANIFEST, PROVENANCE, card, read_manifest
-from mapdata.shards.dataset_card import movement_text
+from mapdata.shards.dataset_card import Section, movement_text
 from mapdata.spec import SPLITS
-
-
-def table(text: str, heading: str) -> dict[str, list[str]]:
-    """Return the table under a heading of the card: the other cells of each row, by the first."""
-    part = text.split(f"\n## {heading}\n")[1].split("\n## ", maxsplit=1)[0]
-    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("|")]
-    return {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
 
 
 def block(text: str, language: str) -> str:
@@ -167,3 +161,27 @@ def test_command_writes_the_card_beside_the_data(tmp_path: Path, capsys: pytest.
     with pytest.raises(SystemExit) as ended:
         main(["info", root, "--card", "--recipe"])
     assert ended.value.code == 2
+
+
+def test_the_card_of_a_copy_says_where_its_splits_lie(tmp_path: Path) -> None:
+    """Front matter for `datasets`, what its columns mean behind the facts, and nothing about shards."""
+    root = build_small(tmp_path / "d", maps=5)
+    columns = Section("Columns", table=(("column", "meaning"), ("map", "1 occupied, 0 free")))
+    text = card(root, files={"train": "data/train-*.parquet"}, extra=[columns])
+    data_files = [{"split": "train", "path": "data/train-*.parquet"}]
+    assert front_matter(text)["configs"] == [{"config_name": "default", "data_files": data_files}]
+    assert "configs" not in front_matter(card(root))
+    assert table(text, "Columns")["map"] == ["1 occupied, 0 free"]
+    assert text.index("## What it is") < text.index("## Columns") < text.index("## Make it again")
+    assert "size on disk" not in table(text, "What it is")
+    assert block(text, "python") == "from datasets import load_dataset\n\ntrain = load_dataset('d', split=\"train\")"
+
+
+def test_only_maps_of_the_paper_are_cited_as_its_maps(tmp_path: Path) -> None:
+    """Mazes have no passages to count either."""
+    build(tmp_path / "mazes", Maze(), maps=5)
+    text = card(tmp_path / "mazes")
+    assert "The labels are those that this paper computes:" in text
+    assert "mazes made by a random depth-first search, made by mapdata" in text
+    assert "drawn passages" not in text
+    assert "whose maps these are" in card(build_small(tmp_path / "d", maps=5))

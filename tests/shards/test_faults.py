@@ -36,7 +36,7 @@ from mapdata.shards.shard import shard_image
 
 spec, root = MapSpec.from_json({SPEC.to_json()!r}), Path(sys.argv[1])
 maps, size = 30, 2
-planned = Manifest(spec, 5, maps, size, spec.map_size, spec.movement, spec.resolution)
+planned = Manifest(spec, 5, spec.map_size, spec.movement, spec.resolution, maps, size)
 for header in headers(replace(planned, maps=1)):
     shard_image(label(generate(spec, 5, [0])), header)  # load the kernels
 

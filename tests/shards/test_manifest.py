@@ -44,7 +44,7 @@ def entry_of(start: int, stop: int, content: str = HASH) -> Entry:
 
 def manifest_of(spec: MapSpec, seed: int, maps: int, shard_size: int, done: int = 0) -> Manifest:
     """Return a manifest whose first ``done`` shards are finished."""
-    planned = Manifest(spec, seed, maps, shard_size, spec.map_size, spec.movement, spec.resolution)
+    planned = Manifest(spec, seed, spec.map_size, spec.movement, spec.resolution, maps, shard_size)
     return replace(planned, shards=tuple(entry_of(*limits) for limits in planned.plan[:done]))
 
 

@@ -13,15 +13,14 @@ from helpers.samples import SPEC, WIDE, build_small
 from mapdata import Labels, MapDataset, MapSpec, Route, ShardError, generate
 from mapdata.arrays import Bytes
 from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.shards import DatasetStatistics, dataset_statistics, read_manifest, read_map
-from mapdata.shards.root import shards
+from mapdata.shards import DatasetStatistics, Root, dataset_statistics, read_manifest
 from mapdata.shards.statistics import histogram
 from mapdata.spec import SPLITS
 
 
 def all_labels(root: str) -> list[Labels]:
     """Return the labels of all shards."""
-    return list(shards(Path(root), read_manifest(Path(root))))
+    return list(Root.open(root).labels())
 
 
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
@@ -46,7 +45,7 @@ def test_survey_counts_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None
                 counts = of.iterations[search][segment : segment + n - 1]
                 assert counts.tolist() == labels.iterations(search, i).tolist()
             at, segment = at + 1, segment + n - 1
-    assert (len(of), len(of.lengths)) == (at, segment) == (60, of.manifest.total("segments"))
+    assert (len(of), len(of.lengths)) == (at, segment) == (60, of.root.manifests[0].total("segments"))
     assert of.rooms_known
 
 
@@ -74,7 +73,7 @@ def test_distributions_leave_out_what_has_no_path(tmp_path: Path) -> None:
         "hardness of a segment",
     ]
     assert (of.lengths == 0).any()
-    assert len(values["hardness of a segment"]) == of.manifest.total("reachable")
+    assert len(values["hardness of a segment"]) == of.root.manifests[0].total("reachable")
     assert values["hardness of a segment"].min() == 1
 
 
@@ -137,11 +136,11 @@ def test_read_map_finds_the_shard(tmp_path: Path) -> None:
     """Read map finds the shard."""
     root = build_small(tmp_path / "d")
     expected = generate(SPEC, 5, [37]).occupancy[0]
-    labels, i = read_map(root, 37)
+    labels, i = Root.open(root).map(37)
     assert (labels.maps.occupancy[i] == expected).all()
     for index in (-1, 60):
         with pytest.raises(ValueError, match=f"got {index}, .* holds maps 0 to 59"):
-            read_map(root, index)
+            Root.open(root).map(index)
 
 
 def test_a_missing_or_cut_shard_is_named(tmp_path: Path) -> None:
