@@ -319,7 +319,7 @@ def test_extending_removes_the_partial_shard(root: Path) -> None:
     [
         (["spec", str(SPEC), str(OTHER)], {"spec": OTHER}),
         (["seed", "5", "6"], {"seed": 6}),
-        (["shard size", "4", "5"], {"shard_size": 5}),
+        (["shard_size", "4", "5"], {"shard_size": 5}),
         (["11", "10", "grows"], {"maps": 10}),
     ],
     ids=["spec", "seed", "shard size", "fewer maps"],
