@@ -1,25 +1,20 @@
-"""The command ``mapdata``: build, info, verify, show, report, and the verbs of `cli_formats`. Exit codes: 0 good, 1 the
-data are damaged or disagree, 2 usage or environment.
+"""The command ``mapdata``. Exit codes: 0 good, 1 the data are damaged or disagree, 2 usage or environment.
+
+What a verb needs is imported when it runs, so that ``mapdata --help`` answers at once.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+import sys
 import time
 from contextlib import nullcontext
 from pathlib import Path
 
 from mapdata._version import __version__
-from mapdata.cli.common import DisagreeError, Parser, run, summary
-from mapdata.cli.convert import add_verbs as add_format_verbs
-from mapdata.generators.generator import PRESETS
-from mapdata.shards.builder import build
-from mapdata.shards.cluster import executor_of
-from mapdata.shards.corruption import inspect, repair_found
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.recipe import Recipe
-from mapdata.shards.shard import write_file
+from mapdata.cli import convert
+from mapdata.cli.common import DisagreeError, Parser, path_name, run, summary
 
 
 def build_command(
@@ -34,10 +29,15 @@ def build_command(
     part: tuple[int, int],
 ) -> None:
     """Make maps with all labels as shards; run again to go on, ask for more maps to extend."""
-    if recipe is None and preset not in PRESETS:
-        raise ValueError(f"preset: got {preset!r}, expected one of {', '.join(PRESETS)}")
-    wanted = Recipe.load(preset if recipe is None else recipe)
-    maps, seed = wanted.maps if maps is None else maps, wanted.seed if seed is None else seed
+    from mapdata.generators import Generator
+    from mapdata.shards import Recipe, build
+    from mapdata.shards.cluster import executor_of
+
+    wanted = Recipe(Generator.preset(preset)) if recipe is None else Recipe.load(recipe)
+    if maps is None:
+        maps = wanted.maps
+    if seed is None:
+        seed = wanted.seed
     began = time.perf_counter()
     with nullcontext() if scheduler is None else executor_of(scheduler, workers) as executor:
         manifest = build(
@@ -60,12 +60,14 @@ def build_command(
 
 def info_command(root: str, recipe: bool, card: str | None) -> None:
     """Say what a dataset is, or write its card."""
+    from mapdata.shards import card as card_of
+    from mapdata.shards import write_file
+    from mapdata.shards.manifest import read_manifest
+
     manifest = read_manifest(Path(root))
     if card is None:
         print(manifest.recipe() if recipe else summary(root, manifest))
         return
-    from mapdata.shards.dataset_card import card as card_of
-
     path = Path(card) if card else Path(root) / "README.md"
     write_file(path, card_of(root).encode())
     print(f"wrote {path}")
@@ -73,6 +75,8 @@ def info_command(root: str, recipe: bool, card: str | None) -> None:
 
 def verify_command(root: str, repair: bool) -> None:
     """Check every file of a dataset; exit code 1 if one is damaged."""
+    from mapdata.shards.corruption import inspect, repair_found
+
     findings = inspect(root, progress=True)
     for fault in findings.faults:
         print(fault)
@@ -81,10 +85,10 @@ def verify_command(root: str, repair: bool) -> None:
         raise DisagreeError(f"{found} found; --repair makes them again from the recipe")
     left = repair_found(root, findings, progress=True) if found else []
     for fault in left:
-        print(f"not mended: {fault}")
+        print(f"not repaired: {fault}")
     if left:
-        raise DisagreeError(f"{len(left)} of {found} not mended")
-    print(f"{root}: {f'{found} mended' if found else 'all is well'}")
+        raise DisagreeError(f"{len(left)} of {found} not repaired")
+    print(f"{root}: {found} repaired" if found else f"{root}: all is well")
 
 
 def show_command(root: str, index: int | None, output: str, paper_colours: bool, figure: str) -> None:
@@ -104,6 +108,7 @@ def show_command(root: str, index: int | None, output: str, paper_colours: bool,
 def report_command(root: str, output: str, maps: int) -> None:
     """Write one page to look at a dataset in a browser: maps with filters, distributions, the card."""
     from mapdata.plotting.html_report import report
+    from mapdata.shards import write_file
 
     text = report(root, maps).encode()
     write_file(Path(output), text)
@@ -112,22 +117,25 @@ def report_command(root: str, output: str, maps: int) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    parser = Parser(prog="mapdata", description="Grid maps with shortest paths, for planners that learn by example.")
+    given = sys.argv[1:] if arguments is None else arguments
+    parser = Parser(prog="mapdata", description="Grid maps with shortest paths, to train path planners on.")
     parser.add_argument("--version", action="version", version=f"mapdata {__version__}")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     for name, command, add_arguments in (
-        ("build", build_command, add_build_arguments),
+        ("build", build_command, _add_build_arguments),
         ("info", info_command, _add_info_arguments),
         ("verify", verify_command, _add_verify_arguments),
         ("show", show_command, _add_show_arguments),
         ("report", report_command, _add_report_arguments),
+        ("import", convert.import_command, convert.add_import_arguments),
+        ("export", convert.export_command, convert.add_export_arguments),
+        ("check-scen", convert.check_scen_command, convert.add_check_arguments),
     ):
         verb = verbs.add_parser(name, help=(command.__doc__ or "").split("\n")[0], description=command.__doc__)
-        verb.add_argument("root", metavar="ROOT", help="folder of the dataset")
-        add_arguments(verb)
         verb.set_defaults(command=command)
-    add_format_verbs(verbs)
-    values = vars(parser.parse_args(arguments))
+        if given[:1] == [name]:  # the flags of the others would only take time
+            add_arguments(verb)
+    values = vars(parser.parse_args(given))
     run(values.pop("command"), **values)
 
 
@@ -135,19 +143,31 @@ def build_main(arguments: list[str] | None = None) -> None:
     """Run ``mapdata build`` with a default root: what ``scripts/build_shards.py`` is."""
     parser = Parser(description=build_command.__doc__)
     parser.add_argument("root", metavar="ROOT", nargs="?", default="data/maps", help="folder (default: %(default)s)")
-    add_build_arguments(parser)
+    _add_build_flags(parser)
     run(build_command, **vars(parser.parse_args(arguments)))
 
 
-def add_build_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of ``mapdata build``."""
+def _add_root(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("root", metavar="ROOT", type=path_name, help="folder of the dataset")
+
+
+def _add_build_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_root(parser)
+    _add_build_flags(parser)
+
+
+def _add_build_flags(parser: argparse.ArgumentParser) -> None:
+    from mapdata.generators import PRESETS
+
     parser.add_argument("--maps", metavar="N", type=int, help="how many maps (default 10000, or the recipe's)")
     parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed (default 0, or the recipe's)")
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
         "--preset", metavar="NAME", default="paper", help=f"{', '.join(PRESETS)} (default: %(default)s)"
     )
-    source.add_argument("--recipe", metavar="FILE", help="what 'mapdata info ROOT --recipe' prints, or an own spec")
+    source.add_argument(
+        "--recipe", metavar="FILE", help="what 'mapdata info ROOT --recipe' prints, or a spec of your own"
+    )
     parser.add_argument("--shard-size", metavar="K", type=int, default=1000, help="maps a shard (default: %(default)s)")
     parser.add_argument("--workers", metavar="W", type=int, help="threads (default: all cores)")
     parser.add_argument(
@@ -170,10 +190,12 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _add_verify_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_root(parser)
     parser.add_argument("--repair", action="store_true", help="make damaged and missing shards again from the recipe")
 
 
 def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_root(parser)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--recipe", action="store_true", help="print the few lines of JSON that are the dataset")
     what.add_argument(
@@ -182,6 +204,7 @@ def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_root(parser)
     parser.add_argument("--index", metavar="I", type=int, help="number of the map (default: 0)")
     parser.add_argument("-o", "--output", metavar="FILE", default="map.png", help="picture (default: %(default)s)")
     parser.add_argument("--paper-colours", action="store_true", help="free black and occupied white")
@@ -195,5 +218,6 @@ def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_root(parser)
     parser.add_argument("-o", "--output", metavar="FILE", default="report.html", help="page (default: %(default)s)")
     parser.add_argument("--maps", metavar="N", type=int, default=500, help="maps to browse (default: %(default)s)")

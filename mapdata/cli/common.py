@@ -8,11 +8,10 @@ import shlex
 import sys
 import threading
 from collections.abc import Callable
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-from mapdata.shards.manifest import Manifest
-from mapdata.shards.shard import ShardError
-from mapdata.shards.workers import THREADS
+if TYPE_CHECKING:
+    from mapdata.shards import Manifest
 
 
 class DisagreeError(Exception):
@@ -20,18 +19,19 @@ class DisagreeError(Exception):
 
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
-    """Return the short summary of a dataset, a line a fact."""
+    """Return the short summary of a dataset, one fact to a line."""
     done = sum(entry.stop - entry.start for entry in manifest.shards)
     size = sum(entry.bytes for entry in manifest.shards)
     segments = max(manifest.total("segments"), 1)
     rows, columns = manifest.map_size
-    shards = f"{len(manifest.shards)} shard{'s' * (len(manifest.shards) != 1)}"
+    shards = "1 shard" if len(manifest.shards) == 1 else f"{len(manifest.shards)} shards"
+    unfinished = "" if manifest.complete else f" (of {manifest.maps:,}: not finished)"
+    drawn = manifest.total("drawn")  # none where maps have no rooms: mazes, imports
     lines = {
-        "maps": f"{done:,} of {rows} x {columns} cells in {shards}"
-        + ("" if manifest.complete else f" (of {manifest.maps:,}: not finished)"),
+        "maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}",
         "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
         "size": f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map",
-        "drawn passages": f"{manifest.total('drawn') / segments:.1%}" if manifest.spec else "",
+        "drawn passages": f"{drawn / segments:.1%}" if drawn else "",
         "reachable segments": f"{manifest.total('reachable') / segments:.1%}",
         "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
         "identity": manifest.identity or "none (imported)",
@@ -42,7 +42,10 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
 
 
 def run(command: Callable[..., None], **values: object) -> None:
-    """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a user can mend."""
+    """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a user can put right."""
+    from mapdata.shards import ShardError
+    from mapdata.shards.workers import THREADS
+
     try:
         command(**values)
         print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
@@ -67,6 +70,13 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
         sys.exit(_complain(f"{message} ({self.prog} --help says more)", 2))
+
+
+def path_name(text: str) -> str:
+    """Return the name of a file or folder, which is not empty: else it would be the working folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("got an empty name")
+    return text
 
 
 def _complain(error: object, code: int) -> int:

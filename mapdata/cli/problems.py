@@ -6,15 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mapdata.generators.generator import PRESETS, Generator
-from mapdata.problems.problem_set import Problems
-
 if TYPE_CHECKING:
     import pandas as pd
+
+    from mapdata.problems import Problems
 
 
 def add_problem_arguments(parser: argparse.ArgumentParser, maps: int) -> None:
     """Add ROOT, --preset, --seed and --maps, of which there are ``maps`` by default; --csv and --json."""
+    from mapdata.generators import PRESETS
+
     parser.add_argument("root", metavar="ROOT", nargs="?", help="folder of a dataset, in place of --preset and --seed")
     parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
     parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
@@ -36,6 +37,9 @@ def given_problems(
         ValueError: a preset or seed beside a root; what `Problems.draw` and `Problems.read` refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
+    from mapdata.generators import Generator
+    from mapdata.problems import Problems
+
     if root is None:
         return Problems.draw(Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how)
     if preset is not None or seed is not None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.formats.files import FormatError
 from mapdata.search.labels import Labels
 from mapdata.spec import Movement
 
@@ -79,3 +81,11 @@ class Collection:
     movement: Movement | None = None
     left_out: list[tuple[str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def leaving_out(self, name: object) -> Iterator[None]:
+        """Add ``name`` to ``left_out`` when a `FormatError` ends what is done inside, with its message."""
+        try:
+            yield
+        except FormatError as error:
+            self.left_out.append((str(name), str(error).removeprefix(f"{name}: ")))

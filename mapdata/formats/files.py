@@ -7,6 +7,7 @@ import os
 import re
 import zipfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -156,7 +157,7 @@ class Npz:
         self.shapes: dict[str, tuple[int, ...]] = {}
         if not path.is_file():
             raise FormatError(f"{path}: no such file")
-        with self._errors(), zipfile.ZipFile(path) as archive:
+        with _zip_errors(path), zipfile.ZipFile(path) as archive:
             infos = [info for info in archive.infolist() if info.filename.endswith(".npy")]
             if not infos or len(infos) > 1000:
                 raise FormatError(f"{path}: holds {len(infos)} arrays, expected 1 to 1000")
@@ -177,26 +178,20 @@ class Npz:
         """
         if name not in self.shapes:
             raise FormatError(f"{self.path}: holds no array {name!r}, but {', '.join(self.shapes)}")
-        with self._errors(), zipfile.ZipFile(self.path) as archive, archive.open(f"{name}.npy") as member:
+        with _zip_errors(self.path), zipfile.ZipFile(self.path) as archive, archive.open(f"{name}.npy") as member:
             size = archive.getinfo(f"{name}.npy").file_size
             return _array(member, size, f"{self.path}: array {name!r}")  # type: ignore[arg-type]
 
-    def _errors(self) -> _Errors:
-        return _Errors(self.path)
 
-
-class _Errors:
-    """Turns what zipfile raises on damaged archives into a `FormatError`."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
-        if isinstance(error, Exception) and not isinstance(error, FormatError):
-            raise FormatError(f"{self.path}: not a sound .npz file ({type(error).__name__}: {error})") from None
+@contextmanager
+def _zip_errors(path: Path) -> Iterator[None]:
+    """Turn what zipfile raises on damaged archives into a `FormatError`."""
+    try:
+        yield
+    except FormatError:
+        raise
+    except Exception as error:  # BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error and more
+        raise FormatError(f"{path}: not a sound .npz file ({type(error).__name__}: {error})") from None
 
 
 def read_npy(path: Path, limits: Limits = LIMITS) -> Array:

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from mapdata.formats.registry import Format
 from mapdata.formats.stored import Stored
 from mapdata.search.labels import Labels
+from mapdata.shards.table import SEARCHES, map_row
 from mapdata.spec import SPLITS, canonical_json
 
 if TYPE_CHECKING:
@@ -29,8 +31,7 @@ _NAMES = {"train": "train", "val": "validation", "test": "test"}
 def write(target: Path, source: Stored) -> list[str]:
     """Write ``data/<split>-<shard>.parquet``, one file a shard and split, and ``README.md``.
 
-    A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, rooms, and all labels; a path is a list of
-    segments, each a list of [row, col].
+    A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, and the columns of the paper's CSV.
 
     Returns:
         Notes for the user.
@@ -49,7 +50,8 @@ def write(target: Path, source: Stored) -> list[str]:
     counts = dict.fromkeys(SPLITS, 0)
     for number, labels in enumerate(source.batches()):
         for code, split in enumerate(SPLITS):
-            rows = [_row(labels, k) for k in np.flatnonzero(labels.maps.split == code).tolist()]
+            indices = np.flatnonzero(labels.maps.split == code).tolist()
+            rows = [_row(labels, k, source.manifest.resolution) for k in indices]
             if rows:
                 name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
                 parquet.write_table(pa.Table.from_pylist(rows, schema), target / "data" / name, compression="zstd")
@@ -62,28 +64,31 @@ def _schema() -> pa.Schema:
     """Return the Arrow schema, with the features that ``datasets`` reads from its metadata."""
     import pyarrow as pa
 
-    def lists(kind: pa.DataType, depth: int) -> pa.DataType:
-        return lists(pa.list_(kind), depth - 1) if depth else kind
-
-    search = {
-        "path": lists(pa.int16(), 3),
-        "iterations": lists(pa.int32(), 1),
-        "connection_matrix": lists(pa.float32(), 2),
-    }
+    integers = pa.list_(pa.int32())
+    flags = pa.list_(pa.bool_())
     types = {
         "image": pa.struct([("bytes", pa.binary()), ("path", pa.string())]),
-        "map": lists(pa.uint8(), 2),
+        "map": pa.list_(pa.list_(pa.uint8())),
         "item": pa.int64(),
         "label": pa.string(),
-        "passage_width": pa.int16(),
-        "seeds": lists(pa.int16(), 2),
-        "sizes": lists(pa.int16(), 2),
-        "directions": lists(pa.int8(), 2),
-        "connected": lists(pa.bool_(), 1),
-        "reachable": lists(pa.bool_(), 1),
+        "split": pa.string(),
+        "resolution": pa.float64(),
+        "rooms": pa.int32(),
+        "passage_size": pa.int32(),
+        "seed_rows": integers,
+        "seed_columns": integers,
+        "size_rows": integers,
+        "size_columns": integers,
+        "direction_for_passages": integers,
+        "connected": flags,
+        "reachable": flags,
         "all_connected": pa.bool_(),
-        **{f"{name}_{key}": kind for name in ("bfs", "astar") for key, kind in search.items()},
     }
+    for search in SEARCHES:
+        types[f"{search}_row_path"] = integers
+        types[f"{search}_column_path"] = integers
+        types[f"{search}_iterations"] = integers
+        types[f"{search}_connection_matrix"] = pa.list_(pa.list_(pa.float32()))
     features = {name: _feature(kind) for name, kind in types.items()}
     features["image"] = {"_type": "Image"}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
@@ -97,29 +102,12 @@ def _feature(kind: pa.DataType) -> dict[str, object]:
     return {"dtype": str(kind), "_type": "Value"}
 
 
-def _row(labels: Labels, k: int) -> dict[str, object]:
-    maps, n = labels.maps, int(labels.maps.rooms[k])
-    first = int(maps.segment_offsets[k])
-    grid, picture = maps.occupancy[k], BytesIO()
-    Image.fromarray(np.where(grid, np.uint8(0), np.uint8(255))).convert("1").save(picture, "PNG")
-    row: dict[str, object] = {
-        "image": {"bytes": picture.getvalue(), "path": f"map{maps.index[k]}.png"},
-        "map": grid.tolist(),
-        "item": int(maps.index[k]),
-        "label": f"map{maps.index[k]}",
-        "passage_width": int(maps.passage_width[k]),
-        "seeds": maps.seed_points[k, :n].tolist(),
-        "sizes": maps.sizes[k, :n].tolist(),
-        "directions": maps.directions[k, : n - 1].tolist(),
-        "connected": maps.connected[k, : n - 1].tolist(),
-        "reachable": labels.reachable[first : first + n - 1].tolist(),
-        "all_connected": bool(labels.all_connected[k]),
-    }
-    for search in ("bfs", "astar"):
-        row[f"{search}_path"] = [segment.tolist() for segment in labels.route(search, k)]
-        row[f"{search}_iterations"] = labels.iterations(search, k).tolist()
-        row[f"{search}_connection_matrix"] = labels.matrix(search, k).tolist()
-    return row
+def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
+    grid = labels.maps.occupancy[k]
+    row = map_row(labels, k, resolution)
+    picture = BytesIO()
+    Image.fromarray(255 * (1 - grid)).convert("1").save(picture, "PNG")
+    return {"image": {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}, "map": grid.tolist(), **row}
 
 
 def _card(source: Stored, counts: dict[str, int]) -> str:
@@ -152,10 +140,11 @@ Splits: {", ".join(f"{_NAMES[split]} {count:,}" for split, count in counts.items
 
 - `map`: 1 occupied, 0 free; `image` shows free white. Cells are (row, col), origin upper left;
   {manifest.resolution} metres a cell.
-- `seeds`, `sizes`: seed point, and rows and columns, of each room (-1 unknown). `directions`: the two legs of each
-  passage, 1 horizontal, 0 vertical, -1 none; `connected`: it was drawn; `reachable`: a path to the next room exists.
-- `bfs_path`, `astar_path`: a list of cells for each pair of consecutive rooms, empty without a path; `iterations`:
-  cells taken from the frontier; `connection_matrix`: cost between rooms, -1 no path.
+- `seed_rows`, `seed_columns`, `size_rows`, `size_columns`: seed point, and rows and columns, of each room (-1 unknown).
+  `direction_for_passages`: the two legs of each passage, 1 horizontal, 0 vertical, -1 none; `connected`: it was drawn;
+  `reachable`: a path to the next room exists.
+- `row_path`, `column_path` of `bfs` and `astar`: the cells of the route through all seed points, where one exists;
+  `iterations`: cells expanded on the way to each next room; `connection_matrix`: cost between rooms, -1 no path.
 - Movement: `{canonical_json(asdict(manifest.movement))}`.
 
 Source of the distribution: Flores-Aquino et al., "2D Grid Map Generation for Deep-Learning-based Navigation
@@ -164,3 +153,5 @@ Approaches", arXiv 2110.13242.
 
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+
+FORMAT = Format("huggingface", write=write)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import warnings
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
@@ -27,6 +27,7 @@ from mapdata.formats.files import (
     read_npy,
     split_of,
 )
+from mapdata.formats.registry import Format
 from mapdata.spec import MAX_SIDE
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
@@ -144,7 +145,7 @@ def read(
     threshold: float = 0.5,
     invert: bool = False,
     size: tuple[int, int] | None = None,
-    fit: str = "resize",
+    fit: Literal["resize", "crop"] | None = None,
 ) -> Collection:
     """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
 
@@ -155,10 +156,11 @@ def read(
     Args:
         source: folder or file.
         limits: of what is read.
-        threshold: in [0, 1], black to white, or of the probability.
+        threshold: in [0, 1]: brightness above which a cell is free, probability above which it is occupied.
         invert: the other way round.
         size: (rows, columns) that every map is brought to.
-        fit: "resize" scales (the mean brightness of the pixels in a cell decides), "crop" takes the middle.
+        fit: how: resize scales (the mean brightness of the pixels in a cell decides), crop takes the middle; default
+            resize.
 
     Raises:
         FormatError: nothing there. A bad file among others is left out, with the reason.
@@ -166,38 +168,35 @@ def read(
     """
     if not 0 <= threshold <= 1:
         raise ValueError(f"threshold: got {threshold}, expected 0 to 1")
-    if fit not in ("resize", "crop"):
-        raise ValueError(f"fit: got {fit!r}, expected 'resize' or 'crop'")
+    if fit is not None and size is None:
+        raise ValueError("fit: does nothing without size")
     if size is not None and not all(1 <= side <= MAX_SIDE for side in size):
         raise ValueError(f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns")
     found = Collection()
     folder = source if source.is_dir() else source.parent
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
-        try:
-            grids = _grids(path, limits, threshold, size, fit)
-        except FormatError as error:
-            found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
-            continue
-        split = split_of(path, folder)
-        for k, grid in enumerate(grids):
-            name = f"{path}[{k}]" if len(grids) > 1 else str(path)
-            found.maps.append(ForeignMap(name, grid ^ np.uint8(invert), split))
+        with found.leaving_out(path):
+            grids = _grids(path, limits, threshold, size, crop=fit == "crop")
+            split = split_of(path, folder)
+            for k, grid in enumerate(grids):
+                name = f"{path}[{k}]" if len(grids) > 1 else str(path)
+                found.maps.append(ForeignMap(name, grid ^ np.uint8(invert), split))
     return found
 
 
-def _grids(path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, fit: str) -> Bytes:
+def _grids(path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, crop: bool) -> Bytes:
     """Return the grids of a file, (N, H, W): one of a picture."""
     if path.suffix.lower() in ARRAYS:
         grids = _stack(path, limits, threshold)
         if size is None or grids.shape[1:] == size:
             return grids
-        return np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+        return np.stack([_fit(255 * grid, size, crop) for grid in grids]) // 128
     grey = brightness(read_pixels(path, limits))
     if 0 < grey.max() <= threshold * 255:  # masks of 0 and 1, which look black
         what = f"its brightest pixel is {grey.max()} of 255"
-        raise FormatError(f"{path}: {what}, nothing is above --threshold {threshold}")
+        raise FormatError(f"{path}: {what}, nothing is above --images.threshold {threshold}")
     if size is not None:
-        grey = _fit(grey, size, fit)
+        grey = _fit(grey, size, crop)
     return np.asarray(grey <= threshold * 255, np.uint8)[None]
 
 
@@ -220,12 +219,15 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
     return grids if grids.ndim == 3 else grids[None]
 
 
-def _fit(grey: Bytes, size: tuple[int, int], fit: str) -> Bytes:
+def _fit(grey: Bytes, size: tuple[int, int], crop: bool) -> Bytes:
     """Return ``grey``, (H, W), with ``size``."""
     rows, columns = size
-    if fit == "resize":
+    if not crop:
         return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
     if grey.shape[0] < rows or grey.shape[1] < columns:
         raise FormatError(f"has {grey.shape[0]} x {grey.shape[1]} cells, too small to crop {rows} x {columns}")
     top, left = (grey.shape[0] - rows) // 2, (grey.shape[1] - columns) // 2
     return grey[top : top + rows, left : left + columns]
+
+
+FORMAT = Format("images", (*PICTURES, *ARRAYS), read)

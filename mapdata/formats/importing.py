@@ -86,7 +86,7 @@ def import_maps(
             has fewer cells.
         seed: 64-bit seed of these draws and of the splits.
         movement: how the stored paths move; default the rule of the format, else 4-connected.
-        resolution: metres per cell, over what the source says; default the source's, else 0.1.
+        resolution: metres per cell, whatever the source says; default the source's, else 0.1.
         splits: fractions of train, val and test, for maps whose split the source does not say.
         tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the edges is dropped.
         shard_size: maps a shard; default 1000, less for large maps.

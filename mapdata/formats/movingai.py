@@ -27,6 +27,7 @@ import numpy.typing as npt
 from mapdata.arrays import Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
+from mapdata.formats.registry import Format
 from mapdata.formats.stored import Stored
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import MAX_CELLS
@@ -256,11 +257,17 @@ def find_map(name: str, scen: Path, maps: str | Path | None = None) -> Path:
         if candidate.is_file() and candidate.resolve().is_relative_to(folder.resolve()):
             return candidate
     looked = f"{tried[-1]}" if tried else f"a name inside {folder}"
-    raise FormatError(f"{scen}: its map {name!r} is missing: looked for {looked}; --maps DIR says where maps are")
+    advice = "--maps DIR, or --movingai.maps DIR of an import, says where maps are"
+    raise FormatError(f"{scen}: its map {name!r} is missing: looked for {looked}; {advice}")
 
 
 def read(
-    source: Path, limits: Limits = LIMITS, *, scen: int | None = None, maps: str | Path | None = None
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    scen: bool = False,
+    maps: Path | str | None = None,
+    seed_points: int = MAX_ROOMS,
 ) -> Collection:
     """Read a .map or .scen file, or all below a folder.
 
@@ -268,30 +275,26 @@ def read(
         source: file or folder.
         limits: of what is read.
         scen: take the end points of the problems in .scen files as seed points, in the order of their first
-            appearance, at most this many of a map, and only maps that a .scen names. None reads .map files alone.
+            appearance, and only maps that a .scen names. A .scen file as source says so too.
         maps: folder of the maps that .scen files name.
+        seed_points: how many of these end points at most.
     """
     found = Collection(movement=MOVEMENT)
-    if source.suffix.lower() == ".scen" and scen is None:
-        scen = MAX_ROOMS
     folder = source if source.is_dir() else source.parent
-    if scen is None:
-        points = {path: dict[tuple[int, int], None]() for path in files_of(source, (".map",), limits, found.left_out)}
-    else:
+    if scen or source.suffix.lower() == ".scen":
         points = _end_points(source, limits, maps, found)
+    else:
+        points = {path: dict[tuple[int, int], None]() for path in files_of(source, (".map",), limits, found.left_out)}
     water = 0
     for path, ends in points.items():
-        try:
+        with found.leaving_out(path):
             terrain = read_terrain(path, limits)
-        except FormatError as error:
-            found.left_out.append((str(path), _why(error, path)))
-            continue
-        grid = world(terrain)
-        water += int((terrain == ord(WATER)).sum())
-        inside = [cell for cell in ends if cell[0] < grid.shape[0] and cell[1] < grid.shape[1] and not grid[cell]]
-        split = split_of(path, folder) if path.is_relative_to(folder) else None
-        seed_points = np.array(inside[:scen], np.int64).reshape(-1, 2)
-        found.maps.append(ForeignMap(str(path), grid, split, seed_points=seed_points, rooms_known=len(seed_points) > 1))
+            grid = world(terrain)
+            water += int((terrain == ord(WATER)).sum())
+            inside = [cell for cell in ends if cell[0] < grid.shape[0] and cell[1] < grid.shape[1] and not grid[cell]]
+            split = split_of(path, folder) if path.is_relative_to(folder) else None
+            chosen = np.array(inside[:seed_points], np.int64).reshape(-1, 2)
+            found.maps.append(ForeignMap(str(path), grid, split, seed_points=chosen, rooms_known=len(chosen) > 1))
     if water:
         found.notes.append(f"{water} cells of water (W) are occupied: nothing leads there from land")
     return found
@@ -303,17 +306,11 @@ def _end_points(
     """Return the end points of the problems of each map that a .scen names, in the order of their appearance."""
     points: dict[Path, dict[tuple[int, int], None]] = {}
     for path in files_of(source, (".scen",), limits, found.left_out):
-        try:
+        with found.leaving_out(path):
             for problem in read_scen(path, limits):
                 ends = points.setdefault(find_map(problem.map, path, maps), {})
                 ends.update(dict.fromkeys((problem.start, problem.goal)))
-        except FormatError as error:
-            found.left_out.append((str(path), _why(error, path)))
     return points
-
-
-def _why(error: FormatError, path: Path) -> str:
-    return str(error).removeprefix(f"{path}: ")
 
 
 def write(target: Path, source: Stored) -> list[str]:
@@ -350,3 +347,6 @@ def _scen(name: str, grid: Bytes, seed_points: npt.NDArray[np.int64]) -> str:
             values = (math.floor(length / 4), name, grid.shape[1], grid.shape[0])
             lines.append("\t".join(map(str, (*values, column, row, goal_column, goal_row, f"{length:.8f}"))))
     return "\n".join(lines) + "\n"
+
+
+FORMAT = Format("movingai", (".map", ".scen"), read, write)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from io import BytesIO
@@ -33,6 +34,7 @@ from tqdm import tqdm
 from mapdata.arrays import Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
+from mapdata.formats.registry import Format
 from mapdata.formats.stored import Stored
 from mapdata.search.api import distance_field
 from mapdata.spec import SPLITS, Movement
@@ -49,12 +51,10 @@ PERCENTILES = (0.55, 0.70, 0.85, 1.0)
 Array = npt.NDArray[Any]
 
 
-def is_planning(path: Path, limits: Limits = LIMITS) -> bool:
-    """Return whether ``path`` is an .npz of this kind, by its names and shapes."""
-    if path.suffix.lower() != ".npz" or not path.is_file():
-        return False
+def is_planning(path: Path) -> bool:
+    """Return whether an .npz is of this kind, by its names and shapes."""
     try:
-        shapes = Npz(path, limits).shapes
+        shapes = Npz(path).shapes
     except FormatError:
         return False
     return {f"arr_{k}" for k in range(4)} <= set(shapes) and len(shapes["arr_2"]) == 5
@@ -69,14 +69,10 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection(movement=MOVEMENT)
     same = 0
     for path in files_of(source, (".npz",), limits, found.left_out):
-        try:
+        with nullcontext() if path == source else found.leaving_out(path):
             for one, distances in _problems(path, limits, found):
                 found.maps.append(one)
                 same += np.array_equal(hops(one.grid, one.seed_points[0]), distances)
-        except FormatError as error:
-            if path == source:
-                raise
-            found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
     found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
     return found
 
@@ -199,3 +195,6 @@ def _batches(source: Stored, bar: tqdm[Any]) -> Iterator[tuple[Bytes, Array, Byt
 def _usable(grids: Bytes, goals: Array) -> npt.NDArray[np.bool_]:
     """Return which maps have starts."""
     return np.array([has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)], np.bool_)
+
+
+FORMAT = Format("planning-datasets", (".npz",), read, write, is_mine=is_planning, target_ending=".npz")

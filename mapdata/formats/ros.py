@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,13 +26,13 @@ from PIL import Image
 
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
-from mapdata.formats.images import Pixels, read_pixels
+from mapdata.formats.images import PICTURES, Pixels, read_pixels
+from mapdata.formats.registry import Format
 from mapdata.formats.stored import Stored
 from mapdata.spec import SPLITS
 
+ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
-IMAGES = ("pgm", "png", "bmp")
-UNKNOWN = ("occupied", "free")
 
 _FREE, _OCCUPIED = 254, 0
 """Pixels as map_saver writes them."""
@@ -181,51 +181,45 @@ def to_grid(cells: npt.NDArray[np.int8], unknown: str | None, what: str) -> npt.
     between = (cells != 0) & (cells != 100)
     if unknown is None and between.any():
         raise FormatError(
-            f"{what}: {between.mean():.1%} of its cells are unknown: say --unknown occupied or --unknown free"
+            f"{what}: {between.mean():.1%} of its cells are unknown: say --ros.unknown occupied or --ros.unknown free"
         )
     return np.asarray((cells == 100) | (between & (unknown == "occupied")), np.uint8)
 
 
-def read(source: Path, limits: Limits = LIMITS, *, unknown: str | None = None) -> Collection:
+def read(source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", "free"] | None = None) -> Collection:
     """Read the map of a .yaml file, or all below a folder.
 
     Args:
         source: file or folder.
         limits: of what is read.
-        unknown: "occupied" or "free": what unknown cells become; None leaves maps with such cells out.
+        unknown: what unknown cells become; without it, maps with such cells are left out.
     """
-    if unknown is not None and unknown not in UNKNOWN:
-        raise ValueError(f"unknown: got {unknown!r}, expected {' or '.join(UNKNOWN)}")
     found = Collection()
     folder = source if source.is_dir() else source.parent
-    share = []
-    for path in files_of(source, (".yaml", ".yml"), limits, found.left_out):
-        try:
+    shares = []
+    for path in files_of(source, ENDINGS, limits, found.left_out):
+        with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
-        except FormatError as error:
-            found.left_out.append((str(path), str(error).removeprefix(f"{path}: ")))
-            continue
-        share.append(float(((one.cells != 0) & (one.cells != 100)).mean()))
-        found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
-    if any(share):
-        found.notes.append(f"{sum(share) / len(share):.1%} of the cells were unknown and are now {unknown}")
+            shares.append(float(((one.cells != 0) & (one.cells != 100)).mean()))
+            found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
+    if any(shares):
+        share = sum(shares) / len(shares)
+        found.notes.append(f"{share:.1%} of the cells were unknown and are now {unknown}")
     return found
 
 
-def write(target: Path, source: Stored, *, image: str = "pgm") -> list[str]:
+def write(target: Path, source: Stored, *, image: Literal["pgm", "png", "bmp"] = "pgm") -> list[str]:
     """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, pixels as map_saver writes them.
 
     Args:
         target: folder.
         source: dataset.
-        image: "pgm", "png" or "bmp".
+        image: kind of the pictures.
 
     Returns:
         Notes for the user.
     """
-    if image not in IMAGES:
-        raise ValueError(f"image: got {image!r}, expected {', '.join(IMAGES)}")
     for labels in source.batches():
         maps = labels.maps
         for k, grid in enumerate(maps.occupancy):
@@ -243,3 +237,6 @@ def write(target: Path, source: Stored, *, image: str = "pgm") -> list[str]:
                 newline="\n",
             )
     return ["rooms and labels are not in this format: pictures, resolution and splits are"]
+
+
+FORMAT = Format("ros", ENDINGS, read, write, beside=PICTURES)

@@ -419,7 +419,7 @@ def test_ctrl_c_says_how_to_go_on(run: Command, tmp_path: Path, monkeypatch: pyt
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "build", stop)
+    monkeypatch.setattr("mapdata.shards.build", stop)
     run.refused(130, "stopped; run the same command again to go on", "build", tmp_path / "maps")
 
 

@@ -12,6 +12,7 @@ from helpers.wild import cli
 
 from mapdata import read_shard
 from mapdata.shards import read_manifest
+from mapdata.shards.table import joined
 from mapdata.spec import SPLITS
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
@@ -37,11 +38,14 @@ def test_the_real_library_opens_it(root: Path, tmp_path: Path, capsys: pytest.Ca
             assert row["label"] == f"map{row['item']}"
             assert np.array_equal(row["map"], maps.occupancy[k])
             assert np.array_equal(np.asarray(row["image"]), maps.occupancy[k] == 0)
-            assert row["seeds"] == maps.seed_points[k, :n].tolist()
+            assert row["seed_rows"] == maps.seed_points[k, :n, 0].tolist()
+            assert row["direction_for_passages"] == maps.directions[k, : n - 1].reshape(-1).tolist()
             assert row["connected"] == maps.connected[k, : n - 1].tolist()
             assert row["all_connected"] == batch.all_connected[k]
             for search in ("bfs", "astar"):
-                assert row[f"{search}_path"] == [segment.tolist() for segment in batch.route(search, k)]
+                cells = joined(batch.route(search, k))
+                assert row[f"{search}_row_path"] == cells[:, 0].tolist()
+                assert row[f"{search}_column_path"] == cells[:, 1].tolist()
                 assert row[f"{search}_iterations"] == batch.iterations(search, k).tolist()
                 assert np.allclose(row[f"{search}_connection_matrix"], batch.matrix(search, k))
     assert seen == 24

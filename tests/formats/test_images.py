@@ -12,7 +12,7 @@ from helpers.wild import Bytes, cli, npy, npz, png
 from PIL import Image
 
 from mapdata import read_shard
-from mapdata.formats import FormatError, Limits, recognise
+from mapdata.formats import FormatError, Limits, read_any, recognise
 from mapdata.formats.files import natural, read_npy, walk
 from mapdata.formats.images import brightness, read, read_pixels
 from mapdata.shards import read_manifest
@@ -48,9 +48,9 @@ def test_threshold_and_inversion(tmp_path: Path) -> None:
     assert grids(tmp_path) == [[[1, 1, 0, 0]]]
     assert grids(tmp_path, threshold=0.2) == [[[1, 0, 0, 0]]]
     assert grids(tmp_path, threshold=0.9, invert=True) == [[[0, 0, 0, 1]]]
-    for options in ({"threshold": 1.5}, {"threshold": float("nan")}, {"fit": "stretch"}):
+    for options in ({"threshold": 1.5}, {"threshold": float("nan")}, {"fit": "stretch"}, {"fit": "crop"}):
         with pytest.raises(ValueError, match=r"threshold|fit"):
-            read(tmp_path, **options)
+            read_any(tmp_path, **options)
 
 
 def test_resize_and_crop(tmp_path: Path) -> None:
@@ -228,7 +228,13 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         assert cli(capsys, "verify", tmp_path / "out" / size)[0] == 0
         assert cli(capsys, "info", tmp_path / "out" / size)[0] == 0
         assert cli(capsys, "show", tmp_path / "out" / size, "-o", tmp_path / "map.png")[0] == 0
-    for flags in (("--unknown", "free"), ("--scen",), ("--fit", "crop"), ("--tile", "3"), ("--corner-cutting",)):
+    for flags in (
+        ("--ros.unknown", "free"),
+        ("--movingai.scen",),
+        ("--images.fit", "crop"),
+        ("--tile", "3"),
+        ("--corner-cutting",),
+    ):
         assert cli(capsys, "import", tmp_path / "in", tmp_path / "no", *flags)[0] == 2
     assert not (tmp_path / "no").exists()
     code, _, err = cli(capsys, "import", tmp_path / "nothing", tmp_path / "no")
@@ -243,7 +249,7 @@ def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
     Image.fromarray(1 - GRID).save(tmp_path / "mask.png")
     found = read(tmp_path, invert=True)
     assert found.maps == []
-    assert "brightest pixel is 1 of 255, nothing is above --threshold 0.5" in found.left_out[0][1]
+    assert "brightest pixel is 1 of 255, nothing is above --images.threshold 0.5" in found.left_out[0][1]
     assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
 
 

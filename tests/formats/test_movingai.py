@@ -264,7 +264,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     scens = sorted((tmp_path / "out").rglob("*.scen"))
     assert len(scens) == 24
     assert cli(capsys, "check-scen", *scens)[0] == 0
-    assert cli(capsys, "import", tmp_path / "out", tmp_path / "back", "--scen", "--seed-points", 99)[0] == 0
+    assert cli(capsys, "import", tmp_path / "out", tmp_path / "back", "--movingai.scen", "--seed-points", 99)[0] == 0
     assert cli(capsys, "verify", tmp_path / "back")[0] == 0
     before = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
     after = read_shard(tmp_path / "back" / read_manifest(tmp_path / "back").shards[0].name).maps

@@ -18,8 +18,9 @@ from PIL import Image
 
 from mapdata import MapSpec, build, read_shard, verify
 from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
-from mapdata.formats.paper import floats, joined, numbers, read
+from mapdata.formats.paper import floats, numbers, read
 from mapdata.shards import read_manifest
+from mapdata.shards.table import joined
 
 csv.field_size_limit(2**27)
 
@@ -78,35 +79,29 @@ def test_what_is_written(root: Path, release: Path) -> None:
 
 
 def test_joined() -> None:
-    """A joint stands once; after a segment without a path the next one begins anew."""
-    one, other, none = np.array([[0, 0], [0, 1]]), np.array([[0, 1], [1, 1]]), np.empty((0, 2), np.int64)
+    """A joint stands once, that of two seed points on one cell too; after a missing segment the next one begins."""
+    one, other, stay = np.array([[0, 0], [0, 1]]), np.array([[0, 1], [1, 1]]), np.array([[0, 1]])
+    none = np.empty((0, 2), np.int64)
     assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, none, other]).tolist() == [[0, 0], [0, 1], [0, 1], [1, 1]]
+    assert joined([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert joined([one, none, other + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
     assert joined([none]).tolist() == []
 
 
-WILD = {
-    "item": "Item",
-    "label": "Label",
-    "resolution": "Resolution",
-    "passage_size": "Passage size",
-    "seed_rows": "Seeds rows",
-    "seed_columns": "Seed Column",
-    "size_rows": "Size rows",
+PRINTED = {
+    "passage_size": "Passages size",
+    "seed_rows": "Seed rows",
     "size_columns": "size-columns",
     "direction_for_passages": "Direction for passages",
-    "connected": "Connected",
-    "path_exists": "Paths exist",
-    "bfs_row_path": "BFS row path",
-    "bfs_column_path": "Column path BFS",
-    "bfs_iterations": "BFS Iterations",
-    "bfs_connection_matrix": "BFS connection matrix",
-    "astar_row_path": "A* row path",
-    "astar_column_path": "A* column path",
-    "astar_iterations": "Iterations A*",
-    "astar_connection_matrix": "Connection matrix A*",
-    "split": "Split",
-    "movement": "Movement",
+    "reachable": "path_exists",  # as mapdata 0.1 wrote it
+    "bfs_row_path": "Row path for breadth-first search",
+    "bfs_column_path": "Column path for breadth-first search",
+    "bfs_iterations": "Iterations for breadth-first search",
+    "bfs_connection_matrix": "Connection matrix for breadth-first search",
+    "astar_row_path": "Row path for A*",
+    "astar_column_path": "Column path for A*",
+    "astar_iterations": "Iterations for A*",
+    "astar_connection_matrix": "Connection matrix for A*",
 }
 
 
@@ -116,11 +111,12 @@ def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
     for row in rows:
         for name in ("seed_rows", "bfs_iterations"):
             row[name] = row[name].replace(",", "")
-        row["connected"] = row["connected"].replace("1", "True").replace("0", "False")
+        row["connected"] = row["connected"].replace("true", "True").replace("false", "False")
+        row["reachable"] = row["reachable"].replace("true", "1").replace("false", "0")
         row["size_rows"] = row["size_rows"].replace("[", "(").replace("]", ".0)")
         row["astar_connection_matrix"] = row["astar_connection_matrix"].replace("],", "]\n")
         row["label"] += ".PNG"
-    write_rows(release, [{WILD[name]: text for name, text in row.items()} for row in rows])
+    write_rows(release, [{PRINTED.get(name, name): text for name, text in row.items()} for row in rows])
     for picture in (release / "images").iterdir():
         Image.open(picture).convert("RGB").save(release / picture.name)
         picture.unlink()

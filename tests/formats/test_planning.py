@@ -176,7 +176,7 @@ def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | N
         assert batches[0][2].shape == (8, 1, 9, 9)
     rule = movement or MOVEMENT
     table = evaluate(classical(rule), Problems.read(tmp_path / "mazes", movement=rule), bootstrap=10)
-    best = table[(table["search"] == "A*") & (table["subset"] == "all")].iloc[0]
+    best = table[(table["planner"] == "A*") & (table["subset"] == "all")].iloc[0]
     assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
 
 
@@ -201,7 +201,7 @@ def test_export_refuses(root: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     """Another ending, an existing target, an unknown format's option: nothing is written."""
     for arguments in (
         (tmp_path / "x", "--format", "planning-datasets"),
-        (tmp_path / "x.npz", "--format", "planning-datasets", "--image", "png"),
+        (tmp_path / "x.npz", "--format", "planning-datasets", "--ros.image", "png"),
     ):
         assert cli(capsys, "export", root, *arguments)[0] == 2
     (tmp_path / "x.npz").write_text("mine")

@@ -137,9 +137,9 @@ def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[s
     path = write(tmp_path)
     code, _, err = cli(capsys, "import", path, tmp_path / "no")
     assert code == 2
-    assert "16.7% of its cells are unknown: say --unknown occupied or --unknown free" in err
+    assert "16.7% of its cells are unknown: say --ros.unknown occupied or --ros.unknown free" in err
     for word, value in (("occupied", 1), ("free", 0)):
-        code, out, _ = cli(capsys, "import", path, tmp_path / word, "--unknown", word, "--seed-points", 2)
+        code, out, _ = cli(capsys, "import", path, tmp_path / word, "--ros.unknown", word, "--seed-points", 2)
         assert code == 0
         assert f"16.7% of the cells were unknown and are now {word}" in out
         manifest = read_manifest(tmp_path / word)
@@ -153,7 +153,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     truth = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
     grids = sorted((int(s), g.tobytes()) for maps in truth for s, g in zip(maps.split, maps.occupancy, strict=True))
     for kind in ("pgm", "png", "bmp"):
-        assert cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--image", kind)[0] == 0
+        assert cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--ros.image", kind)[0] == 0
         found = read(tmp_path / kind)
         assert not found.left_out
         assert sorted((one.split or 0, one.grid.tobytes()) for one in found.maps) == grids

@@ -313,8 +313,8 @@ def test_imported_maps_cannot_be_made_again(imported: Path, capsys: pytest.Captu
     with pytest.raises(SystemExit, match="1"):
         main(["verify", str(imported), "--repair"])
     printed = capsys.readouterr()
-    assert f"not mended: {path}: damaged; it cannot be made again, imported maps have no recipe" in printed.out
-    assert printed.err.splitlines()[-1] == "mapdata: 1 of 2 not mended"
+    assert f"not repaired: {path}: damaged; it cannot be made again, imported maps have no recipe" in printed.out
+    assert printed.err.splitlines()[-1] == "mapdata: 1 of 2 not repaired"
     assert [entry.start for entry in read_manifest(imported).shards] == [0, 6]
     path.unlink()
     import_maps(imported, collection(*random_grids(7)), seed_points=3, shard_size=3)
@@ -331,7 +331,7 @@ def test_the_command_repairs(finished: Path, copied: Path, capsys: pytest.Captur
     assert "mapdata: 2 found; --repair" in capsys.readouterr().err
     main(["verify", str(copied), "--repair"])
     printed = capsys.readouterr()
-    assert printed.out.splitlines()[-1] == f"{copied}: 2 mended"
+    assert printed.out.splitlines()[-1] == f"{copied}: 2 repaired"
     assert re.search(r"7/7 \[.*<.*maps/s\]", printed.err)  # maps, time left and rate of the repair
     assert images(copied) == images(finished)
     main(["verify", str(copied), "--repair"])

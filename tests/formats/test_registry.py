@@ -10,35 +10,52 @@ import pytest
 from helpers.wild import cli
 from PIL import Image
 
-from mapdata import DatasetNotFoundError, MapSpec, ShardError, build
-from mapdata.cli import convert as cli_formats
-from mapdata.formats import READERS, WRITERS, FormatError, export, paper, read_any, recognise
+from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, read_shard
+from mapdata.formats import (
+    FORMATS,
+    Collection,
+    ForeignMap,
+    Format,
+    FormatError,
+    Limits,
+    export,
+    paper,
+    read_any,
+    recognise,
+    register,
+)
+from mapdata.formats.registry import functions
 from mapdata.formats.stored import Stored
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
 
-def test_the_page_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its table has every format, the command line offers them all, and its Python runs."""
+def test_the_page_is_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its table has every format, and its Python runs."""
     rows = re.findall(r"^\| `([a-z-]+)` \| (yes|) ?\| (yes|) ?\|", PAGE, re.MULTILINE)
-    assert {name for name, reads, _ in rows if reads} == set(READERS) == set(cli_formats._READERS)
-    assert {name for name, _, writes in rows if writes} == set(WRITERS) == set(cli_formats._WRITERS)
+    assert {name for name, reads, _ in rows if reads} == set(functions("read"))
+    assert {name for name, _, writes in rows if writes} == set(functions("write"))
     monkeypatch.chdir(tmp_path)
     Path("floorplans").mkdir()
     Image.fromarray(np.full((128, 128), 255, np.uint8)).save("floorplans/a.png")
-    (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
-    exec(compile(block, "docs/formats.md", "exec"), {})
+    monkeypatch.setattr("mapdata.formats.registry.FORMATS", dict(FORMATS))
+    blocks = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+    exec(compile("".join(blocks), "docs/formats.md", "exec"), {})
+    assert capsys.readouterr().out.endswith("[[0 0 0 0]\n [0 1 1 0]\n [0 0 0 0]]\n")
     assert list(Path("floorplans.movingai").rglob("*.scen"))
 
 
-def test_the_page_names_the_papers_columns(root: Path) -> None:
+def test_the_page_names_the_papers_columns(root: Path, tmp_path: Path) -> None:
     """The docstring of paper.py lists what is written, and nothing else."""
-    labels = next(Stored.open(root).batches())
+    export(root, tmp_path / "release", "paper")
+    header = (tmp_path / "release" / "maps.csv").read_text(encoding="utf-8").partition("\n")[0]
     table = re.findall(r"^\| ([a-z_, ]+) \|", paper.__doc__ or "", re.MULTILINE)[1:]
-    assert {name for line in table for name in line.split(", ")} == set(paper._row(labels, 0, 0.1))
+    assert {name for line in table for name in line.split(", ")} == set(header.split(","))
 
 
-@pytest.mark.parametrize("kind", sorted(WRITERS))
+@pytest.mark.parametrize("kind", sorted(functions("write")))
 def test_an_export_is_whole_or_nothing(kind: str, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """When a shard cannot be read half-way, no target and nothing else is left."""
     if kind == "huggingface":
@@ -87,7 +104,7 @@ def test_what_cannot_be_exported(root: Path, tmp_path: Path, capsys: pytest.Capt
 
 def test_recognising(root: Path, tmp_path: Path) -> None:
     """Each format that can be both written and read is recognised again; nothing and nonsense are refused."""
-    for kind in sorted(set(WRITERS) & set(READERS)):
+    for kind in sorted(set(functions("write")) & set(functions("read"))):
         target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
         export(root, target, kind)
         assert recognise(target) == kind
@@ -102,19 +119,64 @@ def test_recognising(root: Path, tmp_path: Path) -> None:
         read_any(tmp_path / "text", "ros")
     with pytest.raises(ValueError, match="format: got 'zarr'"):
         read_any(tmp_path / "text", "zarr")
-    with pytest.raises(ValueError, match="--unknown: does nothing for format images"):
+    with pytest.raises(ValueError, match="unknown: does nothing for format images"):
         read_any(tmp_path / "stack.npy", unknown="free")
 
 
 def test_pictures_beside_another_table(tmp_path: Path) -> None:
-    """A .csv with other headers may be a release, whose polarity is the other: the user says what it is."""
+    """Beside map0.png, as in the authors' release, its polarity is the other: the user says what it is."""
     Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "a.png")
     (tmp_path / "data.csv").write_text("name,rows\na,4\n")
-    with pytest.raises(FormatError, match="without the paper's columns; --format paper says"):
-        recognise(tmp_path)
+    assert recognise(tmp_path) == "images"
+    (tmp_path / "a.png").rename(tmp_path / "map0.png")
+    assert recognise(tmp_path) == "paper"
+    with pytest.raises(FormatError, match="no column 'seed_rows' among name, rows; --format images reads the pictures"):
+        read_any(tmp_path)
     assert len(read_any(tmp_path, "images").maps) == 1
-    with pytest.raises(FormatError, match="no column 'seed_rows' among name, rows"):
-        read_any(tmp_path, "paper")
+
+
+def test_pictures_beside_maps_of_robots(tmp_path: Path) -> None:
+    """The pictures belong to the .yaml, other arrays do not."""
+    (tmp_path / "map.yaml").write_text("image: map.pgm\n")
+    Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "map.png")
+    assert recognise(tmp_path) == "ros"
+    np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
+    with pytest.raises(FormatError, match="files of images and ros"):
+        recognise(tmp_path)
+
+
+def read_letters(source: Path, limits: Limits, *, wall: str = "x") -> Collection:
+    """Read rows of letters.
+
+    Args:
+        source: file.
+        limits: of what is read.
+        wall: the letter of
+            occupied cells.
+    """
+    cells = np.array([[letter == wall for letter in line] for line in source.read_text().split()], np.uint8)
+    return Collection([ForeignMap(source.name, cells)])
+
+
+def test_a_format_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Registered, it is recognised before the others and read, and its options are flags."""
+    (tmp_path / "a.map").write_text("....\n.#..\n")
+    monkeypatch.setattr("mapdata.formats.registry.FORMATS", dict(FORMATS))
+    letters = Format("letters", (".map",), read_letters)
+    register(letters)
+    register(letters)
+    with pytest.raises(ValueError, match="'letters' is the name of another format"):
+        register(Format("letters"))
+    assert recognise(tmp_path) == "letters"
+    code, out, _ = cli(capsys, "import", "--help")
+    assert code == 0
+    assert "letters:\n  Read rows of letters." in out
+    assert "the letter of occupied cells (default: x)" in " ".join(out.split())
+    assert cli(capsys, "import", tmp_path / "a.map", tmp_path / "out", "--letters.wall", "#")[0] == 0
+    shard = next((tmp_path / "out").glob("*.h5"))
+    assert read_shard(shard).maps.occupancy[0].tolist() == [[0, 0, 0, 0], [0, 1, 0, 0]]
 
 
 @pytest.mark.parametrize(
@@ -122,11 +184,13 @@ def test_pictures_beside_another_table(tmp_path: Path) -> None:
     [
         ("SRC: got an empty name", ["", "out"]),
         ("ROOT: got an empty name", ["stack.npy", ""]),
-        ("--size: got '0x5', expected ROWSxCOLUMNS", ["stack.npy", "out", "--size", "0x5"]),
-        ("size: got 2000x5, expected 1 to 1024", ["stack.npy", "out", "--size", "2000x5"]),
+        ("--images.size: got '0x5', expected ROWSxCOLUMNS", ["stack.npy", "out", "--images.size", "0x5"]),
+        ("size: got 2000x5, expected 1 to 1024", ["stack.npy", "out", "--images.size", "2000x5"]),
         ("--max-pixels: got 0, expected at least 1", ["stack.npy", "out", "--max-pixels", "0"]),
         ("has 6 x 6 pixels, expected at most 35", ["stack.npy", "out", "--max-pixels", "35"]),
-        ("--fit: does nothing without --size", ["stack.npy", "out", "--fit", "crop"]),
+        ("fit: does nothing without size", ["stack.npy", "out", "--images.fit", "crop"]),
+        ("--images.fit: invalid choice: 'scale'", ["stack.npy", "out", "--images.fit", "scale"]),
+        ("--ros.unknown: does nothing for format images", ["stack.npy", "out", "--ros.unknown", "free"]),
     ],
 )
 def test_usage_of_import(

@@ -1,0 +1,196 @@
+"""What a foreign format is, the table of all of them, and what works with any."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import NoneType
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+
+from mapdata.formats.collection import Collection
+from mapdata.formats.files import FormatError, Limits, empty_target, walk
+from mapdata.formats.stored import Stored
+
+
+@dataclass(frozen=True)
+class Format:
+    """A foreign format. The keyword-only parameters of ``read`` and ``write`` are its options.
+
+    Attributes:
+        name: as ``--format`` takes it.
+        endings: of its files, in lower case.
+        read: called with a path and `Limits`, returns a `Collection`; None if it can only be written.
+        write: called with a target and a `Stored`, returns notes for the user; None if it can only be read.
+        is_mine: whether a file with one of the endings is of this format.
+        beside: endings of files that belong to it where they lie beside its own: the pictures of a ROS map.
+        target_ending: the ending of the one file that it writes; empty if it writes a folder.
+    """
+
+    name: str
+    endings: tuple[str, ...] = ()
+    read: Callable[..., Collection] | None = None
+    write: Callable[..., list[str]] | None = None
+    is_mine: Callable[[Path], bool] = Path.is_file
+    beside: tuple[str, ...] = ()
+    target_ending: str = ""
+
+
+class Option(NamedTuple):
+    """A keyword-only parameter of a reader or writer.
+
+    Attributes:
+        kind: its type; of a union, the first.
+        default: its default.
+        help: what the docstring says of it.
+    """
+
+    kind: Any
+    default: object
+    help: str
+
+
+FORMATS: dict[str, Format] = {}
+"""All formats by name. Where several know a file as theirs, the last one has it."""
+
+
+def register(one: Format) -> None:
+    """Make a format known.
+
+    Raises:
+        ValueError: its name is taken.
+    """
+    if FORMATS.setdefault(one.name, one) != one:
+        raise ValueError(f"{one.name!r} is the name of another format")
+
+
+def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
+    """Return what reads, or what writes, by the name of the format."""
+    found = {name: getattr(one, what) for name, one in FORMATS.items()}
+    return {name: function for name, function in found.items() if function is not None}
+
+
+def options_of(function: Callable[..., object]) -> dict[str, Option]:
+    """Return the keyword-only parameters of a function by name, with what its docstring's ``Args`` say."""
+    documented = (inspect.getdoc(function) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
+    texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", documented, re.MULTILINE))
+    hints = get_type_hints(function)
+    options = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            hint = hints[name]
+            kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
+            options[name] = Option(kind, parameter.default, " ".join(texts.get(name, "").split()))
+    return options
+
+
+def recognise(source: str | os.PathLike[str]) -> str:
+    """Return the name of the format of a file or folder.
+
+    Raises:
+        FormatError: nothing there, or no known format, or files of more than one; the message says what was found.
+    """
+    source = Path(source)
+    if not source.exists():
+        raise FormatError(f"{source}: no such file or folder")
+    endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
+    owners: dict[Path, Format] = {}
+    for path in walk(source, endings) if source.is_dir() else [source]:
+        for one in FORMATS.values():
+            if path.suffix.lower() in one.endings and one.is_mine(path):
+                owners[path] = one
+    beside = {ending for one in owners.values() for ending in one.beside}
+    found = {one.name for path, one in owners.items() if path.suffix.lower() not in beside}
+    if len(found) != 1:
+        what = f"files of {' and '.join(sorted(found))}" if found else "no file of a known format"
+        raise FormatError(f"{source}: holds {what}; --format says which to read ({', '.join(functions('read'))})")
+    return found.pop()
+
+
+def read_any(
+    source: str | os.PathLike[str], kind: str | None = None, limits: Limits = Limits(), **options: object
+) -> Collection:
+    """Read a file or folder of a foreign format.
+
+    Args:
+        source: file or folder.
+        kind: name of a format that can be read; default what `recognise` says.
+        limits: of what is read.
+        options: those of the format's ``read``.
+
+    Raises:
+        FormatError: what cannot be read.
+        ValueError: an unknown format, or an option that the format does not have.
+    """
+    source = Path(source)
+    name = kind or recognise(source)
+    found: Collection = _checked("read", name, options)(source, limits, **options)
+    if not found.maps and not found.left_out:
+        raise FormatError(f"{source}: holds no map of format {name}")
+    return found
+
+
+def export(
+    root: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    kind: str,
+    *,
+    progress: bool = False,
+    **options: object,
+) -> list[str]:
+    """Write a dataset in a foreign format; ``target`` appears when it is complete.
+
+    Args:
+        root: folder of the dataset.
+        target: new name, or an empty folder; for planning-datasets a name that ends with .npz.
+        kind: name of a format that can be written.
+        progress: show a progress bar.
+        options: those of the format's ``write``.
+
+    Returns:
+        Notes for the user.
+
+    Raises:
+        DatasetNotFoundError: there is no dataset under ``root``.
+        ShardError: it is damaged.
+        ValueError: an unknown format or option, or what the format cannot hold.
+        OSError: the disk is full or may not be written to.
+    """
+    target = Path(target)
+    write = _checked("write", kind, options)
+    ending = FORMATS[kind].target_ending
+    if not target.name.endswith(ending):
+        raise ValueError(f"{target}: expected a name that ends with {ending}")
+    source = Stored.open(Path(root), progress=progress)
+    empty_target(target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{os.getpid()}-{target.name}")
+    try:
+        notes: list[str] = write(temporary, source, **options)
+        if target.is_dir():
+            target.rmdir()
+        os.replace(temporary, target)
+    finally:
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
+    return notes
+
+
+def _checked(what: Literal["read", "write"], name: str, options: dict[str, object]) -> Callable[..., Any]:
+    """Return what reads or writes a format, after a look at its options."""
+    known = functions(what)
+    if name not in known:
+        raise ValueError(f"format: got {name!r}, expected one of {', '.join(known)}")
+    has = options_of(known[name])
+    for key, value in options.items():
+        if key not in has:
+            raise ValueError(f"{key}: does nothing for format {name}")
+        if get_origin(has[key].kind) is Literal and value not in get_args(has[key].kind):
+            raise ValueError(f"{key}: got {value!r}, expected {' or '.join(get_args(has[key].kind))}")
+    return known[name]
