@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from mapdata.generators import Maze as Maze
     from mapdata.generators import generate as generate
     from mapdata.generators import identity as identity
+    from mapdata.problems import Pairs as Pairs
     from mapdata.problems import Problems as Problems
+    from mapdata.problems import Random as Random
+    from mapdata.problems import Route as Route
     from mapdata.search import Labels as Labels
     from mapdata.search import SearchResult as SearchResult
     from mapdata.search import astar as astar
@@ -44,7 +47,7 @@ _FACES = {
     "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
     "evaluation": ("Plan", "evaluate"),
     "generators": ("Generator", "MapSpec", "Maps", "Maze", "generate", "identity"),
-    "problems": ("Problems",),
+    "problems": ("Pairs", "Problems", "Random", "Route"),
     "search": ("Labels", "SearchResult", "astar", "bfs", "check_path", "distance_field", "label", "search_batch"),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
     "spec": ("Movement",),

@@ -10,7 +10,7 @@ moves of each cell is unique, and gives some 2,000 labelled cells a map. Followi
     from models.path_predictor import PathPredictor
 
     model = PathPredictor.load("models/weights/path_predictor.pt")
-    problems = Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=600)
+    problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=600)
     path = model.predict_path(problems.grids[0], problems.starts[0], problems.goals[0])  # (k, 2) cells
     print(evaluate(planners(model), problems))
 

@@ -8,7 +8,7 @@ where the segment between them meets no occupied cell. A path between cells is o
     from mapdata.problems import Problems
     from models.roadmap import between, halton
 
-    drawn = Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=1)
+    drawn = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1)
     grid, start, goal = drawn.grids[0], drawn.starts[0], drawn.goals[0]
     roadmap = between(grid, start, goal, halton(grid, 100, seed=1))
     length, vertices = roadmap.shortest_path()  # length inf where there is none

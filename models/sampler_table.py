@@ -5,7 +5,7 @@ from mapdata.problems import Problems
 from models.lego_sampler import load
 from models.sampler_table import compare, contenders, to_text
 
-problems = Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=1000)
+problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
 print(to_text(compare(contenders({"lego_heatmap": load("models/weights/lego_heatmap.pt")}), problems)))
 """
 

@@ -6,7 +6,7 @@ Its moves: 8 neighbours, any diagonal, each at cost 1. Source: https://github.co
 import torch
 from torch.utils.data import DataLoader
 
-from mapdata import MapDataset, Movement
+from mapdata import MapDataset, Movement, Random
 
 
 class Planner(torch.nn.Conv2d):
@@ -16,7 +16,7 @@ class Planner(torch.nn.Conv2d):
 
 planner, moves = Planner(3, 1, 5, padding=2), Movement(8, corner_cutting=True, diagonal_cost=1)
 fields = ("free", "start_mask", "goal_mask", "path_mask")
-dataset = MapDataset("data/maps", "train", fields, problems="random", min_distance=10, movement=moves)
+dataset = MapDataset("data/maps", "train", fields, problems=Random(distance=(10, None)), movement=moves)
 optimizer = torch.optim.RMSprop(planner.parameters(), lr=0.001)
 for batch in DataLoader(dataset, 100, shuffle=True):
     map_designs, start_maps, goal_maps, opt_trajs = (field.float() for field in batch)

@@ -210,10 +210,9 @@ def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--paper-colours", action="store_true", help="free black and occupied white")
     parser.add_argument(
         "--figure",
-        metavar="NAME",
         choices=("map", "gallery", "path", "matrix", "distributions"),
         default="map",
-        help="map, gallery, path, matrix or distributions (default: %(default)s)",
+        help="what to draw (default: %(default)s)",
     )
 
 

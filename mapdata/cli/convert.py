@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 from mapdata.cli.common import DisagreeError, path_name, summary
 
 if TYPE_CHECKING:
-    from mapdata.formats.importing import Imported
     from mapdata.formats.registry import Option
     from mapdata.spec import Movement
 
@@ -55,7 +54,11 @@ def import_command(
     for note in dict.fromkeys(found.notes):
         print(f"note: {note}")
     for one in made:
-        print(_summary(one))
+        print(summary(str(one.root), one.manifest))
+        if one.checked:
+            print(f"labels compared with the source: {one.checked:,} maps")
+        for column, count in sorted(one.disagreements.items()):
+            print(f"  {column}: {count:,} disagree")
 
 
 def _own_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -65,17 +68,9 @@ def _own_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
         ValueError: one is of another format.
     """
     for key in options:
-        if key.partition(".")[0] != name:
+        if not key.startswith(f"{name}."):
             raise ValueError(f"--{key}: does nothing for format {name}")
-    return {key.partition(".")[2]: value for key, value in options.items()}
-
-
-def _summary(one: Imported) -> str:
-    text = summary(str(one.root), one.manifest)
-    if one.checked:
-        text += f"\nlabels compared with the source: {one.checked:,} maps"
-        text += "".join(f"\n  {name}: {count:,} disagree" for name, count in sorted(one.disagreements.items()))
-    return text
+    return {key.removeprefix(f"{name}."): value for key, value in options.items()}
 
 
 def _movement(connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None) -> Movement | None:
@@ -165,7 +160,7 @@ def _add_format_options(parser: argparse.ArgumentParser, what: Literal["read", "
     for name, function in functions(what).items():
         options = {key: option for key, option in options_of(function).items() if key not in _OF_IMPORTS}
         if options:
-            group = parser.add_argument_group(name, (function.__doc__ or "").partition("\n")[0])
+            group = parser.add_argument_group(name, (function.__doc__ or "").partition("\n")[0].replace("``", ""))
             for key, option in options.items():
                 _add_option(group, f"{name}.{key}", option, default=argparse.SUPPRESS)
 

@@ -29,19 +29,19 @@ def given_problems(
     preset: str | None,
     seed: int | None,
     maps: int | None,
-    **how: Any,  # noqa: ANN401  (those of Problems.draw and Problems.read)
+    **how: Any,  # noqa: ANN401  (those of Problems.sample and Problems.read)
 ) -> Problems:
     """Return one problem a map: of maps made on the spot, or of the test split of the dataset under ``root``.
 
     Raises:
-        ValueError: a preset or seed beside a root; what `Problems.draw` and `Problems.read` refuse.
+        ValueError: a preset or seed beside a root; what `Problems.sample` and `Problems.read` refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     from mapdata.generators import Generator
     from mapdata.problems import Problems
 
     if root is None:
-        return Problems.draw(Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how)
+        return Problems.sample(Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how)
     if preset is not None or seed is not None:
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
     return Problems.read(root, maps, **how)

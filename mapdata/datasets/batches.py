@@ -19,6 +19,7 @@ from numba.extending import intrinsic
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.generators.maps import WORD, unpack
 from mapdata.jit import Int, inlined, kernel
+from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.lattice import STEPS
 from mapdata.shards.manifest import Entry, Manifest, read_manifest
 from mapdata.shards.reader import head, open_shard
@@ -178,7 +179,7 @@ class BatchReader:
         most_rooms: R, the largest number of rooms a map can have.
     """
 
-    def __init__(self, roots: Sequence[str], split: str | None, problems: str, unsolvable: bool) -> None:
+    def __init__(self, roots: Sequence[str], split: str | None, problems: Source) -> None:
         """Read the manifests; no shard is opened yet.
 
         Raises:
@@ -205,7 +206,7 @@ class BatchReader:
         self.shards = [
             (root, entry) for root, manifest in zip(roots, self.manifests, strict=True) for entry in manifest.shards
         ]
-        self._split, self._problems, self._unsolvable = split, problems, unsolvable
+        self._split, self._problems = split, problems
         self.offsets = np.concatenate(
             ([0], np.cumsum([self._count(entry) for _, entry in self.shards], dtype=np.int64))
         )
@@ -258,7 +259,7 @@ class BatchReader:
             raise ShardError(
                 f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_seed_points})"
             )
-        rows = problem_rows(shard, self._split, self._problems, self._unsolvable)
+        rows = problem_rows(shard, self._split, self._problems)
         first, last = self.offsets[k : k + 2].tolist()
         if len(rows) != last - first:
             raise ShardError(f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}")
@@ -277,9 +278,9 @@ class BatchReader:
         return shard
 
     def _count(self, entry: Entry) -> int:
-        names = ["maps"] if self._problems == "random" else [self._problems]
-        if self._unsolvable and self._problems != "random":
-            names.append(f"{self._problems}_unsolvable")
+        names = [self._problems.counted]
+        if self._problems.unsolvable:
+            names.append(f"{self._problems.counted}_unsolvable")
         splits = [self._split] if self._split else SPLITS
         count = sum(int(entry.counts[split][name]) for split in splits for name in names)
         if count > entry.bytes:  # room is made for all, and each takes more than a byte
@@ -342,11 +343,11 @@ def _successor(before: Manifest, now: Manifest, entry: Entry) -> Entry | None:
     return None
 
 
-def problem_rows(shard: Shard, split: str | None, problems: str, unsolvable: bool) -> npt.NDArray[np.int32]:
+def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArray[np.int32]:
     """Return (P, 3) of the problems in a shard: map, room, room (-1 where problems are drawn)."""
     arrays = shard.arrays
     rooms = np.diff(arrays["room_offsets"])
-    if problems == "random":
+    if isinstance(problems, Random):
         maps = np.arange(len(rooms))
         first = second = np.full(len(rooms), -1)
     else:
@@ -357,8 +358,8 @@ def problem_rows(shard: Shard, split: str | None, problems: str, unsolvable: boo
         seed_points, base = arrays["seeds"], arrays["room_offsets"][maps]
         solvable = arrays["astar_straight"] >= 0
         same = (seed_points[base + first] == seed_points[base + second]).all(axis=1)
-        keep = (solvable & ~same) | (~solvable if unsolvable else False)
-        if problems == "route":
+        keep = (solvable & ~same) | (~solvable if problems.unsolvable else False)
+        if isinstance(problems, Route):
             keep &= second == first + 1
         maps, first, second = maps[keep], first[keep], second[keep]
     if split is not None:

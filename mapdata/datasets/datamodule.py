@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytorch_lightning as pl
 from torch.utils.data import DataLoader
 
-from mapdata.datasets.dataset import DEFAULT_FIELDS, MapDataset
+from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
+from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
@@ -79,13 +81,10 @@ class MapDataModule(_Base):
         persistent_workers: bool = False,
         prefetch_factor: int | None = None,
         multiprocessing_context: str | None = None,
-        fields: Sequence[str | Callable[[Sample], Any]] = DEFAULT_FIELDS,
-        problems: str = "route",
+        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
+        problems: str | Source | dict[str, Any] = "route",
         search: str = "astar",
         movement: Movement | tuple[int, bool, float] | None = None,
-        unsolvable: bool = False,
-        min_distance: float | None = None,
-        min_hardness: float | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
@@ -109,34 +108,13 @@ class MapDataModule(_Base):
             "prefetch_factor": prefetch_factor,
             "multiprocessing_context": multiprocessing_context,
         }
-        self.arguments: dict[str, Any] = {
-            "fields": tuple(fields),
-            "problems": problems,
-            "search": search,
-            "movement": Movement(*movement) if isinstance(movement, (tuple, list)) else movement,
-            "unsolvable": unsolvable,
-            "min_distance": min_distance,
-            "min_hardness": min_hardness,
-            "sampling_seed": sampling_seed,
-            "max_length": max_length,
-        }
-        self.augment = augment
+        moves = Movement(*movement) if isinstance(movement, (tuple, list)) else movement
+        source = problem_source(problems)
+        self.serving = Serving(fields, source, search, moves, augment, sampling_seed, max_length)
         self.datasets: dict[str, Dataset] = {}
-        self.save_hyperparameters(self._plain_arguments(), logger=False)
-
-    def _plain_arguments(self) -> dict[str, Any]:
-        """Return the arguments as plain values: a checkpoint with others could not be loaded safely.
-
-        Functions among the fields cannot be kept; a restored module then needs ``fields`` again.
-        """
-        plain = {**self.loading, **self.arguments, "build": self.build, "batch_size": self.batch_size}
+        plain = {**self.loading, **self.serving.plain(), "build": build, "batch_size": batch_size}
         plain["root"] = self.roots[0] if len(self.roots) == 1 else tuple(self.roots) or None
-        plain["augment"] = self.augment
-        if (movement := self.arguments["movement"]) is not None:
-            plain["movement"] = (movement.connectivity, movement.corner_cutting, movement.diagonal_cost)
-        if not all(isinstance(field, str) for field in self.arguments["fields"]):
-            del plain["fields"]
-        return plain
+        self.save_hyperparameters(plain, logger=False)
 
     def prepare_data(self) -> None:
         """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many processes at once."""
@@ -157,7 +135,7 @@ class MapDataModule(_Base):
                 self.datasets[split] = self._open(split)
 
     def _open(self, split: str) -> Dataset:
-        arguments = {**self.arguments, "augment": self.augment and split == "train"}
+        arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}
         if self.roots:
             return MapDataset(self.roots, split, **arguments)
         assert self.build is not None  # there are roots or a recipe
@@ -185,9 +163,8 @@ class MapDataModule(_Base):
         if split not in self.datasets:
             self.setup(stage)
         dataset = self.datasets[split]
-        sampler = EpochSampler(
-            dataset, self.batch_size, self.arguments["sampling_seed"] if split == "train" else None, self
-        )
+        sampling_seed = self.serving.sampling_seed if split == "train" else None
+        sampler = EpochSampler(dataset, self.batch_size, sampling_seed, self)
         return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
 
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:  # noqa: ANN401  (Lightning's signature)

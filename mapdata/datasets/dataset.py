@@ -21,19 +21,16 @@ from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.fields import hardness as problem_hardness
 from mapdata.datasets.fields import length as path_length_of
 from mapdata.datasets.sample import Rows, Sample, row, sample_class, stack
+from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving, check_choice
 from mapdata.problems.sampling import sample_problems
+from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import rule_of
-from mapdata.spec import SPLITS, Movement, check_seed
+from mapdata.spec import SPLITS, Movement
 
 if TYPE_CHECKING:
     import pandas as pd
-
-FieldFunction = Callable[[Sample], Any]
-
-DEFAULT_FIELDS = ("map", "start", "goal", "path")
-PROBLEMS = ("route", "rooms", "random")
 
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
@@ -47,43 +44,20 @@ class ProblemDataset(Dataset[Sample], ABC):
     function of (sampling_seed, epoch, index), never of worker state. A plain ``dataset[i]`` is epoch 0.
     """
 
-    def __init__(
-        self,
-        *,
-        split: str | None,
-        fields: Sequence[str | FieldFunction],
-        problems: str,
-        search: str,
-        movement: Movement,
-        unsolvable: bool,
-        min_distance: float | None,
-        min_hardness: float | None,
-        augment: bool,
-        sampling_seed: int,
-        max_length: int | None,
-    ) -> None:
+    movement: Movement
+    """How the served paths move."""
+
+    def __init__(self, split: str | None, serving: Serving) -> None:
         """Check and keep the arguments that `MapDataset` describes."""
-        check_choice("problems", problems, PROBLEMS)
-        check_choice("search", search, ("bfs", "astar"))
-        if problems != "random" and (min_distance is not None or min_hardness is not None):
-            raise ValueError(
-                "min_distance, min_hardness: conditions of problems='random' only; use filter() on stored ones"
-            )
-        if problems == "random" and unsolvable:
-            raise ValueError("unsolvable: random problems always have a path")
-        if augment and split in ("val", "test"):
+        if split is not None:
+            check_choice("split", split, SPLITS)
+        if serving.augment and split in ("val", "test"):
             raise ValueError(f"augment: would change the split {split!r}, expected the training split")
-        if max_length is not None and ("path" not in fields or max_length < 1):
-            raise ValueError(f"max_length: got {max_length!r}, expected at least 1 and 'path' among the fields")
-        rule_of(movement)  # refuses what is no movement
-        self.fields = _check_fields(fields)
-        self.split, self.problems, self.search, self.movement = split, problems, search, movement
-        self.unsolvable, self.min_distance, self.min_hardness = unsolvable, min_distance, min_hardness
-        self.augment, self.sampling_seed, self.max_length = augment, check_seed(sampling_seed), max_length
+        self.split = split
+        self.serving = serving
         _keep_freed_memory()
-        names = tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
-        self._sample = sample_class(names, max_length)
-        self._wanted = frozenset(names)
+        self._class = sample_class(serving.names, serving.max_length)
+        self._wanted = frozenset(serving.names)
 
     @abstractmethod
     def __len__(self) -> int:
@@ -120,62 +94,32 @@ class ProblemDataset(Dataset[Sample], ABC):
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
 
-    def _arguments(self) -> dict[str, Any]:
-        """Return the arguments that both datasets take."""
-        return {
-            "split": self.split,
-            "fields": self.fields,
-            "problems": self.problems,
-            "search": self.search,
-            "movement": self.movement,
-            "unsolvable": self.unsolvable,
-            "min_distance": self.min_distance,
-            "min_hardness": self.min_hardness,
-            "augment": self.augment,
-            "sampling_seed": self.sampling_seed,
-            "max_length": self.max_length,
-        }
-
     def _make(self, indices: Ints, epoch: int) -> Sample:
         """Return the fields of problems ``indices``, batched."""
         batch = self._batch(indices, epoch)
-        if self.augment:
-            batch = _transformed(batch, self.sampling_seed, epoch)
+        if self.serving.augment:
+            batch = _transformed(batch, self.serving.sampling_seed, epoch)
         values: list[Any] = []
-        for field in self.fields:
+        for field in self.serving.fields:
             if isinstance(field, str):
                 values.append(torch.from_numpy(np.ascontiguousarray(FIELDS[field](batch))))
             else:
-                so_far = sample_class(self._sample._fields[: len(values)])(*values)
+                so_far = sample_class(self.serving.names[: len(values)])(*values)
                 values.append(torch.as_tensor(field(so_far)))
-        sample: Sample = self._sample(*values)
+        sample: Sample = self._class(*values)
         return sample
 
     def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
-        found = search_batch(self.search, grids, starts, goals, self.movement)
+        found = search_batch(self.serving.search, grids, starts, goals, self.movement)
         return Paths(found.cells, found.offsets, found.iterations)
 
-    def _draw(self, grids: Bytes, indices: Ints, epoch: int) -> tuple[Ints, Ints, npt.NDArray[np.bool_]]:
-        """Return drawn starts, goals, and whether each map has a problem under the conditions."""
-        starts, goals = np.zeros((2, len(indices), 2), np.int64)
-        found = np.zeros(len(indices), np.bool_)
-        sample_problems(
-            grids,
-            np.uint64(self.sampling_seed),
-            epoch,
-            indices,
-            float(self.min_distance or 0),
-            float(self.min_hardness or 0),
-            *rule_of(self.movement),
-            starts,
-            goals,
-            found,
-        )
-        return starts, goals, found
+    def _sample(self, conditions: Random, grids: Bytes, indices: Ints, epoch: int) -> Ints:
+        """Return start and goal of a random problem on each map, (B, 4), -1 where it has none."""
+        seed = np.uint64(self.serving.sampling_seed)
+        return sample_problems(grids, seed, epoch, indices, conditions.bands, *rule_of(self.movement))[:, :4]
 
     def _no_problem(self) -> ValueError:
-        conditions = f"min_distance={self.min_distance}, min_hardness={self.min_hardness}"
-        return ValueError(f"problems={self.problems!r}: none on {SUBSTITUTES} maps in a row ({conditions})")
+        return ValueError(f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row")
 
 
 class MapDataset(ProblemDataset):
@@ -185,14 +129,12 @@ class MapDataset(ProblemDataset):
         root: folder or fsspec URL of a dataset, or a list of them with one map size and movement.
         split: "train", "val", "test" or None for all.
         fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order of the sample.
-        problems: "route" (stored segments between consecutive rooms), "rooms" (all pairs of rooms i < j) or "random"
-            (one problem a map, drawn anew each epoch: a uniform free cell and a uniform one connected to it).
-            Problems of length 0 are left out.
+        problems: what is asked of the maps: a `Route`, `Pairs` or `Random`, or its name, "route" (the stored segments
+            between consecutive rooms), "pairs" (all pairs of rooms i < j) or "random" (one problem a map, sampled
+            anew each epoch); or plain JSON, ``{"random": {"distance": [10, null]}}``. Problems of length 0 are left
+            out.
         search: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
         movement: None for the stored one; under another, problems are solved on the fly.
-        unsolvable: keep route and rooms problems without a path, too.
-        min_distance: least cost of a random problem, in cells.
-        min_hardness: least hardness of a random problem.
         augment: one of the 8 symmetries (4 when not square) a sample, drawn anew each epoch; not for val and test.
         sampling_seed: seed of all that is drawn while loading; the maps have a seed of their own.
         max_length: fixed number of rows of ``path``; a longer path is an error.
@@ -209,38 +151,22 @@ class MapDataset(ProblemDataset):
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
-        problems: str = "route",
+        problems: str | Source | dict[str, Any] = "route",
         search: str = "astar",
         movement: Movement | None = None,
-        unsolvable: bool = False,
-        min_distance: float | None = None,
-        min_hardness: float | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
     ) -> None:
         """Read the manifests; shards are opened at their first touch."""
-        if split is not None:
-            check_choice("split", split, SPLITS)
-        check_choice("problems", problems, PROBLEMS)
+        source = problem_source(problems)
+        super().__init__(split, Serving(fields, source, search, movement, augment, sampling_seed, max_length))
         roots = [root] if isinstance(root, (str, os.PathLike)) else list(root)
         if not roots:
             raise ValueError("root: got an empty list, expected at least one dataset")
         self.roots = [os.fspath(each) for each in roots]
-        self.store = BatchReader(self.roots, split, problems, unsolvable)
-        super().__init__(
-            split=split,
-            fields=fields,
-            problems=problems,
-            search=search,
-            movement=self.store.movement if movement is None else movement,
-            unsolvable=unsolvable,
-            min_distance=min_distance,
-            min_hardness=min_hardness,
-            augment=augment,
-            sampling_seed=sampling_seed,
-            max_length=max_length,
-        )
+        self.store = BatchReader(self.roots, split, source)
+        self.movement = movement or self.store.movement
         self.filters: tuple[dict[str, Any], ...] = ()
         self._kept: Ints | None = None
 
@@ -251,12 +177,13 @@ class MapDataset(ProblemDataset):
     def __repr__(self) -> str:
         filters = "".join(f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters)
         where = self.roots[0] if len(self.roots) == 1 else self.roots
-        return f"MapDataset({where!r}, split={self.split!r}, problems={self.problems!r}){filters}: {len(self)} problems"
+        arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
+        return f"MapDataset({arguments}){filters}: {len(self)} problems"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""
         content = [manifest.content_hash for manifest in self.store.manifests]
-        return _reopen, ({"root": self.roots, **self._arguments()}, self.filters, content)
+        return _reopen, (self.roots, self.split, self.serving, self.filters, content)
 
     @property
     def map_size(self) -> tuple[int, int]:
@@ -277,15 +204,15 @@ class MapDataset(ProblemDataset):
         Args:
             rooms: number of rooms of the map.
             path_length: number of cells of the path.
-            reachable: whether the problem has a path (problems without one need ``unsolvable=True``).
+            reachable: whether the problem has a path (problems without one need ``Route(unsolvable=True)``).
             all_connected: whether all rooms of the map are connected.
             hardness: optimal cost over heuristic.
 
         Raises:
             ValueError: random problems, which are not stored; no condition; a range that is not two numbers.
         """
-        if self.problems == "random":
-            raise ValueError("filter: random problems are not stored; use min_distance and min_hardness")
+        if isinstance(self.serving.problems, Random):
+            raise ValueError("filter: random problems are not stored; give Random(...) the conditions")
         given = {
             "rooms": rooms,
             "path_length": path_length,
@@ -342,7 +269,10 @@ class MapDataset(ProblemDataset):
     def _batch(self, indices: Ints, epoch: int) -> Batch:
         if self._kept is not None:
             indices = self._kept[indices]
-        return self._random_batch(indices, epoch) if self.problems == "random" else self._stored_batch(indices)
+        problems = self.serving.problems
+        if isinstance(problems, Random):
+            return self._random_batch(problems, indices, epoch)
+        return self._stored_batch(indices)
 
     def _stored_batch(self, indices: Ints) -> Batch:
         shards, maps, first, second = self.store.find(indices)
@@ -350,8 +280,8 @@ class MapDataset(ProblemDataset):
         starts, goals = (self.store.seed_points(shards, maps, rooms) for rooms in (first, second))
 
         def paths() -> Paths:
-            if self.problems == "route" and self.movement == self.store.movement:
-                return Paths(*self.store.paths(shards, maps, first, self.search))
+            if isinstance(self.serving.problems, Route) and self.movement == self.store.movement:
+                return Paths(*self.store.paths(shards, maps, first, self.serving.search))
             for cells in (starts, goals):
                 for k in np.flatnonzero(grids[np.arange(len(grids)), cells[:, 0], cells[:, 1]])[:1]:
                     raise self.store.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
@@ -359,21 +289,22 @@ class MapDataset(ProblemDataset):
 
         return self._as_batch(indices, shards, maps, grids, starts, goals, paths)
 
-    def _random_batch(self, indices: Ints, epoch: int) -> Batch:
+    def _random_batch(self, conditions: Random, indices: Ints, epoch: int) -> Batch:
         chosen = indices.copy()
         shards, maps, _, _ = self.store.find(chosen)
         grids = self.store.grids(shards, maps)
-        starts, goals, found = self._draw(grids, indices, epoch)
+        ends = self._sample(conditions, grids, indices, epoch)
         for _ in range(SUBSTITUTES):
-            missing = np.flatnonzero(~found)
+            missing = np.flatnonzero(ends[:, 0] < 0)
             if len(missing) == 0:
                 break
             chosen[missing] = (chosen[missing] + 1) % len(self.store)
             shards[missing], maps[missing], _, _ = self.store.find(chosen[missing])
             grids[missing] = self.store.grids(shards[missing], maps[missing])
-            starts[missing], goals[missing], found[missing] = self._draw(grids[missing], indices[missing], epoch)
-        if not found.all():
+            ends[missing] = self._sample(conditions, grids[missing], indices[missing], epoch)
+        else:
             raise self._no_problem()
+        starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
         return self._as_batch(indices, shards, maps, grids, starts, goals, lambda: self._solve(grids, starts, goals))
 
     def _as_batch(
@@ -386,15 +317,15 @@ class MapDataset(ProblemDataset):
         goals: Ints,
         paths: Callable[[], Paths],
     ) -> Batch:
+        search, max_length = self.serving.search, self.serving.max_length
+
         def rooms() -> Rooms:
-            matrices, seed_points = self.store.rooms(shards, maps, self.search)
+            matrices, seed_points = self.store.rooms(shards, maps, search)
             if self.movement != self.store.movement:
-                matrices = room_matrices(self.search, grids, seed_points, self.movement)
+                matrices = room_matrices(search, grids, seed_points, self.movement)
             return Rooms(matrices, seed_points)
 
-        return Batch(
-            self.movement, self.search, grids, starts, goals, indices, paths, rooms, self._wanted, self.max_length
-        )
+        return Batch(self.movement, search, grids, starts, goals, indices, paths, rooms, self._wanted, max_length)
 
 
 def _keep_freed_memory() -> None:
@@ -433,37 +364,21 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
     )
 
 
-def _reopen(arguments: dict[str, Any], filters: tuple[dict[str, Any], ...], content: list[str]) -> MapDataset:
+def _reopen(
+    roots: list[str],
+    split: str | None,
+    serving: Serving,
+    filters: tuple[dict[str, Any], ...],
+    content: list[str],
+) -> MapDataset:
     """Return the dataset that was pickled, if it still is: in another its problems would have other numbers."""
-    dataset = MapDataset(**arguments)
+    dataset = MapDataset(roots, split, **vars(serving))
     for root, manifest, expected in zip(dataset.roots, dataset.store.manifests, content, strict=True):
         if manifest.content_hash != expected:
             raise ValueError(f"root: {root} holds other maps than when this dataset was opened; open it again")
     for conditions in filters:
         dataset = dataset.filter(**conditions)
     return dataset
-
-
-def _check_fields(fields: Sequence[str | FieldFunction]) -> tuple[str | FieldFunction, ...]:
-    if isinstance(fields, str) or not fields:
-        raise ValueError(f"fields: got {fields!r}, expected a sequence of names or functions")
-    for field in fields:
-        if isinstance(field, str) and field not in FIELDS:
-            raise ValueError(f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}")
-        if not isinstance(field, str) and not callable(field):
-            raise ValueError(f"fields: got {field!r}, expected a name or a function")
-    names = [field if isinstance(field, str) else field.__name__ for field in fields]
-    if len(set(names)) < len(names):
-        raise ValueError(f"fields: got {names}, expected each name once")
-    if any(not name.isidentifier() for name in names):
-        raise ValueError("fields: a function gives its name to the sample; use 'def', not 'lambda'")
-    return tuple(fields)
-
-
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Refuse a value that is not one of ``choices``."""
-    if value not in choices:
-        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")
 
 
 def _within(values: npt.NDArray[Any], limits: tuple[float, float]) -> npt.NDArray[np.bool_]:

@@ -9,21 +9,23 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Ints
-from mapdata.datasets.dataset import DEFAULT_FIELDS, SUBSTITUTES, FieldFunction, ProblemDataset, check_choice
+from mapdata.datasets.dataset import SUBSTITUTES, ProblemDataset
 from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
 from mapdata.problems.sampling import replace_paths, solve_pairs
+from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.search.lattice import ASTAR, BFS, rule_of
-from mapdata.spec import SPLITS, Movement, check_seed
+from mapdata.spec import Movement, check_seed
 
 
 class OnlineMapDataset(ProblemDataset):
     """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would
     hold.
 
-    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and rooms
+    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and pairs
     problems are one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is
     replaced by one from beyond ``length``.
 
@@ -45,35 +47,22 @@ class OnlineMapDataset(ProblemDataset):
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
-        problems: str = "route",
+        problems: str | Source | dict[str, Any] = "route",
         search: str = "astar",
         movement: Movement | None = None,
-        unsolvable: bool = False,
-        min_distance: float | None = None,
-        min_hardness: float | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
     ) -> None:
         """Check the arguments; no map is made yet."""
-        if split is not None:
-            check_choice("split", split, SPLITS)
+        source = problem_source(problems)
+        super().__init__(split, Serving(fields, source, search, movement, augment, sampling_seed, max_length))
         if length < 1:
             raise ValueError(f"length: got {length}, expected at least 1")
-        self.spec, self.seed, self.length = spec, check_seed(seed), length
-        super().__init__(
-            split=split,
-            fields=fields,
-            problems=problems,
-            search=search,
-            movement=spec.movement if movement is None else movement,
-            unsolvable=unsolvable,
-            min_distance=min_distance,
-            min_hardness=min_hardness,
-            augment=augment,
-            sampling_seed=sampling_seed,
-            max_length=max_length,
-        )
+        self.spec = spec
+        self.seed = check_seed(seed)
+        self.length = length
+        self.movement = movement or spec.movement
         self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
 
     def __len__(self) -> int:
@@ -82,10 +71,11 @@ class OnlineMapDataset(ProblemDataset):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as arguments: no maps, no class made at run time."""
-        return partial(OnlineMapDataset, self.spec, self.seed, self.length, **self._arguments()), ()
+        return partial(OnlineMapDataset, self.spec, self.seed, self.length, self.split, **vars(self.serving)), ()
 
     def __repr__(self) -> str:
-        return f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}): {self.length} problems"
+        arguments = f"{self.spec}, seed={self.seed}, split={self.split!r}, problems={self.serving.problems}"
+        return f"OnlineMapDataset({arguments}): {self.length} problems"
 
     @property
     def map_size(self) -> tuple[int, int]:
@@ -109,17 +99,18 @@ class OnlineMapDataset(ProblemDataset):
         else:
             raise self._no_problem()
         starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
+        search = self.serving.search
         return Batch(
             self.movement,
-            self.search,
+            search,
             grids,
             starts,
             goals,
             indices,
             lambda: paths,
-            lambda: Rooms(room_matrices(self.search, grids, seed_points, self.movement), seed_points),
+            lambda: Rooms(room_matrices(search, grids, seed_points, self.movement), seed_points),
             self._wanted,
-            self.max_length,
+            self.serving.max_length,
         )
 
     def _maps(self, positions: Ints) -> Maps:
@@ -127,23 +118,24 @@ class OnlineMapDataset(ProblemDataset):
 
     def _problem(self, maps: Maps, indices: Ints, epoch: int) -> tuple[Ints, Paths]:
         """Return start and goal on each map, (B, 4), -1 where it has no such problem, and the paths."""
-        if self.problems != "random":
-            ends, *found = solve_pairs(
-                maps.occupancy,
-                maps.seed_points,
-                maps.rooms,
-                np.uint64(self.sampling_seed),
-                epoch,
-                indices,
-                self.problems == "route",
-                self.unsolvable,
-                ASTAR if self.search == "astar" else BFS,
-                *rule_of(self.movement),
-            )
-            return ends, Paths(*found)
-        starts, goals, there = self._draw(maps.occupancy, indices, epoch)
-        ends = np.where(there[:, None], np.concatenate((starts, goals), axis=1), -1)
-        offsets, iterations = np.zeros(len(ends) + 1, np.int64), np.zeros(len(ends), np.int64)
-        solved = self._solve(maps.occupancy[there], starts[there], goals[there])
-        offsets[1:][there], iterations[there] = np.diff(solved.offsets), solved.iterations
-        return ends, Paths(solved.cells, np.cumsum(offsets), iterations)
+        problems = self.serving.problems
+        if isinstance(problems, Random):
+            ends = self._sample(problems, maps.occupancy, indices, epoch)
+            there = ends[:, 0] >= 0
+            offsets, iterations = np.zeros(len(ends) + 1, np.int64), np.zeros(len(ends), np.int64)
+            solved = self._solve(maps.occupancy[there], ends[there, :2], ends[there, 2:])
+            offsets[1:][there], iterations[there] = np.diff(solved.offsets), solved.iterations
+            return ends, Paths(solved.cells, np.cumsum(offsets), iterations)
+        ends, *found = solve_pairs(
+            maps.occupancy,
+            maps.seed_points,
+            maps.rooms,
+            np.uint64(self.serving.sampling_seed),
+            epoch,
+            indices,
+            isinstance(problems, Route),
+            problems.unsolvable,
+            ASTAR if self.serving.search == "astar" else BFS,
+            *rule_of(self.movement),
+        )
+        return ends, Paths(*found)

@@ -11,8 +11,10 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 from torch.utils.data.distributed import DistributedSampler
 
+from mapdata.arrays import Ints
 from mapdata.datasets.sample import Sample
-from mapdata.problems.sampling import permutation
+from mapdata.jit import Int, kernel
+from mapdata.rng import ORDER, block
 
 
 class LateLoader(DataLoader[Sample]):
@@ -28,7 +30,7 @@ class LateLoader(DataLoader[Sample]):
 class EpochSampler(DistributedSampler[Any]):
     """Yields ``index + epoch * len(dataset)``, each rank its share, from where the Trainer is.
 
-    Training: a permutation that is a function of (order seed, epoch); all ranks get equally many, at most ranks - 1
+    Training: a permutation that is a function of (sampling seed, epoch); all ranks get equally many, at most ranks - 1
     samples are left out. Else: the order of the dataset, epoch 0, every sample on exactly one rank. It asks for
     epoch, rank and position when it is first iterated over, so that a resumed epoch goes on where it stopped. Without
     a Trainer each pass is the next epoch, unless `set_epoch` says which.
@@ -90,3 +92,16 @@ class EpochSampler(DistributedSampler[Any]):
             return self._epoch, 0
         self._passes += 1
         return self._passes - 1, 0
+
+
+@kernel
+def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
+    """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream ORDER."""
+    order = np.arange(count)
+    for k in range(count - 1, 0, -1):
+        w0, w1, _w2, _w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
+        # multiply-high of a 64-bit word, in two halves
+        n = np.uint64(k + 1)
+        j = (w0 * n + ((w1 * n) >> np.uint64(32))) >> np.uint64(32)
+        order[k], order[np.int64(j)] = order[np.int64(j)], order[k]
+    return order

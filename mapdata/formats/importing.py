@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,20 @@ RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
 
 _CELLS_A_SHARD = 2**24
+
+
+class Draws(NamedTuple):
+    """What is drawn for maps whose source does not say it.
+
+    Attributes:
+        seed_points: seed points of a map.
+        seed: 64-bit seed.
+        splits: fractions of train, val and test.
+    """
+
+    seed_points: int
+    seed: int
+    splits: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -117,6 +132,7 @@ def import_maps(
         why = f": {source.left_out[0][0]}: {source.left_out[0][1]}" if source.left_out else ""
         raise ValueError(f"no map to import{why}")
     folders = _folders(root, list(groups))
+    draws = Draws(seed_points, seed, splits)
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
         made = []
         for (rows, columns, metres), maps in groups.items():
@@ -131,7 +147,7 @@ def import_maps(
             )
             ordered = _ordered(maps, source)
             folder = folders[rows, columns, metres]
-            made.append(_write(folder, wanted, ordered, seed_points, seed, splits, advance, pool))
+            made.append(_write(folder, wanted, ordered, draws, advance, pool))
     return made
 
 
@@ -164,14 +180,12 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
             return f"seed point {(row, column)} is outside the map of {rows} x {columns} cells"
         if grid[row, column]:
             return f"seed point {(row, column)} is on an occupied cell"
-    if one.rooms_known:
-        return (
-            None
-            if 1 <= len(one.seed_points) <= MAX_ROOMS
-            else f"{len(one.seed_points)} rooms, expected 1 to {MAX_ROOMS}"
-        )
-    count = len(largest_component(grid, rule_of(movement)[0]))
-    return None if count >= 2 else f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
+    rooms = len(one.seed_points)
+    if one.rooms_known and not 1 <= rooms <= MAX_ROOMS:
+        return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
+    if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
+        return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
+    return None
 
 
 def _folders(root: Path, keys: Sequence[tuple[int, int, float]]) -> dict[tuple[int, int, float], Path]:
@@ -208,9 +222,7 @@ def _write(
     folder: Path,
     wanted: Manifest,
     maps: list[ForeignMap],
-    seed_points: int,
-    seed: int,
-    splits: tuple[float, float, float],
+    draws: Draws,
     advance: Callable[[int], object],
     pool: Executor,
 ) -> Imported:
@@ -226,7 +238,7 @@ def _write(
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
         batch = maps[header.start : header.stop]
-        labels = pool.submit(label, to_maps(batch, header, seed_points, seed, splits)).result()
+        labels = pool.submit(label, to_maps(batch, header, draws)).result()
         for k, one in enumerate(batch):
             disagreements.update(one.check(labels, k) if one.check else [])
         image, content = shard_image(labels, header)
@@ -239,29 +251,25 @@ def _write(
             entry = entry_of(Shard(path, header, content, {}), labels, image)
             manifest = merge(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))
-    origin = {"seeds": seed_points, "seed": seed, "sources": [one.name for one in maps]}
+    origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}
     write_file(folder / PROVENANCE, provenance_text(origin).encode())
     return Imported(folder, manifest, sum(one.check is not None for one in maps), dict(disagreements))
 
 
-def to_maps(
-    batch: Sequence[ForeignMap], header: Header, seed_points: int, seed: int, splits: tuple[float, float, float]
-) -> Maps:
+def to_maps(batch: Sequence[ForeignMap], header: Header, draws: Draws) -> Maps:
     """Return foreign maps of one size as `Maps` with the numbers of ``header``; draw what they lack.
 
     Args:
         batch: the maps ``header.start`` to ``header.stop`` - 1.
         header: size and movement.
-        seed_points: seed points of a map.
-        seed: 64-bit seed.
-        splits: fractions of train, val and test, for maps whose split the source does not say.
+        draws: how.
     """
-    points = [_seed_points(one, header, seed_points, seed, header.start + k) for k, one in enumerate(batch)]
+    points = [_seed_points(one, header, draws, header.start + k) for k, one in enumerate(batch)]
     most = max(2, *map(len, points))
     indices = np.arange(header.start, header.stop)
     maps = Maps.empty(header.movement, header.map_size, indices, most)
     maps.packed[:] = pack(np.stack([one.grid for one in batch]))
-    maps.split[:] = draw_splits(np.uint64(seed), indices, split_thresholds(splits))
+    maps.split[:] = draw_splits(np.uint64(draws.seed), indices, split_thresholds(draws.splits))
     for k, (one, cells) in enumerate(zip(batch, points, strict=True)):
         maps.rooms[k] = len(cells)
         maps.passage_width[k] = one.passage_width
@@ -275,11 +283,12 @@ def to_maps(
     return maps
 
 
-def _seed_points(one: ForeignMap, header: Header, seed_points: int, seed: int, index: int) -> Ints:
-    if one.rooms_known or len(one.seed_points) >= seed_points:
+def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> Ints:
+    missing = draws.seed_points - len(one.seed_points)
+    if one.rooms_known or missing <= 0:
         return one.seed_points
     cells = largest_component(one.grid, rule_of(header.movement)[0])
     given = one.seed_points[:, 0] * one.shape[1] + one.seed_points[:, 1]
     cells = cells[~np.isin(cells, given)]
-    drawn = draw_points(cells, np.uint64(seed), np.uint64(index), min(seed_points - len(given), len(cells)))
+    drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
     return np.stack(np.divmod(np.concatenate((given, drawn)), one.shape[1]), axis=1)

@@ -19,7 +19,7 @@ import re
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,8 @@ from mapdata.formats.stored import Stored
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import MAX_CELLS
 from mapdata.spec import MAX_ROOMS, SPLITS, Movement
+
+Cell: TypeAlias = tuple[int, int]
 
 MOVEMENT = Movement(8)
 """The benchmark's rule."""
@@ -55,8 +57,8 @@ class Problem(NamedTuple):
     bucket: int
     map: str
     size: tuple[int, int] | None
-    start: tuple[int, int]
-    goal: tuple[int, int]
+    start: Cell
+    goal: Cell
     length: str
     line: int
     unit: float
@@ -216,8 +218,8 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
 
 def _solve(grid: Bytes, problems: list[Problem]) -> list[float]:
     """Return the optimal length of each problem, -1 without a path (an end may stand on a blocked cell)."""
-    ends = [[problem.start for problem in problems], [problem.goal for problem in problems]]
-    starts, goals = (np.array(cells) for cells in ends)
+    starts = np.array([problem.start for problem in problems])
+    goals = np.array([problem.goal for problem in problems])
     costs = np.full(len(problems), -1.0)
     open_ends = (grid[tuple(starts.T)] == 0) & (grid[tuple(goals.T)] == 0)
     if open_ends.any():
@@ -284,32 +286,32 @@ def read(
     if scen or source.suffix.lower() == ".scen":
         points = _end_points(source, limits, maps, found)
     else:
-        points = {path: dict[tuple[int, int], None]() for path in files_of(source, (".map",), limits, found.left_out)}
+        points = {path: [] for path in files_of(source, (".map",), limits, found.left_out)}
     water = 0
     for path, ends in points.items():
         with found.leaving_out(path):
             terrain = read_terrain(path, limits)
             grid = world(terrain)
             water += int((terrain == ord(WATER)).sum())
-            inside = [cell for cell in ends if cell[0] < grid.shape[0] and cell[1] < grid.shape[1] and not grid[cell]]
+            rows, columns = grid.shape
+            free = [cell for cell in dict.fromkeys(ends) if cell[0] < rows and cell[1] < columns and not grid[cell]]
             split = split_of(path, folder) if path.is_relative_to(folder) else None
-            chosen = np.array(inside[:seed_points], np.int64).reshape(-1, 2)
+            chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)
             found.maps.append(ForeignMap(str(path), grid, split, seed_points=chosen, rooms_known=len(chosen) > 1))
     if water:
         found.notes.append(f"{water} cells of water (W) are occupied: nothing leads there from land")
     return found
 
 
-def _end_points(
-    source: Path, limits: Limits, maps: str | Path | None, found: Collection
-) -> dict[Path, dict[tuple[int, int], None]]:
+def _end_points(source: Path, limits: Limits, maps: str | Path | None, found: Collection) -> dict[Path, list[Cell]]:
     """Return the end points of the problems of each map that a .scen names, in the order of their appearance."""
-    points: dict[Path, dict[tuple[int, int], None]] = {}
+    if source.suffix.lower() == ".map":
+        raise FormatError(f"{source}: a map has no end points, expected a .scen file or a folder with some")
+    points: dict[Path, list[Cell]] = {}
     for path in files_of(source, (".scen",), limits, found.left_out):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
-                ends = points.setdefault(find_map(problem.map, path, maps), {})
-                ends.update(dict.fromkeys((problem.start, problem.goal)))
+                points.setdefault(find_map(problem.map, path, maps), []).extend((problem.start, problem.goal))
     return points
 
 

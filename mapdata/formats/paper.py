@@ -126,7 +126,7 @@ def _separator(header: str) -> str:
 
 def _column(header: str) -> str:
     """Return our name of a column."""
-    plain = re.sub(r"[^a-z*]+", "_", header.lower()).strip("_")
+    plain = re.sub(r"[^a-z0-9*]+", "_", header.lower()).strip("_")
     return _OTHER_NAMES.get(plain, plain)
 
 

@@ -22,8 +22,6 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -144,28 +142,25 @@ def write(target: Path, source: Stored) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
-    passes = 1 + len(SPLITS) * len(_ARRAYS)
-    shards = len(source.manifest.shards)
-    with tqdm(total=passes * shards, unit=" shards", leave=False, disable=not source.progress) as bar:
-        batches = partial(_batches, replace(source, progress=False), bar)
-        splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in batches()]
-        counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
-        if 0 in counts:
-            missing = SPLITS[counts.index(0)]
-            raise FormatError(f"the split {missing!r} has no usable map, neural-astar's loader needs one")
-        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
-            for code, count in enumerate(counts):
-                for k, (lead, dtype, make) in enumerate(_ARRAYS):
-                    head, shape = BytesIO(), (count, *lead, *source.manifest.map_size)
-                    header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
-                    np.lib.format.write_array_header_1_0(head, header)
-                    info = zipfile.ZipInfo(f"arr_{4 * code + k}.npy")  # its date is fixed: equal content, equal bytes
-                    info.compress_type = zipfile.ZIP_DEFLATED
-                    with archive.open(info, "w", force_zip64=True) as member:
-                        member.write(head.getvalue())
-                        for (grids, goals, _), split in zip(batches(), splits, strict=True):
-                            for i in np.flatnonzero(split == code):
-                                member.write(np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes())
+    quiet = replace(source, progress=False)  # the one bar below is enough
+    splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(quiet)]
+    counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
+    if 0 in counts:
+        missing = SPLITS[counts.index(0)]
+        raise FormatError(f"the split {missing!r} has no usable map, neural-astar's loader needs one")
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
+        for number in tqdm(range(12), unit=" arrays", leave=False, disable=not source.progress):
+            code, k = divmod(number, len(_ARRAYS))
+            lead, dtype, make = _ARRAYS[k]
+            shape = (counts[code], *lead, *source.manifest.map_size)
+            header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
+            info = zipfile.ZipInfo(f"arr_{number}.npy")  # its date is fixed: equal content, equal bytes
+            info.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(info, "w", force_zip64=True) as member:
+                np.lib.format.write_array_header_1_0(member, header)
+                for (grids, goals, _), split in zip(_batches(quiet), splits, strict=True):
+                    for i in np.flatnonzero(split == code):
+                        member.write(np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes())
     left = source.manifest.maps - sum(counts)
     return [f"{left} maps are left out: the loader finds no start on them"] if left else []
 
@@ -185,11 +180,10 @@ _ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...
 """The four arrays of a split: the axes between N and H, the type, and what one is of a grid and its goal."""
 
 
-def _batches(source: Stored, bar: tqdm[Any]) -> Iterator[tuple[Bytes, Array, Bytes]]:
+def _batches(source: Stored) -> Iterator[tuple[Bytes, Array, Bytes]]:
     """Yield grids, goals and splits of each shard."""
     for labels in source.batches():
         yield labels.maps.occupancy, labels.maps.seed_points[:, 0], labels.maps.split
-        bar.update()
 
 
 def _usable(grids: Bytes, goals: Array) -> npt.NDArray[np.bool_]:

@@ -1,11 +1,11 @@
-"""Problems that planners are compared on: drawn on maps made on the spot, or on one split of a dataset."""
+"""Problems that planners are compared on: sampled on maps made on the spot, or on one split of a dataset."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, count, islice
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,10 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.generators.generator import Generator, generate, identity
-from mapdata.rng import PROBLEM, block, bounded
-from mapdata.search.api import BatchResult, distance_field, search_batch
+from mapdata.problems.sampling import sample_problems
+from mapdata.problems.sources import Random
+from mapdata.search.api import BatchResult, search_batch
+from mapdata.search.lattice import rule_of
 from mapdata.shards.manifest import read_manifest
 from mapdata.shards.reader import read_shard
 from mapdata.spec import SPLITS, Movement, check_seed
@@ -22,13 +24,7 @@ from mapdata.spec import SPLITS, Movement, check_seed
 HARD = 1.05
 """Hardness (optimal cost over heuristic) from which on a problem is hard."""
 
-MIN_DISTANCE = 10
-"""Smallest Manhattan distance from start to goal of a drawn problem."""
-
-_ATTEMPTS = 64
 _MAPS_A_CHUNK = 256
-
-Cell = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +35,7 @@ class Problems:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
         starts: (N, 2) int64, cells.
         goals: (N, 2) int64, cells other than the starts.
-        movement: how one moves; `draw` and `read` take 8-connected moves without corner cutting unless told otherwise.
+        movement: how one moves; `sample` and `read` take 8-connected moves without corner cutting by default.
         description: where they come from, in words.
 
     Raises:
@@ -77,10 +73,7 @@ class Problems:
     @cached_property
     def hardness(self) -> Floats:
         """(N,) optimal cost over heuristic (the cost on an empty grid); 1 is the easiest."""
-        sides = np.abs(self.starts - self.goals)
-        diagonal = sides.min(axis=1)
-        step = 2.0 if self.movement.connectivity == 4 else self.movement.diagonal_cost
-        return np.asarray(self.optimal.cost / (sides.max(axis=1) - diagonal + diagonal * step))
+        return _hardness(self.starts, self.goals, self.optimal.cost, self.movement)
 
     @cached_property
     def hard(self) -> Flags:
@@ -88,24 +81,26 @@ class Problems:
         return np.asarray(self.hardness >= HARD)
 
     @staticmethod
-    def draw(
+    def sample(
         spec: Generator,
         seed: int,
         maps: int | None = None,
         *,
+        problems: Random = Random(distance=(10, None)),
         until_hard: int | None = None,
         movement: Movement = Movement(8),
     ) -> Problems:
-        """Draw one problem on each of the maps 0, 1, ... of (spec, seed).
+        """Sample one problem on each of the maps 0, 1, ... of (spec, seed), as a dataset does in epoch 0.
 
-        The start is a uniform free cell, the goal a uniform one among the cells connected to it at a Manhattan distance
-        of at least ``MIN_DISTANCE``. A start without such a goal is drawn again, 64 times at most; then the map is left
-        out. The problem on map i is a pure function of (spec, seed, i) and of which cells ``movement`` connects.
+        The goal is a uniform free cell, the start a uniform one of the cells from which the problem meets the
+        conditions. A goal without such a start is sampled again, 32 times at most; then the map is left out. The
+        problem on map i is a pure function of (spec, seed, i), of the conditions and of ``movement``.
 
         Args:
             spec: the distribution of maps; its own movement is not used.
             seed: 64-bit seed of the maps and of the problems.
             maps: how many maps; with ``until_hard`` at most that many.
+            problems: the conditions on distance, hardness and length.
             until_hard: stop at the map that brings the number of hard problems to this.
             movement: how one moves.
 
@@ -113,17 +108,18 @@ class Problems:
             ValueError: neither ``maps`` nor ``until_hard``; no map with a problem; not enough hard ones (without
                 ``maps``: less than one on 1,000 maps).
 
-        >>> len(Problems.draw(MapSpec.preset("dungeon"), seed=77, maps=20))
+        >>> len(Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
         20
         """
         _check(maps, until_hard)
-        most = maps if maps is not None or until_hard is None else 1000 * until_hard
-        if most is None:
-            raise ValueError("got neither maps nor until_hard, expected how many maps or hard problems to draw")
-        chunks = (range(k, k + _MAPS_A_CHUNK) for k in count(0, _MAPS_A_CHUNK))
-        grids = chain.from_iterable(zip(chunk, generate(spec, seed, chunk).occupancy, strict=True) for chunk in chunks)
+        if maps is None:
+            if until_hard is None:
+                raise ValueError("got neither maps nor until_hard, expected how many maps or hard problems to sample")
+            maps = 1000 * until_hard
+        chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
+        grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"
-        return _collect(grids, most, until_hard, check_seed(seed), movement, where)
+        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where)
 
     @staticmethod
     def read(
@@ -132,17 +128,19 @@ class Problems:
         *,
         split: str = "test",
         seed: int | None = None,
+        problems: Random = Random(distance=(10, None)),
         until_hard: int | None = None,
         movement: Movement = Movement(8),
     ) -> Problems:
-        """Draw one problem on each map of one split of a dataset: on map i the one that `draw` draws.
+        """Sample one problem on each map of one split of a dataset: on map i the one that `sample` gives.
 
         Args:
             root: folder of the dataset.
             maps: how many maps of the split at most; all without.
             split: "train", "val" or "test".
             seed: seed of the problems; default the dataset's own, 0 for imported maps.
-            until_hard: as in `draw`.
+            problems: as in `sample`.
+            until_hard: as in `sample`.
             movement: how one moves.
 
         Raises:
@@ -155,13 +153,10 @@ class Problems:
         _check(maps, until_hard)
         manifest = read_manifest(Path(root))
         shards = (read_shard(Path(root) / entry.name).maps for entry in manifest.shards)
-        grids = (
-            (int(found.index[k]), found.occupancy[k])
-            for found in shards
-            for k in np.flatnonzero(found.split == SPLITS.index(split))
-        )
+        inside = ((each, each.split == SPLITS.index(split)) for each in shards)
+        grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in inside)
         seed = (manifest.seed or 0) if seed is None else check_seed(seed)
-        return _collect(grids, maps, until_hard, seed, movement, f"split {split} of {root}")
+        return _collect(grids, maps or sys.maxsize, problems, until_hard, seed, movement, f"split {split} of {root}")
 
 
 def _check(maps: int | None, until_hard: int | None) -> None:
@@ -170,50 +165,44 @@ def _check(maps: int | None, until_hard: int | None) -> None:
             raise ValueError(f"{name}: got {value}, expected at least 1")
 
 
+def _hardness(starts: Ints, goals: Ints, cost: Floats, movement: Movement) -> Floats:
+    """Return cost over heuristic."""
+    sides = np.abs(starts - goals)
+    diagonal = sides.min(axis=1)
+    step = 2.0 if movement.connectivity == 4 else movement.diagonal_cost
+    return np.asarray(cost / (sides.max(axis=1) - diagonal + diagonal * step))
+
+
 def _collect(
-    source: Iterable[tuple[int, Bytes]],
-    maps: int | None,
+    chunks: Iterable[tuple[Ints, Bytes]],
+    maps: int,
+    problems: Random,
     until_hard: int | None,
     seed: int,
     movement: Movement,
     where: str,
 ) -> Problems:
-    """Draw a problem on each of the first ``maps`` of ``source``, (number, grid), until there are enough hard ones."""
-    grids: list[Bytes] = []
-    ends: list[tuple[Cell, Cell]] = []
-    indices: list[int] = []
+    """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids), until enough of them are hard."""
+    found: list[tuple[Ints, Bytes, Ints]] = []
     hard = 0
-    for number, grid in islice(source, maps):
-        drawn = _draw_problem(grid, seed, number, movement)
-        if drawn is None:
-            continue
-        grids.append(grid)
-        ends.append(drawn)
-        indices.append(number)
+    for chunk, occupancy in chunks:
+        indices, grids = chunk[:maps], occupancy[:maps]
+        maps -= len(indices)
+        sampled = sample_problems(grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement))
+        kept = np.flatnonzero(sampled[:, 0] >= 0)
         if until_hard is not None:
-            start, goal = np.array(drawn)[:, None]
-            hard += int(Problems(grid[None], start, goal, movement).hard[0])
-            if hard == until_hard:
-                break
-    if not grids:
-        raise ValueError(f"{where}: no map with two connected cells at a Manhattan distance of {MIN_DISTANCE} or more")
+            starts, goals, steps = np.split(sampled[kept], 3, axis=1)
+            cost = steps[:, 0] + steps[:, 1] * movement.diagonal_cost
+            hard_so_far = hard + np.cumsum(_hardness(starts, goals, cost, movement) >= HARD)
+            kept = kept[: np.searchsorted(hard_so_far, until_hard) + 1]
+            hard = int(hard_so_far[: len(kept)].max(initial=hard))
+        found.append((indices[kept], grids[kept], sampled[kept]))
+        if maps == 0 or hard == until_hard:
+            break
+    if not any(len(index) for index, _, _ in found):
+        raise ValueError(f"{where}: no map has a problem that meets {problems}")
     if until_hard is not None and hard < until_hard:
         raise ValueError(f"until_hard: got {until_hard}, found only {hard} hard problems on {where}")
-    starts, goals = np.array(ends).swapaxes(0, 1)
-    description = f"maps {indices[0]} to {indices[-1]} of {where}, problems by seed {seed}"
-    return Problems(np.stack(grids), starts, goals, movement, description)
-
-
-def _draw_problem(grid: Bytes, seed: int, index: int, movement: Movement) -> tuple[Cell, Cell] | None:
-    """Return start and goal on map ``index``, or None; cells are counted in row-major order."""
-    free = np.argwhere(grid == 0)
-    rows, columns = np.ogrid[: grid.shape[0], : grid.shape[1]]
-    for attempt in range(_ATTEMPTS if len(free) else 0):
-        first, second, *_ = block(np.uint64(seed), np.uint64(index), 0, PROBLEM, attempt)
-        row, column = free[bounded(first, 0, len(free) - 1)].tolist()
-        far = np.abs(rows - row) + np.abs(columns - column) >= MIN_DISTANCE
-        goals = np.argwhere(far & (distance_field(grid, (row, column), movement) >= 0))
-        if len(goals):
-            goal_row, goal_column = goals[bounded(second, 0, len(goals) - 1)].tolist()
-            return (row, column), (goal_row, goal_column)
-    return None
+    index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
+    description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
+    return Problems(grid, ends[:, :2], ends[:, 2:4], movement, description)

@@ -1,6 +1,4 @@
-"""Problems and symmetries that are drawn anew each epoch: functions of (order seed, epoch, number), never of worker
-state.
-"""
+"""Problems that are sampled anew each epoch: functions of (sampling seed, epoch, index), never of worker state."""
 
 from __future__ import annotations
 
@@ -8,94 +6,107 @@ import math
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Ints
-from mapdata.jit import Int, kernel
-from mapdata.rng import ORDER, PROBLEM, block, bounded
+from mapdata.arrays import Bytes, Ints
+from mapdata.jit import Int, inlined, kernel
+from mapdata.problems.sources import Bands
+from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.kernels import find, log_size, scratch, shortest_costs, wipe, write_cells
-from mapdata.search.lattice import ASTAR, BFS, STEPS, UNIT, WALL, estimate, load, parts
+from mapdata.search.lattice import ASTAR, BFS, FAR, STEPS, WALL, estimate, load, parts
 
-_TRIES = 32
-"""Start cells tried on one map before it is given up."""
+_ATTEMPTS = 32
+"""Goals tried on one map before it is given up."""
 
 
 @kernel
 def sample_problems(
-    grids: Bytes,
-    seed: np.uint64,
-    epoch: Int,
-    indices: Ints,
-    min_distance: float,
-    min_hardness: float,
-    diagonals: Int,
-    step: Int,
-    starts: Ints,
-    goals: Ints,
-    found: Flags,
-) -> None:
-    """Draw a start and a goal on each grid: a uniform free cell, then a uniform one of those that meet the conditions.
+    grids: Bytes, seed: np.uint64, epoch: Int, indices: Ints, bands: Bands, diagonals: Int, step: Int
+) -> Ints:
+    """Sample a problem on each grid (docs/format.md, section 6): a goal, then one of the starts that fit it.
+
+    The goal comes first so that the costs to it, which the conditions need, are those that fields of the goal need.
 
     Args:
         grids: (B, H, W).
-        seed: order seed.
+        seed: sampling seed.
         epoch: pass over the data.
         indices: (B,) number of each problem.
-        min_distance: least cost of the shortest path.
-        min_hardness: least ratio of that cost to the heuristic.
-        diagonals: as `kernels.rule_of` gives it.
-        step: as `kernels.rule_of` gives it.
-        starts: (B, 2), filled.
-        goals: (B, 2), filled.
-        found: (B,), filled: False where no problem of the map meets the conditions.
+        bands: as `Random.bands`; a tuple, which numba keeps in registers.
+        diagonals: as `rule_of` gives it.
+        step: likewise.
+
+    Returns:
+        (B, 6): start, goal, straight and diagonal steps of a shortest path (all count as straight where they cost
+        the same); -1 where the map has no such problem.
     """
     rows, columns = grids.shape[1], grids.shape[2]
     stride = columns + 2
     cells = (rows + 2) * stride
     offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    came, costs, candidates = np.full(cells, WALL), np.empty(cells, np.int64), np.empty(cells, np.int64)
+    came = np.full(cells, WALL)
+    costs = np.empty(cells, np.int64)
     log = log_size(cells, diagonals, step)
-    queue, below = np.empty(log, np.uint32), np.empty(log, np.uint32)
+    queue = np.empty(log, np.uint32)
+    below = np.empty(log, np.uint32)
+    starts = np.empty(rows * columns, np.int64)
+    sampled = np.full((len(grids), 6), -1)
     for b in range(len(grids)):
-        found[b], free = False, 0
+        free: Int = 0
         for row in range(rows):
             for column in range(columns):
                 free += grids[b, row, column] == 0
-        for attempt in range(_TRIES if free > 1 else 0):
+        for attempt in range(_ATTEMPTS if free > 1 else 0):
             w0, w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
-            start = _free_cell(grids[b], bounded(w0, 0, free - 1))
+            goal_row, goal_column = _free_cell(grids[b], bounded(w0, 0, free - 1))
+            goal = (goal_row + 1) * stride + goal_column + 1
             load(grids[b], came)
-            source = (start // columns + 1) * stride + start % columns + 1
-            count = shortest_costs(came, costs, queue, below, offsets, source, diagonals, step)
-            kept = 0
-            for k in range(count):
-                cell = np.int64(queue[k])
-                if cell == source:
-                    continue
-                straight, diagonal = parts(costs[cell])
-                least = estimate(cell // stride - source // stride, cell % stride - source % stride, diagonals, step)
-                if straight + diagonal * math.sqrt(2.0) >= min_distance and costs[cell] / UNIT >= min_hardness * (
-                    least / UNIT
-                ):
-                    candidates[kept] = cell
-                    kept += 1
-            if kept:
-                chosen = candidates[bounded(w1, 0, kept - 1)]
-                starts[b, 0], starts[b, 1] = start // columns, start % columns
-                goals[b, 0], goals[b, 1] = chosen // stride - 1, chosen % stride - 1
-                found[b] = True
+            shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)
+            fitting = 0
+            for row in range(rows):
+                for column in range(columns):
+                    cell = (row + 1) * stride + column + 1
+                    if costs[cell] == FAR or cell == goal:
+                        continue
+                    least = estimate(row - goal_row, column - goal_column, diagonals, step)
+                    if _is_within(bands, costs[cell], least):
+                        starts[fitting] = cell
+                        fitting += 1
+            if fitting:
+                start = starts[bounded(w1, 0, fitting - 1)]
+                straight, diagonal = parts(costs[start])
+                sampled[b, 0], sampled[b, 1] = start // stride - 1, start % stride - 1
+                sampled[b, 2], sampled[b, 3] = goal_row, goal_column
+                sampled[b, 4], sampled[b, 5] = straight, diagonal
                 break
+    return sampled
 
 
 @kernel
-def _free_cell(grid: Bytes, number: Int) -> Int:
-    """Return the ``number``-th free cell of a grid, in row-major order, as row * columns + column."""
+def _free_cell(grid: Bytes, number: Int) -> tuple[Int, Int]:
+    """Return the ``number``-th free cell of a grid in row-major order."""
     left = number
     for row in range(grid.shape[0]):
         for column in range(grid.shape[1]):
             if grid[row, column] == 0:
                 if left == 0:
-                    return row * grid.shape[1] + column
+                    return row, column
                 left -= 1
-    return -1
+    return -1, -1
+
+
+@inlined
+def _is_within(bands: Bands, cost: Int, least: Int) -> bool:
+    """Return whether a problem of this cost and heuristic meets the conditions."""
+    straight, diagonal = parts(cost)
+    length: int = straight + diagonal + 1
+    distance: float = straight + diagonal * math.sqrt(2.0)
+    straight, diagonal = parts(least)
+    hardness: float = distance / (straight + diagonal * math.sqrt(2.0))
+    distances, ratios, lengths = bands
+    return (
+        distances[0] <= distance <= distances[1]
+        and ratios[0] <= hardness <= ratios[1]
+        and lengths[0] <= length <= lengths[1]
+    )
 
 
 @kernel
@@ -119,7 +130,7 @@ def solve_pairs(
         grids: (B, H, W).
         seed_points: (B, R, 2) cells of the rooms.
         rooms: (B,) number of rooms.
-        seed: order seed.
+        seed: sampling seed.
         epoch: pass over the data.
         indices: (B,) number of each problem.
         route: draw from the pairs (q, q + 1) instead of all i < j.
@@ -206,16 +217,3 @@ def replace_paths(cells: Ints, ways: Ints, others: Ints, other_ways: Ints, where
         for c in range(lengths[b]):
             new[new_ways[b] + c, 0], new[new_ways[b] + c, 1] = source[first + c, 0], source[first + c, 1]
     return new, new_ways
-
-
-@kernel
-def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
-    """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream ORDER."""
-    order = np.arange(count)
-    for k in range(count - 1, 0, -1):
-        w0, w1, _w2, _w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
-        # multiply-high of a 64-bit word, in two halves
-        n = np.uint64(k + 1)
-        j = (w0 * n + ((w1 * n) >> np.uint64(32))) >> np.uint64(32)
-        order[k], order[np.int64(j)] = order[np.int64(j)], order[k]
-    return order

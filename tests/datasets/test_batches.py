@@ -193,7 +193,7 @@ def test_a_dataset_that_grows_disturbs_no_reader(tmp_path: Path) -> None:
     root = tmp_path / "root"
     build(root, TINY, maps=20, seed=3, shard_size=8)
     fresh = {
-        problems: MapDataset(root, "train", FIELDS, problems=problems) for problems in ("route", "rooms", "random")
+        problems: MapDataset(root, "train", FIELDS, problems=problems) for problems in ("route", "pairs", "random")
     }
     expected = {problems: MapDataset(root, "train", FIELDS, problems=problems)[:] for problems in fresh}
     table = MapDataset(root).table()
@@ -246,4 +246,4 @@ def test_a_seed_in_a_wall_is_named(tmp_path: Path) -> None:
     image[place : place + maps.nbytes] = b"\xff" * maps.nbytes
     write_file(path, bytes(image))
     with pytest.raises(ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"):
-        MapDataset(root, problems="rooms")[0]
+        MapDataset(root, problems="pairs")[0]

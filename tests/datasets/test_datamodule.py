@@ -6,7 +6,6 @@ import json
 import random
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,8 +20,20 @@ from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
 
-from mapdata import DatasetNotFoundError, MapDataModule, MapDataset, MapSpec, Movement, Sample, verify
+from mapdata import (
+    DatasetNotFoundError,
+    MapDataModule,
+    MapDataset,
+    MapSpec,
+    Movement,
+    Pairs,
+    Random,
+    Route,
+    Sample,
+    verify,
+)
 from mapdata.datasets import EpochSampler
+from mapdata.problems.sources import Source
 from mapdata.shards import Recipe, read_manifest
 
 pytestmark = [
@@ -133,7 +144,7 @@ def test_workers_change_neither_order_nor_samples(root: str, two_epochs: list[Sa
 
 
 def test_another_sampling_seed_is_another_order(root: str, two_epochs: list[Sample]) -> None:
-    """The order seed is not the seed of the maps."""
+    """The sampling seed is not the seed of the maps."""
     again = batches_of(module(root, problems="random", augment=True, sampling_seed=1), 2)
     assert [batch.problem.tolist() for batch in again] != [batch.problem.tolist() for batch in two_epochs]
 
@@ -258,21 +269,23 @@ def _is_within_an_epoch(seen: list[Seen], done: int) -> bool:
     return seen[done - 1].epoch == seen[done].epoch
 
 
-def test_checkpoints_load_with_torchs_safe_default(root: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("problems", [Route(unsolvable=True), Pairs(), Random((3, None), (None, 2)), "random"])
+def test_checkpoints_load_with_torchs_safe_default(root: str, tmp_path: Path, problems: str | Source) -> None:
     """Model and data module come back from a checkpoint that holds nothing but plain values."""
     path = tmp_path / "last.ckpt"
     movement = Movement(8, corner_cutting=True, diagonal_cost=1)
-    data = module(root, movement=movement, augment=True, sampling_seed=7, max_length=99, fields=(*FIELDS, "path"))
+    arguments: dict[str, Any] = {"augment": True, "sampling_seed": 7, "max_length": 99, "fields": (*FIELDS, "path")}
+    data = module(root, movement=movement, problems=problems, **arguments)
     run = trainer(max_epochs=1)
     run.fit(Model(size=3), datamodule=data)
     run.save_checkpoint(path)
     assert "state_dict" in torch.load(path, weights_only=True)
     again = MapDataModule.load_from_checkpoint(path)
-    assert (again.roots, again.batch_size, again.augment) == (data.roots, 8, True)
-    assert again.arguments == data.arguments
-    assert again.arguments["movement"] == movement
+    assert (again.roots, again.batch_size, again.serving) == (data.roots, 8, data.serving)
+    assert again.serving.movement == movement
     assert again.hparams == data.hparams
-    samples.assert_all_same(batches_of(again), batches_of(module(root, **{**data.arguments, "augment": True})))
+    assert isinstance(data.hparams["problems"], str)
+    samples.assert_all_same(batches_of(again), batches_of(module(root, **vars(data.serving))))
     assert MapDataModule.load_from_checkpoint(path, batch_size=5).batch_size == 5
     model = Model.load_from_checkpoint(path)
     assert model.size == 3
@@ -437,18 +450,19 @@ def test_cli_with_flags(root: str) -> None:
         "--data.fields=[map,start,goal,problem]",
         "--data.movement=[8,true,1]",
         "--data.problems=random",
-        "--data.min_distance=3",
+        "--data.problems.distance=[3,null]",
         "--data.augment=true",
     ]
     cli = run_cli(["fit", *QUIET, *flags])
     assert isinstance(cli.datamodule, MapDataModule)
-    assert cli.datamodule.arguments["movement"] == Movement(8, True, 1)
+    assert cli.datamodule.serving.movement == Movement(8, True, 1)
+    assert cli.datamodule.serving.problems == Random(distance=(3, None))
     assert isinstance(cli.model, Model)
-    expected = module(root, movement=Movement(8, True, 1), problems="random", min_distance=3, augment=True)
+    expected = module(root, movement=Movement(8, True, 1), problems=Random(distance=(3, None)), augment=True)
     assert [list(one.problems) for one in cli.model.seen] == [b.problem.tolist() for b in batches_of(expected)]
     named = [flag for flag in flags if "movement" not in flag]
     cli = run_cli(["fit", *QUIET, *named, "--data.movement.connectivity=8"])
-    assert cli.datamodule.arguments["movement"] == Movement(8)
+    assert cli.datamodule.serving.movement == Movement(8)
 
 
 def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
@@ -457,16 +471,14 @@ def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
     config.write_text(
         f"data:\n  root: {root}\n  batch_size: 8\n  fields: [map, start, goal, problem]\n"
         "  movement: {connectivity: 8, corner_cutting: true, diagonal_cost: 1.0}\n  search: bfs\n"
+        "  problems: {random: {distance: [3, null], length: [null, 30]}}\n"
     )
     cli = run_cli(["fit", *QUIET, f"--config={config}", "--data.batch_size=5"])
     assert isinstance(cli.datamodule, MapDataModule)
     assert cli.datamodule.batch_size == 5
-    assert asdict(cli.datamodule.arguments["movement"]) == {
-        "connectivity": 8,
-        "corner_cutting": True,
-        "diagonal_cost": 1.0,
-    }
-    assert cli.datamodule.arguments["search"] == "bfs"
+    assert cli.datamodule.serving.movement == Movement(8, True, 1)
+    assert cli.datamodule.serving.search == "bfs"
+    assert cli.datamodule.serving.problems == Random(distance=(3, None), length=(None, 30))
     run_cli(["validate", *QUIET[:4], f"--config={config}"])
 
 
@@ -476,7 +488,7 @@ def test_cli_checkpoints_come_back(root: str, tmp_path: Path) -> None:
     cli = run_cli(["fit", *QUIET, *flags])
     cli.trainer.save_checkpoint(tmp_path / "cli.ckpt")
     again = MapDataModule.load_from_checkpoint(tmp_path / "cli.ckpt")
-    assert (again.roots, again.batch_size, again.arguments["fields"]) == ([root], 8, FIELDS)
+    assert (again.roots, again.batch_size, again.serving.fields) == ([root], 8, FIELDS)
 
 
 def test_one_class_serves_both_packages(root: str) -> None:

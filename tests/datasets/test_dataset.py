@@ -30,6 +30,9 @@ from mapdata import (
     MapSpec,
     Movement,
     OnlineMapDataset,
+    Pairs,
+    Random,
+    Route,
     Sample,
     ShardError,
     generate,
@@ -41,6 +44,7 @@ Array = npt.NDArray[Any]
 SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
 SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
 SPLITS = ("train", "val", "test")
+STORED: dict[str, type[Route] | type[Pairs]] = {"route": Route, "pairs": Pairs}
 MAPS, SEED = 60, 5
 
 
@@ -94,7 +98,7 @@ def problems_of(labels: Labels, problems: str, split: str | None, unsolvable: bo
 
 @pytest.mark.parametrize("unsolvable", [False, True])
 @pytest.mark.parametrize("search", ["bfs", "astar"])
-@pytest.mark.parametrize("problems", ["route", "rooms"])
+@pytest.mark.parametrize("problems", STORED)
 @pytest.mark.parametrize("name", SPECS)
 def test_stored_problems(roots: dict[str, str], name: str, problems: str, search: str, unsolvable: bool) -> None:
     """Map, start, goal, path, cost and iterations are the labels', in order, for each split and for all."""
@@ -103,9 +107,7 @@ def test_stored_problems(roots: dict[str, str], name: str, problems: str, search
     fields = ("map", "start", "goal", "path", "cost", "iterations", "length")
     for split in (None, *SPLITS):
         truth = problems_of(labels, problems, split, unsolvable)
-        dataset = MapDataset(
-            roots[name], split, fields, problems=problems, search=search, unsolvable=unsolvable
-        )  # fmt: skip
+        dataset = MapDataset(roots[name], split, fields, problems=STORED[problems](unsolvable), search=search)
         assert len(dataset) == len(truth) > 5
         for one, sample in _pairs(truth, dataset):
             grid = labels.maps.occupancy[one.map]
@@ -131,7 +133,7 @@ def _pairs(truth: list[Problem], dataset: MapDataset) -> Iterator[tuple[Problem,
 
 def test_unsolvable_problems_occur(root: str) -> None:
     """What `unsolvable` adds has no path: no cells, cost -1, hardness -1."""
-    every = MapDataset(root, fields=("cost", "path", "length", "hardness"), unsolvable=True)[:]
+    every = MapDataset(root, fields=("cost", "path", "length", "hardness"), problems=Route(unsolvable=True))[:]
     without = every.length == 0
     assert 0 < without.sum() == len(every.cost) - len(MapDataset(root))
     assert (every.path[without] == -1).all()
@@ -144,7 +146,7 @@ def test_splits_share_no_map_and_cover_all(root: str) -> None:
     items = {split: set(MapDataset(root, split).table()["item"]) for split in SPLITS}
     assert sum(map(len, items.values())) == MAPS
     assert set.union(*items.values()) == set(range(MAPS))
-    for problems in ("route", "rooms", "random"):
+    for problems in ("route", "pairs", "random"):
         lengths = [len(MapDataset(root, split, problems=problems)) for split in SPLITS]
         assert min(lengths) > 0
         assert sum(lengths) == len(MapDataset(root, problems=problems))
@@ -260,8 +262,8 @@ def test_epochs_are_in_the_index(root: str, online: bool) -> None:
 def test_random_problems(root: str, online: bool, movement: Movement) -> None:
     """Start and goal are free, differ and are connected; one problem a map; conditions hold."""
     fields = ("map", "start", "goal", "path", "cost", "hardness")
-    for conditions in ({}, {"min_distance": 12.0}, {"min_hardness": 1.05}):
-        arguments: dict[str, Any] = {"fields": fields, "problems": "random", "movement": movement, **conditions}
+    for conditions in (Random(), Random((12, 20)), Random(hardness=(1.05, 1.3)), Random(length=(None, 9))):
+        arguments: dict[str, Any] = {"fields": fields, "problems": conditions, "movement": movement}
         dataset: MapDataset | OnlineMapDataset
         if online:
             dataset = OnlineMapDataset(samples.SPEC, SEED, MAPS, "train", **arguments)
@@ -277,8 +279,9 @@ def test_random_problems(root: str, online: bool, movement: Movement) -> None:
             best = reference.reference_distances(grid, start, movement)[goal]
             assert sample.cost == np.float32(reference.as_float(best, movement))
             assert samples.cells_of(sample.path) == reference.reference_astar(grid, start, goal, movement).path
-            assert sample.cost >= np.float32(conditions.get("min_distance", 0))
-            assert sample.hardness >= np.float32(conditions.get("min_hardness", 0))
+            found = np.array([[sample.cost], [sample.hardness], [len(samples.cells_of(sample.path))]])
+            bands = np.array(conditions.bands, np.float32)
+            assert ((found >= bands[:, :1]) & (found <= bands[:, 1:])).all()
 
 
 def test_random_problems_depend_on_seed_epoch_and_number_alone(root: str) -> None:
@@ -315,22 +318,22 @@ def test_random_problems_are_uniform() -> None:
 def test_conditions_that_no_map_meets(root: str) -> None:
     """An error that names the conditions, instead of a search without end."""
     for dataset in (
-        MapDataset(root, problems="random", min_distance=1000),
-        OnlineMapDataset(samples.SPEC, problems="random", min_distance=1000),
+        MapDataset(root, problems=Random(distance=(1000, None))),
+        OnlineMapDataset(samples.SPEC, problems=Random(distance=(1000, None))),
     ):
-        with pytest.raises(ValueError, match=r"problems='random'.*min_distance=1000"):
+        with pytest.raises(ValueError, match=r"problems=Random\(distance=\(1000.0, inf\).*none on"):
             dataset[0]
 
 
 def test_maps_without_a_problem_are_replaced(root: str) -> None:
     """A condition that few maps meet: every sample meets it all the same, and others stay what they were."""
-    for conditions in ({"min_distance": 22.0}, {"min_hardness": 1.7}):
-        dataset = MapDataset(root, fields=("cost", "hardness", "map"), problems="random", **conditions)  # type: ignore[arg-type]
+    for conditions in (Random(distance=(22, None)), Random(hardness=(1.7, None))):
+        dataset = MapDataset(root, fields=("cost", "hardness", "map"), problems=conditions)
         batch = dataset[:]
         own = (batch.map.flatten(1) == torch.from_numpy(labels_of("square").maps.occupancy).flatten(1)).all(dim=1)
         assert 0 < own.sum() < MAPS
-        assert (batch.cost >= conditions.get("min_distance", 0)).all()
-        assert (batch.hardness >= conditions.get("min_hardness", 0)).all()
+        assert (batch.cost >= conditions.bands[0][0]).all()
+        assert (batch.hardness >= conditions.bands[1][0]).all()
         samples.assert_same(dataset[7], dataset[[3, 7]]._make(value[1] for value in dataset[[3, 7]]))
 
 
@@ -387,7 +390,7 @@ def test_augmentation_moves_everything_along(roots: dict[str, str], name: str, c
 
 
 def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:
-    """A function of (order seed, epoch, index), for stored and drawn problems alike."""
+    """A function of (sampling seed, epoch, index), for stored and drawn problems alike."""
     for problems in ("route", "random"):
 
         def maps(sampling_seed: int, epoch: int, problems: str = problems) -> torch.Tensor:
@@ -408,7 +411,7 @@ def test_filters_keep_what_meets_all_conditions(root: str) -> None:
     """Each condition against the labels; a problem is the same in the view."""
     labels = labels_of("square")
     fields = ("problem", "map", "goal", "length", "hardness")
-    dataset = MapDataset(root, fields=fields, unsolvable=True)
+    dataset = MapDataset(root, fields=fields, problems=Route(unsolvable=True))
     truth = problems_of(labels, "route", None, unsolvable=True)
     every = dataset[:]
     kept: dict[str, tuple[dict[str, Any], list[bool]]] = {
@@ -494,7 +497,7 @@ def test_online_maps_are_those_of_the_shards(roots: dict[str, str], name: str, s
     labels = labels_of(name)
     numbers = [i for i in range(MAPS) if split is None or SPLITS[labels.maps.split[i]] == split]
     fields = ("map", "start", "goal", "path", "cost", "iterations", "connection_matrix", "seed_points")
-    for problems in ("route", "rooms"):
+    for problems in STORED:
         online = OnlineMapDataset(SPECS[name], SEED, len(numbers), split, fields, problems=problems)
         own = 0
         for k, i in enumerate(numbers):
@@ -544,15 +547,15 @@ def test_online_problems_change_with_the_epoch() -> None:
 def test_online_without_a_single_problem() -> None:
     """Maps of one cell have none: an error, not a search without end."""
     spec = MapSpec((1, 1), (2, 3), (1, 1), (1, 1), passage_width=(1, 1))
-    for problems in ("route", "rooms", "random"):
-        with pytest.raises(ValueError, match=f"problems='{problems}': none on"):
+    for problems in (Route(), Pairs(), Random()):
+        with pytest.raises(ValueError, match=re.escape(f"problems={problems}: none on")):
             OnlineMapDataset(spec, problems=problems)[0]
 
 
 def test_online_unsolvable() -> None:
     """Pairs without a path stay when they are asked for."""
     spec = replace(samples.SPEC, skip_probability=0.9)
-    batch = OnlineMapDataset(spec, 1, 60, fields=("length", "cost", "path"), unsolvable=True)[:]
+    batch = OnlineMapDataset(spec, 1, 60, fields=("length", "cost", "path"), problems=Route(unsolvable=True))[:]
     assert 0 < (batch.length == 0).sum() < 60
     assert ((batch.cost == -1) == (batch.length == 0)).all()
 
@@ -567,12 +570,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "fields-twice": ({"fields": ("map", "goal", "map")}, "fields: .*each name once"),
     "fields-lambda": ({"fields": ("map", lambda sample: sample.map)}, "fields: .*use 'def', not 'lambda'"),
     "fields-number": ({"fields": ("map", 3)}, "fields: got 3, expected a name or a function"),
-    "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, rooms, random"),
+    "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, pairs, random"),
     "search": ({"search": "dijkstra"}, "search: got 'dijkstra', expected one of bfs, astar"),
     "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
-    "unsolvable": ({"problems": "random", "unsolvable": True}, "unsolvable: random problems always have a path"),
-    "min_distance": ({"min_distance": 5}, "min_distance.*'random' only"),
-    "min_hardness": ({"problems": "rooms", "min_hardness": 1.1}, "min_hardness.*'random' only"),
+    "unsolvable": ({"problems": {"random": {"unsolvable": True}}}, "problems: random: unknown unsolvable; known are"),
+    "distance": ({"problems": '{"random": {"distance": [7, 5]}}'}, r"distance: got \[7, 5\], expected"),
     "augment-val": ({"split": "val", "augment": True}, "augment: would change the split 'val'"),
     "augment-test": ({"split": "test", "augment": True}, "augment: would change the split 'test'"),
     "sampling_seed": ({"sampling_seed": -1}, "seed: got -1, expected 0 to"),
@@ -609,7 +611,7 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
     ):
         with pytest.raises(ValueError, match=says):
             dataset.filter(**conditions)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="filter: random problems are not stored; use min_distance"):
+    with pytest.raises(ValueError, match="filter: random problems are not stored"):
         MapDataset(root, problems="random").filter(rooms=(2, 3))
 
 

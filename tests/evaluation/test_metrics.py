@@ -127,7 +127,7 @@ def test_a_path_of_another_rank_fails() -> None:
 @pytest.mark.parametrize("movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"])
 def test_the_row_of_astar_is_exact(movement: Movement) -> None:
     """Everything is measured with A*: 1, 1, 1, 1, 0, 0, and so are both ends of its intervals."""
-    table = evaluate(classical(movement), Problems.draw(DUNGEON, 3, 80, movement=movement), bootstrap=20)
+    table = evaluate(classical(movement), Problems.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20)
     for subset in ("all", "hard"):
         found = row(table, "A*", subset)
         for suffix in ("", "_low", "_high"):
@@ -166,7 +166,7 @@ def test_no_hard_problem() -> None:
 
 def test_the_interval_is_that_of_a_share() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same seed."""
-    problems = Problems.draw(MapSpec(), 2, 400)
+    problems = Problems.sample(MapSpec(), 2, 400)
     wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
 
     def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:
@@ -230,7 +230,7 @@ def test_the_classical_rows_are_where_they_were(
     movement: Movement, greedy: float, weighted: float, limit: float
 ) -> None:
     """Hmean on hard problems of "dungeon", as a prototype with another A* order measured it on other maps."""
-    table = evaluate(classical(movement), Problems.draw(DUNGEON, 77, 600, movement=movement), bootstrap=10)
+    table = evaluate(classical(movement), Problems.sample(DUNGEON, 77, 600, movement=movement), bootstrap=10)
     for planner, expected in (("greedy best-first", greedy), ("weighted A* (2)", weighted), ("limit", limit)):
         assert row(table, planner, "hard")["hmean"] == pytest.approx(expected, abs=0.03)
 

@@ -85,7 +85,7 @@ def test_best_first_equals_the_reference(movement: Movement, weight: float, coun
 @movements
 def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
     """With f = g + h the generic search takes the very cells that the format's A* takes."""
-    problems = Problems.draw(MapSpec.preset("dungeon"), 5, 100, movement=movement)
+    problems = Problems.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
     plans = BestFirst("A*", movement, 1).plan_batch(problems.grids, problems.starts, problems.goals)
     same = Search("A*", movement, "astar").plan_batch(problems.grids, problems.starts, problems.goals)
     for found, expected in zip(plans, same, strict=True):
@@ -106,7 +106,7 @@ def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
 @pytest.mark.parametrize("weight", [0, 0.5, 1, 1.5, 2, 5])
 def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
     """The cost is at most max(1, weight) times the optimal one."""
-    problems = Problems.draw(MapSpec.preset("dungeon"), 6, 100, movement=movement)
+    problems = Problems.sample(MapSpec.preset("dungeon"), 6, 100, movement=movement)
     plans = BestFirst("weighted", movement, weight).plan_batch(problems.grids, problems.starts, problems.goals)
     costs = [check_path(grid, plan.path, movement) for grid, plan in zip(problems.grids, plans, strict=True)]
     ratios = costs / problems.optimal.cost
@@ -117,7 +117,7 @@ def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
 @movements
 def test_the_rows_that_come_along(movement: Movement) -> None:
     """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched answer the same."""
-    problems = Problems.draw(MapSpec(), 7, 30, movement=movement)
+    problems = Problems.sample(MapSpec(), 7, 30, movement=movement)
     ends = list(zip(map(tuple, problems.starts.tolist()), map(tuple, problems.goals.tolist()), strict=True))
     rows = {planner.name: planner for planner in classical(movement)}
     assert list(rows) == ["BFS", "Dijkstra", "A*", "weighted A* (1.5)", "weighted A* (2)", "greedy best-first", "limit"]

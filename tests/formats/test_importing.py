@@ -45,7 +45,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
         assert (maps.sizes == -1).all()
         assert (maps.directions == -1).all()
         assert (maps.passage_width == -1).all()
-    for problems, count in (("route", 21), ("rooms", 42), ("random", 7)):
+    for problems, count in (("route", 21), ("pairs", 42), ("random", 7)):
         dataset = MapDataset(made.root, problems=problems)
         assert len(dataset) == count
         assert dataset[0].map.shape == (1, 12, 70)

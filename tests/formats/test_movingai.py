@@ -256,6 +256,9 @@ def test_a_scen_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert cli(capsys, "import", files(tmp_path), tmp_path / "out", "--seed-points", 3)[0] == 0
     labels = read_shard(tmp_path / "out" / read_manifest(tmp_path / "out").shards[0].name)
     assert labels.maps.seed_points[0].tolist() == [[0, 0], [3, 0], [1, 1]]
+    beside = next(tmp_path.glob("*.map"))
+    code, _, err = cli(capsys, "import", beside, tmp_path / "no", "--movingai.scen")
+    assert (code, "a map has no end points, expected a .scen file" in err) == (2, True)
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

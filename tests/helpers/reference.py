@@ -262,6 +262,43 @@ def reference_field(grid: Grid, goal: Cell, movement: Movement) -> npt.NDArray[n
     return field
 
 
+class ReferenceProblem(NamedTuple):
+    """A problem, and what its shortest path costs."""
+
+    start: Cell
+    goal: Cell
+    cost: Pair
+
+
+Band: TypeAlias = tuple[float, float]
+
+
+def reference_problem(
+    grid: Grid, seed: int, index: int, epoch: int, bands: Sequence[Band], movement: Movement
+) -> ReferenceProblem | None:
+    """Sample a problem: a uniform goal, then a uniform start among those whose distance, hardness and length fit."""
+    cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
+    free = [cell for cell in cells if is_free(grid, cell)]
+    for attempt in range(32 if free else 0):
+        words = block(seed, index, epoch, PROBLEM, attempt)
+        goal = free[bounded(words[0], 0, len(free) - 1)]
+        costs = reference_distances(grid, goal, movement)
+        starts = []
+        for cell in free:
+            if cell == goal or cell not in costs:
+                continue
+            distance = as_float(costs[cell], movement)
+            hardness = distance / as_float(heuristic(cell, goal, movement), movement)
+            length = sum(costs[cell]) + 1
+            values = zip((distance, hardness, length), bands, strict=True)
+            if all(low <= value <= high for value, (low, high) in values):
+                starts.append(cell)
+        if starts:
+            start = starts[bounded(words[1], 0, len(starts) - 1)]
+            return ReferenceProblem(start, goal, costs[start])
+    return None
+
+
 def first_bad_step(grid: Grid, path: Sequence[Cell], movement: Movement) -> int | None:
     """Return the place in a non-empty path of the first cell that cannot be walked to, or None when all is well."""
     if not is_free(grid, path[0]):

@@ -42,7 +42,7 @@ pytestmark = pytest.mark.filterwarnings(
 @cache
 def drawn(maps: int = 12) -> Problems:
     """Return problems that no training has seen."""
-    return Problems.draw(DUNGEON, seed=2718, maps=maps)
+    return Problems.sample(DUNGEON, seed=2718, maps=maps)
 
 
 def small(kind: type[Any], **arguments: Any) -> Any:  # noqa: ANN401

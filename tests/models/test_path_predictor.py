@@ -81,7 +81,7 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:  # noqa: ANN401
 def problems(name: str, hard: int) -> Problems:
     """Return problems that no training has seen."""
     spec = {"paper": PAPER, "dungeon": DUNGEON, "wide": WIDE}[name]
-    return Problems.draw(spec, seed=314159, until_hard=hard)
+    return Problems.sample(spec, seed=314159, until_hard=hard)
 
 
 def scores(rows: list[BatchPlanner], on: Problems) -> pd.DataFrame:
@@ -146,7 +146,7 @@ def test_the_loss_is_zero_for_any_optimal_policy(movement: Movement, monkeypatch
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
     """A model with random answers gives valid paths or none, falls back to A*, and counts both."""
-    drawn = Problems.draw(DUNGEON, 8, 40, movement=movement)
+    drawn = Problems.sample(DUNGEON, 8, 40, movement=movement)
     model = confused(movement)
     walk, safe, search = planners(model)
     walks = walk.plan_batch(drawn.grids, drawn.starts, drawn.goals)
@@ -175,7 +175,7 @@ def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
 def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     """One at a time or all at once, in float32 or bfloat16: the same paths, up to rounding."""
     spec = MapSpec(size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3))
-    drawn = Problems.draw(spec, 9, 12)
+    drawn = Problems.sample(spec, 9, 12)
     for planner in planners(PathPredictor.load(WEIGHTS)):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
         alone = [

@@ -29,7 +29,7 @@ from models.roadmap import (
     uniform,
 )
 
-DUNGEON = Problems.draw(MapSpec.preset("dungeon"), seed=3, maps=12)
+DUNGEON = Problems.sample(MapSpec.preset("dungeon"), seed=3, maps=12)
 Grid = npt.NDArray[np.uint8]
 Point = tuple[Fraction, Fraction]
 
@@ -92,7 +92,7 @@ def plain_edges(grid: Grid, places: npt.NDArray[np.float64], reach: float) -> se
 def test_edges_are_those_of_all_pairs(shape: tuple[int, int], reach: float) -> None:
     """Buckets forget no pair; walking finds every wall that looking closely finds, and a few corners more."""
     spec = MapSpec(shape, rooms=(4, 9), room_rows=(5, 12), room_columns=(5, 12), passage_width=(1, 3))
-    drawn = Problems.draw(spec, seed=5, maps=2)
+    drawn = Problems.sample(spec, seed=5, maps=2)
     for grid in drawn.grids:
         roadmap = build_roadmap(grid, uniform(grid, 60, seed=2), reach)
         found, plain = set(map(tuple, roadmap.edges.tolist())), plain_edges(grid, roadmap.points, reach)

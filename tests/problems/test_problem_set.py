@@ -1,4 +1,4 @@
-"""Problems: the draw is the reference's, the same from a spec and from a dataset, and what has no answer is refused."""
+"""Problems: they are the reference's, the same from a spec and from a dataset, and what has no answer is refused."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
-from helpers.reference import Cell
 
-from mapdata import MapSpec, Problems, astar, build
+from mapdata import MapSpec, Problems, Random, astar, build
 from mapdata.problems import HARD
 from mapdata.spec import Movement
 
@@ -25,20 +24,6 @@ def same(one: Problems, other: Problems) -> bool:
     )
 
 
-def reference_problem(grid: list[list[int]], seed: int, index: int, movement: Movement) -> tuple[Cell, Cell] | None:
-    """Draw start and goal by the words of `Problems.draw`, in plain Python."""
-    cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
-    free = [cell for cell in cells if reference.is_free(grid, cell)]
-    for attempt in range(64):
-        words = reference.block(seed, index, 0, reference.PROBLEM, attempt)
-        start = free[reference.bounded(words[0], 0, len(free) - 1)]
-        connected = reference.reference_distances(grid, start, movement)
-        goals = [cell for cell in free if cell in connected and abs(cell[0] - start[0]) + abs(cell[1] - start[1]) >= 10]
-        if goals:
-            return start, goals[reference.bounded(words[1], 0, len(goals) - 1)]
-    return None
-
-
 @pytest.mark.parametrize("movement", [Movement(), Movement(8), CUTTING], ids=["4", "8", "cutting"])
 @pytest.mark.parametrize(
     "spec",
@@ -48,41 +33,49 @@ def reference_problem(grid: list[list[int]], seed: int, index: int, movement: Mo
     ],
     ids=["dungeon", "tiny"],
 )
-def test_the_draw_is_the_references(spec: MapSpec, movement: Movement) -> None:
-    """Start, goal and which maps are left out, on maps where a start has to be drawn again and on maps without any."""
-    expected = []
-    for index in range(12):
-        grid = reference.reference_map(spec, 3, index).occupancy
-        drawn = reference_problem(grid, 3, index, movement)
-        if drawn is not None:
-            expected.append((grid, *drawn))
-    problems = Problems.draw(spec, 3, 12, movement=movement)
-    assert 0 < len(expected) == len(problems)
-    for k, (grid, start, goal) in enumerate(expected):
-        assert problems.grids[k].tolist() == grid
-        assert (tuple(problems.starts[k]), tuple(problems.goals[k])) == (start, goal)
+def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None:
+    """Start, goal and which maps are left out, on maps where a goal has to be sampled again and on maps without any."""
+    for problems in (Random(distance=(10, None)), Random((6, 12), (1.05, 2), (None, 11))):
+        expected = []
+        for index in range(12):
+            grid = reference.reference_map(spec, 3, index).occupancy
+            sampled = reference.reference_problem(grid, 3, index, 0, problems.bands, movement)
+            if sampled is not None:
+                expected.append((grid, *sampled))
+        if not expected:
+            with pytest.raises(ValueError, match="no map has a problem"):
+                Problems.sample(spec, 3, 12, problems=problems, movement=movement)
+            continue
+        found = Problems.sample(spec, 3, 12, problems=problems, movement=movement)
+        assert len(expected) == len(found)
+        for k, (grid, start, goal, cost) in enumerate(expected):
+            assert found.grids[k].tolist() == grid
+            assert (tuple(found.starts[k]), tuple(found.goals[k])) == (start, goal)
+            assert found.optimal.cost[k] == reference.as_float(cost, movement)
 
 
 def test_the_first_problems_do_not_depend_on_how_many() -> None:
-    """A longer draw begins with the shorter one, over the border of a chunk; another seed draws others."""
-    longer, shorter = Problems.draw(DUNGEON, 1, 270), Problems.draw(DUNGEON, 1, 258)
+    """A longer sample begins with the shorter one, over the border of a chunk; another seed gives others."""
+    longer, shorter = Problems.sample(DUNGEON, 1, 270), Problems.sample(DUNGEON, 1, 258)
     assert same(shorter, Problems(longer.grids[:258], longer.starts[:258], longer.goals[:258], longer.movement))
-    assert not same(shorter, Problems.draw(DUNGEON, 2, 258))
+    assert not same(shorter, Problems.sample(DUNGEON, 2, 258))
 
 
 def test_until_hard_stops_at_the_last_hard_problem() -> None:
     """Exactly so many hard problems, the last of them at the end; ``maps`` is then a limit."""
-    problems = Problems.draw(DUNGEON, 4, until_hard=20)
+    problems = Problems.sample(DUNGEON, 4, until_hard=20)
     assert problems.hard.sum() == 20
     assert problems.hard[-1]
-    assert same(problems, Problems.draw(DUNGEON, 4, len(problems)))
-    assert same(problems, Problems.draw(DUNGEON, 4, len(problems), until_hard=20))
+    assert same(problems, Problems.sample(DUNGEON, 4, len(problems)))
+    assert same(problems, Problems.sample(DUNGEON, 4, len(problems), until_hard=20))
+    hard = Problems.sample(DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)))
+    assert hard.hard.all()
     with pytest.raises(ValueError, match="until_hard: got 20, found only 19"):
-        Problems.draw(DUNGEON, 4, len(problems) - 1, until_hard=20)
+        Problems.sample(DUNGEON, 4, len(problems) - 1, until_hard=20)
 
 
 def test_hardness_is_cost_over_heuristic() -> None:
-    """By hand, and on drawn problems with the searches of one map."""
+    """By hand, and on sampled problems with the searches of one map."""
     grid = np.zeros((4, 4), np.uint8)
     grid[0, 1] = 1
     ends = [[(0, 0), (0, 0), (3, 0)], [(0, 2), (3, 3), (3, 2)]]
@@ -92,7 +85,7 @@ def test_hardness_is_cost_over_heuristic() -> None:
     root = 2**0.5
     octile = Problems(np.stack([grid] * 3), np.array(ends[0]), np.array(ends[1]), Movement(8))
     np.testing.assert_allclose(octile.hardness, [4 / 2, (2 + 2 * root) / (3 * root), 1], rtol=1e-12)
-    drawn = Problems.draw(DUNGEON, 8, 20)
+    drawn = Problems.sample(DUNGEON, 8, 20)
     for k in range(20):
         start, goal = tuple(drawn.starts[k].tolist()), tuple(drawn.goals[k].tolist())
         cost = astar(drawn.grids[k], start, goal, Movement(8)).cost
@@ -102,9 +95,9 @@ def test_hardness_is_cost_over_heuristic() -> None:
 
 
 def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
-    """On the test split of a root stand the problems that its spec and seed draw on these maps."""
+    """On the test split of a root stand the problems that its spec and seed give on these maps."""
     build(tmp_path, DUNGEON, maps=120, seed=9, shard_size=50, workers=1)
-    every = Problems.draw(DUNGEON, 9, 120)
+    every = Problems.sample(DUNGEON, 9, 120)
     test = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 2]
     assert len(test) > 3
     expected = Problems(every.grids[test], every.starts[test], every.goals[test], every.movement)
@@ -150,14 +143,14 @@ def test_what_cannot_be_evaluated_is_refused(
         Problems(np.array(grids), np.array(starts), np.array(goals), Movement())
 
 
-def test_a_draw_without_problems_is_refused() -> None:
+def test_a_sample_without_problems_is_refused() -> None:
     """No number, none of the maps large enough, numbers below 1."""
     tiny = MapSpec(map_size=(5, 5), rooms=(2, 3), room_rows=(1, 3), room_columns=(1, 3), passage_width=(1, 2))
     for spec, maps, until_hard, why in (
         (DUNGEON, None, None, "neither maps nor until_hard"),
-        (tiny, 3, None, "no map with two connected cells"),
+        (tiny, 3, None, r"no map has a problem that meets Random\(distance=\(10.0, inf\)"),
         (DUNGEON, 0, None, "maps: got 0"),
         (DUNGEON, None, -1, "until_hard: got -1"),
     ):
         with pytest.raises(ValueError, match=why):
-            Problems.draw(spec, 0, maps, until_hard=until_hard)
+            Problems.sample(spec, 0, maps, until_hard=until_hard)

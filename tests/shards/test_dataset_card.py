@@ -14,7 +14,7 @@ import yaml
 from helpers.imported import imported
 from helpers.samples import SPEC, WIDE, build_small
 
-from mapdata import MapDataset, MapSpec, Movement, build, verify
+from mapdata import MapDataset, MapSpec, Movement, Pairs, Route, build, verify
 from mapdata.cli import main
 from mapdata.shards import MANIFEST, PROVENANCE, card, read_manifest
 from mapdata.shards.dataset_card import movement_text
@@ -65,8 +65,8 @@ def test_numbers_are_those_of_the_data(tmp_path: Path) -> None:
     for split in SPLITS:
         found = [int(cell.replace(",", "")) for cell in rows[split]]
         frame = MapDataset(root, split=split).table()
-        solvable = [len(MapDataset(root, split=split, problems=kind)) for kind in ("route", "rooms")]
-        every = [len(MapDataset(root, split=split, problems=kind, unsolvable=True)) for kind in ("route", "rooms")]
+        solvable = [len(MapDataset(root, split=split, problems=kind())) for kind in (Route, Pairs)]
+        every = [len(MapDataset(root, split=split, problems=kind(unsolvable=True))) for kind in (Route, Pairs)]
         assert found == [len(frame), solvable[0], every[0] - solvable[0], solvable[1], every[1] - solvable[1]]
     frame, shares = MapDataset(root, split=None).table(), table(text, "Shares")
     for name, column in (("drawn passages", "connected"), ("reachable segments", "reachable")):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.samples import SPEC, WIDE, build_small
 
-from mapdata import Labels, MapDataset, MapSpec, ShardError, generate
+from mapdata import Labels, MapDataset, MapSpec, Route, ShardError, generate
 from mapdata.arrays import Bytes
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.shards import DatasetStatistics, dataset_statistics, read_manifest, read_map
@@ -54,7 +54,10 @@ def test_survey_counts_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None
 def test_hardness_is_that_of_the_served_problems(tmp_path: Path, spec: MapSpec) -> None:
     """Hardness is that of the served problems."""
     root = build_small(tmp_path / "d", spec)
-    of, served = dataset_statistics(root), MapDataset(root, split=None, fields=("hardness",), unsolvable=True)
+    of, served = (
+        dataset_statistics(root),
+        MapDataset(root, split=None, fields=("hardness",), problems=Route(unsolvable=True)),
+    )
     expected = np.array([float(served[k][0]) for k in range(len(served))])
     np.testing.assert_allclose(of.hardness[of.lengths != 1], expected, rtol=1e-6)  # problems of length 0 are left out
     assert (of.hardness[of.lengths == 1] == 1).all()

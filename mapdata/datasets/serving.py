@@ -1,0 +1,81 @@
+"""The arguments that the datasets and the data module share, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass
+from typing import Any
+
+from mapdata.datasets.fields import FIELDS
+from mapdata.datasets.sample import Sample
+from mapdata.problems.sources import Source, plain_text
+from mapdata.search.lattice import rule_of
+from mapdata.spec import Movement, check_seed
+
+FieldFunction = Callable[[Sample], Any]
+
+DEFAULT_FIELDS = ("map", "start", "goal", "path")
+
+
+@dataclass(frozen=True)
+class Serving:
+    """How problems become samples. `MapDataset` describes the arguments, which have the same names.
+
+    Raises:
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    fields: Sequence[str | FieldFunction]
+    problems: Source
+    search: str
+    movement: Movement | None
+    augment: bool
+    sampling_seed: int
+    max_length: int | None
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        self._check_fields()
+        object.__setattr__(self, "fields", tuple(self.fields))
+        check_choice("search", self.search, ("bfs", "astar"))
+        if self.movement is not None:
+            rule_of(self.movement)  # refuses what is no movement
+        object.__setattr__(self, "sampling_seed", check_seed(self.sampling_seed))
+        if self.max_length is not None and ("path" not in self.fields or self.max_length < 1):
+            raise ValueError(f"max_length: got {self.max_length!r}, expected at least 1 and 'path' among the fields")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the fields."""
+        return tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the arguments as plain values: a checkpoint with others could not be loaded safely.
+
+        Functions among the fields cannot be kept; then ``fields`` is left out.
+        """
+        plain = {**vars(self), "problems": plain_text(self.problems)}
+        if self.movement is not None:
+            plain["movement"] = astuple(self.movement)
+        if not all(isinstance(field, str) for field in self.fields):
+            del plain["fields"]
+        return plain
+
+    def _check_fields(self) -> None:
+        if isinstance(self.fields, str) or not self.fields:
+            raise ValueError(f"fields: got {self.fields!r}, expected a sequence of names or functions")
+        for field in self.fields:
+            if isinstance(field, str) and field not in FIELDS:
+                raise ValueError(f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}")
+            if not isinstance(field, str) and not callable(field):
+                raise ValueError(f"fields: got {field!r}, expected a name or a function")
+        if len(set(self.names)) < len(self.names):
+            raise ValueError(f"fields: got {self.names}, expected each name once")
+        if not all(name.isidentifier() for name in self.names):
+            raise ValueError("fields: a function gives its name to the sample; use 'def', not 'lambda'")
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Refuse a value that is not one of ``choices``."""
+    if value not in choices:
+        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")

@@ -1,0 +1,133 @@
+"""What is asked of the maps of a dataset: `Route`, `Pairs` or `Random` problems."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+from mapdata.spec import canonical_json, check_number, known_values
+
+Band = tuple[float | None, float | None]
+"""(lowest, highest), both included; None leaves a side open."""
+
+Limits = tuple[float, float]
+
+Bands = tuple[Limits, Limits, Limits]
+
+
+@dataclass(frozen=True)
+class Route:
+    """The stored segments between consecutive seed points, whose paths are read and not searched.
+
+    Attributes:
+        unsolvable: keep segments without a path, too.
+    """
+
+    name: ClassVar[str] = "route"
+    counted: ClassVar[str] = "route"  # in the counts of a manifest
+    unsolvable: bool = False
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """All pairs i < j of the seed points of a map, searched as they are asked for.
+
+    Attributes:
+        unsolvable: keep pairs without a path, too.
+    """
+
+    name: ClassVar[str] = "pairs"
+    counted: ClassVar[str] = "rooms"  # in the counts of a manifest
+    unsolvable: bool = False
+
+
+@dataclass(frozen=True)
+class Random:
+    """One problem a map between two free cells that are connected, sampled anew each epoch (docs/format.md, section 6).
+
+    Each condition is None or a band (lowest, highest), both included; a bound that is None or infinite leaves its
+    side open. Afterwards a band is a tuple of floats.
+
+    Attributes:
+        distance: cost of the shortest path, in cells.
+        hardness: that cost over the heuristic, 1 or more.
+        length: number of cells of a shortest path.
+
+    Raises:
+        ValueError: a band that is not two numbers in ascending order.
+
+    >>> Random(distance=(10, None)).distance
+    (10.0, inf)
+    """
+
+    name: ClassVar[str] = "random"
+    counted: ClassVar[str] = "maps"  # in the counts of a manifest
+    unsolvable: ClassVar[bool] = False
+    distance: Band | None = None
+    hardness: Band | None = None
+    length: Band | None = None
+
+    def __post_init__(self) -> None:
+        """Check the bands and bring them to floats."""
+        for name, band in vars(self).items():
+            if band is not None:
+                object.__setattr__(self, name, _check_band(name, band))
+
+    @property
+    def bands(self) -> Bands:
+        """The limits of distance, hardness and length."""
+        distance, hardness, length = (_check_band("", band or (None, None)) for band in vars(self).values())
+        return distance, hardness, length
+
+
+Source = Route | Pairs | Random
+
+SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
+
+
+def problem_source(value: str | Source | Mapping[str, Any]) -> Source:
+    """Return the source that ``value`` stands for.
+
+    Args:
+        value: a source; its name, "route", "pairs" or "random"; or its name with its arguments as a dict or as JSON
+            text, such as ``{"random": {"distance": [10, null]}}``.
+
+    Raises:
+        ValueError: none of these, an argument that the source does not have, or a bad band.
+    """
+    if isinstance(value, Source):
+        return value
+    given: Any = value
+    if isinstance(value, str):
+        given = {value: {}}
+        if value.startswith("{"):
+            try:
+                given = json.loads(value)
+            except ValueError as error:
+                raise ValueError(f"problems: {value!r} is not JSON ({error})") from None
+    if not isinstance(given, Mapping) or len(given) != 1 or not given.keys() <= SOURCES.keys():
+        expected = f'one of {", ".join(SOURCES)}, or one of them with its arguments: {{"random": {{...}}}}'
+        raise ValueError(f"problems: got {value!r}, expected {expected}")
+    ((name, arguments),) = given.items()
+    return SOURCES[name](**known_values(f"problems: {name}", arguments, SOURCES[name]))
+
+
+def plain_text(source: Source) -> str:
+    """Return the text that `problem_source` reads as ``source``: its name, or JSON where it has arguments."""
+    arguments = {name: value for name, value in asdict(source).items() if value}
+    for name, value in arguments.items():
+        if value is not True:
+            arguments[name] = [bound if math.isfinite(bound) else None for bound in value]
+    return canonical_json({source.name: arguments}) if arguments else source.name
+
+
+def _check_band(name: str, band: object) -> Limits:
+    if isinstance(band, (tuple, list)) and len(band) == 2:
+        lowest = 0.0 if band[0] is None else max(check_number(name, band[0]), 0.0)
+        highest = math.inf if band[1] is None else check_number(name, band[1])
+        if lowest <= highest and lowest < math.inf:
+            return lowest, highest
+    raise ValueError(f"{name}: got {band!r}, expected (lowest, highest), where None leaves a side open")

@@ -1,0 +1,73 @@
+"""Problem sources: names, objects, dicts and JSON text are one, and bad ones are refused by name."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from mapdata import Pairs, Random, Route
+from mapdata.problems.sources import Source, plain_text, problem_source
+
+SAME: list[tuple[Any, Source, str]] = [
+    ("route", Route(), "route"),
+    ("pairs", Pairs(), "pairs"),
+    ("random", Random(), "random"),
+    (Random(), Random(), "random"),
+    ({"random": {}}, Random(), "random"),
+    ({"pairs": {"unsolvable": True}}, Pairs(unsolvable=True), '{"pairs":{"unsolvable":true}}'),
+    ('{"route": {"unsolvable": false}}', Route(), "route"),
+    (
+        '{"random": {"distance": [10, null], "length": [null, 40]}}',
+        Random(distance=(10.0, math.inf), length=(0, 40)),
+        '{"random":{"distance":[10.0,null],"length":[0.0,40.0]}}',
+    ),
+    (Random(hardness=(-math.inf, 1.5)), Random(hardness=(0, 1.5)), '{"random":{"hardness":[0.0,1.5]}}'),
+]
+
+
+@pytest.mark.parametrize(("value", "source", "text"), SAME)
+def test_what_a_source_is_written_as(value: Any, source: Source, text: str) -> None:  # noqa: ANN401
+    """All ways to say one source give it, and its plain text gives it again."""
+    assert problem_source(value) == source
+    assert plain_text(source) == text
+    assert problem_source(text) == source
+
+
+def test_bands_are_brought_to_floats() -> None:
+    """Open sides are 0 and infinity."""
+    source = Random([10, None], length=(2, 5))  # type: ignore[arg-type]
+    assert source.distance == (10.0, math.inf)
+    assert source.bands == ((10, math.inf), (0, math.inf), (2, 5))
+    assert hash(source) == hash(Random((10.0, None), None, (2.0, 5.0)))
+
+
+@pytest.mark.parametrize(
+    "band", [10, (5,), (5, 4), (1, 2, 3), (math.nan, 4), (4, math.nan), (math.inf, None), (-3, -2)]
+)
+@pytest.mark.parametrize("name", ["distance", "hardness", "length"])
+def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:  # noqa: ANN401
+    """Not two numbers, or not in order."""
+    with pytest.raises(ValueError, match=rf"{name}: got .*, expected \(lowest, highest\)"):
+        Random(**{name: band})
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("rooms", "problems: got 'rooms', expected one of route, pairs, random"),
+        ("{}", "problems: got '{}', expected one of"),
+        ("{random}", "problems: '{random}' is not JSON"),
+        (None, "problems: got None"),
+        ({"route": {}, "pairs": {}}, "problems: got {'route'"),
+        ({"rooms": {}}, "problems: got {'rooms'"),
+        ({"random": None}, "problems: random: got None"),
+        ({"random": {"min_distance": 10}}, "unknown min_distance; known are distance, hardness, length"),
+        ({"random": {"distance": ["3", None]}}, "distance: got '3', expected a number"),
+    ],
+)
+def test_bad_sources_are_refused(value: Any, says: str) -> None:  # noqa: ANN401
+    """The message holds what was got and what is known."""
+    with pytest.raises(ValueError, match=says):
+        problem_source(value)
