@@ -158,11 +158,3 @@ def table(quick: bool, parent: str | None = None) -> str:
         f"preset paper, shards of {SHARD} maps; a target in seconds is a limit",
     )
     return to_text("Building a dataset", rows, packages=PACKAGES, notes=notes)
-
-
-if __name__ == "__main__":
-    import sys
-
-    from benchmarks.__main__ import main
-
-    main(["build", *sys.argv[1:]])

@@ -124,11 +124,3 @@ def table(quick: bool, parent: str | None = None) -> str:
         "preset paper (64 x 64, Table 1), 4-connected; targets are ratios, for growth what linear would be",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)
-
-
-if __name__ == "__main__":
-    import sys
-
-    from benchmarks.__main__ import main
-
-    main(["labels", "paths", *sys.argv[1:]])

@@ -457,11 +457,3 @@ def table(quick: bool, parent: str | None = None) -> str:
         f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0; data fresh in the page cache",
     )
     return to_text("Loading", rows, packages=PACKAGES, notes=notes, peers=PEERS)
-
-
-if __name__ == "__main__":
-    import sys
-
-    from benchmarks.__main__ import main
-
-    main(["loading", *sys.argv[1:]])

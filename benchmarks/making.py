@@ -50,11 +50,3 @@ def table(quick: bool, parent: str | None = None) -> str:
         rows.append(row if not PEER.absence else row._replace(note=f"{PEER.name}: skipped"))
     notes = (f"medians of {rounds} repeats, taking turns; one thread; not the same maps: a measure of waiting",)
     return to_text("Making maps", rows, packages=PACKAGES, notes=notes, peers=[PEER])
-
-
-if __name__ == "__main__":
-    import sys
-
-    from benchmarks.__main__ import main
-
-    main(["making", *sys.argv[1:]])

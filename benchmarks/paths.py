@@ -263,11 +263,3 @@ def table(quick: bool, parent: str | None = None) -> str:
         "maps of Table 1, for 256 x 256 with 4 times the sides; between consecutive rooms, 4-connected",
     )
     return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])
-
-
-if __name__ == "__main__":
-    import sys
-
-    from benchmarks.__main__ import main
-
-    main(["paths", *sys.argv[1:]])

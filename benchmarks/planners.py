@@ -27,11 +27,3 @@ def table(quick: bool, parent: str | None = None) -> str:
         raise SystemExit(f"{SCRIPT} failed:\n{process.stderr}")
     head = [f"- {fact}" for fact in (versions(PACKAGES), machine(), f"`python {' '.join((SCRIPT, *arguments))}`")]
     return "\n".join(["## Planners", "", *head, "", "```text", process.stdout.rstrip(), "```"]) + "\n"
-
-
-if __name__ == "__main__":
-    import sys
-
-    from benchmarks.__main__ import main
-
-    main(["planners", *sys.argv[1:]])

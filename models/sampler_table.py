@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pandas as pd
 
-from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.arrays import Bytes, Flags, Floats, Ints
+from mapdata.evaluation import confidence_intervals
 from mapdata.plotting import MARKERS, PALETTE, plot_roadmap
 from mapdata.problems import HARD, Problems
 from models.roadmap import SAMPLERS, between, halton, path_lengths
@@ -107,15 +108,18 @@ def compare(
     if not rows or not len(problems) or not sizes or min(sizes) < 2 or bootstrap < 1:
         raise ValueError("expected at least one sampler, problem and resample, and sizes of 2 or more")
     dense = _lengths(_classical_halton, problems, DENSE)[0]
-    weights = _resamples(len(problems), bootstrap, np.random.default_rng(seed))
     table: list[dict[str, object]] = []
+    outcomes: list[Floats] = []
     for n in sizes:
         for name, contender in rows.items():
             lengths, ms = _lengths(contender, problems, n)
             for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
-                row: dict[str, object] = {"sampler": name, "subset": subset, "n": n, "problems": int(mask.sum())}
-                row |= _metrics(lengths[mask], dense[mask], weights[:, mask])
-                table.append(row | {"ms": ms})
+                table.append({"sampler": name, "subset": subset, "n": n, "problems": int(mask.sum()), "ms": ms})
+                outcomes.append(_outcomes(lengths, dense, mask))
+    found = confidence_intervals(np.stack(outcomes, axis=1), _metrics, bootstrap, seed)
+    for ending, values in zip(("", "_low", "_high"), found, strict=True):
+        for row, pair in zip(table, values.tolist(), strict=True):
+            row |= {f"{metric}{ending}": value for metric, value in zip(METRICS, pair, strict=True)}
     return pd.DataFrame(table)
 
 
@@ -139,26 +143,19 @@ def _lengths(contender: Contender, problems: Problems, n: int) -> tuple[Floats, 
     return np.concatenate(found), 1000 * seconds / len(problems)
 
 
-def _resamples(count: int, bootstrap: int, source: np.random.Generator) -> Floats:
-    """Return (bootstrap + 1, count) how often each problem is in each resample; the first has each once."""
-    drawn = [np.bincount(source.integers(count, size=count), minlength=count) for _ in range(bootstrap)]
-    return np.stack([np.ones(count), *drawn])
-
-
-def _metrics(lengths: Floats, dense: Floats, weights: Floats) -> dict[str, float]:
-    solved = np.isfinite(lengths)
+def _outcomes(lengths: Floats, dense: Floats, subset: Flags) -> Floats:
+    """Return (N, 4): in the subset; solved; solved on both roadmaps; the ratio of the two lengths, else 0."""
+    solved = subset & np.isfinite(lengths)
     both = solved & np.isfinite(dense)
     ratios = np.divide(lengths, dense, out=np.zeros_like(lengths), where=both)
+    return np.stack([subset, solved, both, ratios], axis=-1)
+
+
+def _metrics(means: Floats) -> Floats:
+    """Return success and length ratio (..., 2) of mean outcomes (..., 4)."""
+    subset, solved, both, ratios = np.moveaxis(means, -1, 0)
     with np.errstate(invalid="ignore"):
-        success = (weights @ solved) / weights.sum(axis=1)
-        ratio = (weights @ ratios) / (weights @ both)
-    row: dict[str, float] = {}
-    for name, values in zip(METRICS, (success, ratio), strict=True):
-        row[name] = float(values[0])
-        resampled = values[1:][np.isfinite(values[1:])]
-        ends = np.quantile(resampled, [0.025, 0.975]) if len(resampled) else np.full(2, np.nan)
-        row[f"{name}_low"], row[f"{name}_high"] = ends.tolist()
-    return row
+        return np.stack([solved / subset, ratios / both], axis=-1)
 
 
 def to_text(table: pd.DataFrame) -> str:

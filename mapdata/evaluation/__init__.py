@@ -1,6 +1,6 @@
 """Comparing planners: one table for anything that plans, and the classical rows."""
 
-from mapdata.evaluation.metrics import METRICS, BatchPlanner, Plan, Planner, evaluate, to_text
+from mapdata.evaluation.metrics import METRICS, BatchPlanner, Plan, Planner, confidence_intervals, evaluate, to_text
 from mapdata.evaluation.planners import Batched, BestFirst, Limit, Search, classical
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Planner",
     "Search",
     "classical",
+    "confidence_intervals",
     "evaluate",
     "to_text",
 ]

@@ -7,7 +7,7 @@ https://arxiv.org/abs/2212.11730.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -97,15 +97,42 @@ def evaluate(planners: Sequence[Planner], problems: Problems, *, bootstrap: int 
     outcomes = np.stack([run.outcomes for run in runs], axis=1)
     rows: list[dict[str, object]] = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
-        statistics = _statistics(outcomes[mask], bootstrap, np.random.default_rng(seed))
-        for run, name, values in zip(runs, names, statistics, strict=True):
+        values, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
+        for k, (run, name) in enumerate(zip(runs, names, strict=True)):
             row: dict[str, object] = {"planner": name, "subset": subset, "n": int(mask.sum())}
-            row |= dict(zip(METRICS, values[0].tolist(), strict=True))
+            row |= dict(zip(METRICS, values[k].tolist(), strict=True))
             row |= {"ms": run.ms[mask].mean() if mask.any() else np.nan, "ms_batched": run.ms_batched}
-            for metric, low, high in zip(METRICS, *values[1:].tolist(), strict=True):
+            for metric, low, high in zip(METRICS, lows[k].tolist(), highs[k].tolist(), strict=True):
                 row |= {f"{metric}_low": low, f"{metric}_high": high}
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def confidence_intervals(
+    outcomes: Floats, metrics: Callable[[Floats], Floats], bootstrap: int = 1000, seed: int = 0
+) -> Floats:
+    """Return metrics of mean outcomes, with 95 % percentile intervals over resampled problems.
+
+    Args:
+        outcomes: (n, ..., C) what is averaged over n problems, of any number of contestants.
+        metrics: makes metrics (..., M) of means (..., C), NaN where one is undefined.
+        bootstrap: number of resamples, the same problems for all contestants.
+        seed: of the resamples.
+
+    Returns:
+        (3, ..., M): the metrics, the lower and the upper end of their intervals; NaN when n is 0.
+    """
+    n = len(outcomes)
+    values = metrics(outcomes.sum(axis=0) / max(n, 1))
+    if n == 0:
+        return np.full((3, *values.shape), np.nan)
+    source = np.random.default_rng(seed)
+    flat = outcomes.reshape(n, -1)
+    sums = [np.bincount(source.integers(n, size=n), minlength=n) @ flat for _ in range(bootstrap)]
+    means = np.reshape(sums, (bootstrap, *outcomes.shape[1:])) / n
+    resampled = pd.DataFrame(metrics(means).reshape(bootstrap, -1))
+    ends = resampled.quantile([0.025, 0.975]).to_numpy()  # leaves NaN out
+    return np.concatenate([values[None], ends.reshape(2, *values.shape)])
 
 
 def to_text(table: pd.DataFrame) -> str:
@@ -181,19 +208,6 @@ def _cost(plan: Plan, problems: Problems, k: int) -> float | None:
         return None
     ends = np.array([problems.starts[k], problems.goals[k]])
     return cost if np.array_equal(path[[0, -1]], ends) else None
-
-
-def _statistics(outcomes: Floats, bootstrap: int, source: np.random.Generator) -> Floats:
-    """Return (P, 3, 6): per planner the metrics, and both ends of their intervals. Outcomes: (n, P, 5)."""
-    n, planners, columns = outcomes.shape
-    if n == 0:
-        return np.full((planners, 3, len(METRICS)), np.nan)
-    flat = outcomes.reshape(n, -1)
-    sums = [np.bincount(source.integers(n, size=n), minlength=n) @ flat for _ in range(bootstrap)]
-    resampled = _metrics(np.reshape(sums, (bootstrap, planners, columns)) / n)
-    ends = pd.DataFrame(resampled.reshape(bootstrap, -1)).quantile([0.025, 0.975]).to_numpy()  # leaves NaN out
-    point = _metrics(outcomes.sum(axis=0) / n)
-    return np.concatenate([point[:, None], ends.reshape(2, planners, -1).swapaxes(0, 1)], axis=1)
 
 
 def _metrics(means: Floats) -> Floats:

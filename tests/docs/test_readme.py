@@ -42,14 +42,6 @@ def test_every_block_runs() -> None:
         assert Path(picture).read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_first_example_is_ten_lines_and_ends_in_a_picture() -> None:
-    """One minute of reading, and something to see."""
-    first = next(block for block in BLOCKS if block.language == "python")
-    lines = [line for line in first.text.splitlines() if line]
-    assert len(lines) <= 10
-    assert "savefig" in lines[-1]
-
-
 def test_the_script_builds_where_the_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
     """The folder is `data/maps`, and the last line says how to look at it."""
     build_main(["--maps", "3"])

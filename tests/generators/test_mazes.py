@@ -20,7 +20,7 @@ from mapdata import MapDataset, Maze, Movement, OnlineMapDataset, Problems, buil
 from mapdata.cli import main
 from mapdata.shards import Recipe, read_manifest
 
-SETTINGS = settings(derandomize=True, deadline=None, database=None, max_examples=150)
+SETTINGS = settings(max_examples=150)
 SPEC = Maze(map_size=(20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25))
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from mapdata import Pairs, Random, Route
-from mapdata.problems.sources import Source, plain_text, problem_source
+from mapdata.problems import Source
+from mapdata.problems.sources import plain_text, problem_source
 
 SAME: list[tuple[Any, Source, str]] = [
     ("route", Route(), "route"),
