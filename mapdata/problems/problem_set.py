@@ -15,6 +15,7 @@ from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.generators.generator import Generator, generate, identity
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import BatchResult, distance_field, search_batch
+from mapdata.search.lattice import hardness
 from mapdata.shards.manifest import read_manifest
 from mapdata.shards.reader import read_shard
 from mapdata.spec import SPLITS, Movement, check_seed
@@ -77,10 +78,7 @@ class Problems:
     @cached_property
     def hardness(self) -> Floats:
         """(N,) optimal cost over heuristic (the cost on an empty grid); 1 is the easiest."""
-        sides = np.abs(self.starts - self.goals)
-        diagonal = sides.min(axis=1)
-        step = 2.0 if self.movement.connectivity == 4 else self.movement.diagonal_cost
-        return np.asarray(self.optimal.cost / (sides.max(axis=1) - diagonal + diagonal * step))
+        return hardness(self.optimal.cost, self.starts, self.goals, self.movement)
 
     @cached_property
     def hard(self) -> Flags:

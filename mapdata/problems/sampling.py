@@ -4,15 +4,25 @@ state.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.jit import Int, kernel
 from mapdata.rng import ORDER, PROBLEM, block, bounded
-from mapdata.search.kernels import find, log_size, scratch, shortest_costs, wipe, write_cells
-from mapdata.search.lattice import ASTAR, BFS, STEPS, UNIT, WALL, estimate, load, parts
+from mapdata.search.kernels import find, scratch, shortest_costs, wipe, write_cells
+from mapdata.search.lattice import (
+    ASTAR,
+    BFS,
+    COSTS,
+    UNIT,
+    Search,
+    cell_at,
+    heuristic,
+    in_cells,
+    lattice_of,
+    load,
+    position,
+)
 
 _TRIES = 32
 """Start cells tried on one map before it is given up."""
@@ -41,19 +51,17 @@ def sample_problems(
         indices: (B,) number of each problem.
         min_distance: least cost of the shortest path.
         min_hardness: least ratio of that cost to the heuristic.
-        diagonals: as `kernels.rule_of` gives it.
-        step: as `kernels.rule_of` gives it.
+        diagonals: as `rule_of` gives it.
+        step: likewise.
         starts: (B, 2), filled.
         goals: (B, 2), filled.
         found: (B,), filled: False where no problem of the map meets the conditions.
     """
     rows, columns = grids.shape[1], grids.shape[2]
-    stride = columns + 2
-    cells = (rows + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    came, costs, candidates = np.full(cells, WALL), np.empty(cells, np.int64), np.empty(cells, np.int64)
-    log = log_size(cells, diagonals, step)
-    queue, below = np.empty(log, np.uint32), np.empty(log, np.uint32)
+    lattice = lattice_of((rows, columns), (diagonals, step))
+    buffers = scratch(COSTS, lattice)
+    came, costs, queue, _, _ = buffers
+    candidates = np.empty(lattice.cells, np.int64)
     for b in range(len(grids)):
         found[b], free = False, 0
         for row in range(rows):
@@ -63,24 +71,22 @@ def sample_problems(
             w0, w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
             start = _free_cell(grids[b], bounded(w0, 0, free - 1))
             load(grids[b], came)
-            source = (start // columns + 1) * stride + start % columns + 1
-            count = shortest_costs(came, costs, queue, below, offsets, source, diagonals, step)
+            source = cell_at(start // columns, start % columns, lattice)
+            count = shortest_costs(source, lattice, buffers)
             kept = 0
             for k in range(count):
                 cell = np.int64(queue[k])
                 if cell == source:
                     continue
-                straight, diagonal = parts(costs[cell])
-                least = estimate(cell // stride - source // stride, cell % stride - source % stride, diagonals, step)
-                if straight + diagonal * math.sqrt(2.0) >= min_distance and costs[cell] / UNIT >= min_hardness * (
-                    least / UNIT
-                ):
+                row, column = position(cell, lattice)
+                least = heuristic(row - start // columns, column - start % columns, lattice)
+                if in_cells(costs[cell]) >= min_distance and costs[cell] / UNIT >= min_hardness * (least / UNIT):
                     candidates[kept] = cell
                     kept += 1
             if kept:
                 chosen = candidates[bounded(w1, 0, kept - 1)]
                 starts[b, 0], starts[b, 1] = start // columns, start % columns
-                goals[b, 0], goals[b, 1] = chosen // stride - 1, chosen % stride - 1
+                goals[b, 0], goals[b, 1] = position(chosen, lattice)
                 found[b] = True
                 break
 
@@ -108,7 +114,7 @@ def solve_pairs(
     indices: Ints,
     route: Int,
     unsolvable: Int,
-    search: Int,
+    search: Search,
     diagonals: Int,
     step: Int,
 ) -> tuple[Ints, Ints, Ints, Ints]:
@@ -124,18 +130,17 @@ def solve_pairs(
         indices: (B,) number of each problem.
         route: draw from the pairs (q, q + 1) instead of all i < j.
         unsolvable: keep pairs without a path.
-        search: as `kernels.BFS` and `kernels.ASTAR`.
-        diagonals: as `kernels.rule_of` gives it.
+        search: BFS or ASTAR.
+        diagonals: as `rule_of` gives it.
         step: likewise.
 
     Returns:
         ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of the paths;
         iterations (B,).
     """
-    count, stride = len(grids), grids.shape[2] + 2
-    padded = (grids.shape[1] + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    buffers = scratch(padded, search, diagonals)
+    count = len(grids)
+    lattice = lattice_of(grids.shape[1:], (diagonals, step))
+    buffers = scratch(search, lattice)
     ends, ways, iterations = np.full((count, 4), -1), np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
     for b in range(count):
@@ -144,16 +149,16 @@ def solve_pairs(
         pairs = n - 1 if route else n * (n - 1) // 2
         word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
         drawn = bounded(word, 0, pairs - 1)
-        load(grids[b], buffers[0])
+        load(grids[b], buffers.came)
         for attempt in range(pairs):
             i, j = _pair((drawn + attempt) % pairs, n, route)
-            start = (seed_points[b, i, 0] + 1) * stride + seed_points[b, i, 1] + 1
-            goal = (seed_points[b, j, 0] + 1) * stride + seed_points[b, j, 1] + 1
+            start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
+            goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
             if start == goal:
                 continue
             if search == BFS and attempt:
-                load(grids[b], buffers[0])
-            straight, diagonal, expanded, pushes = find(stride, start, goal, search, diagonals, step, offsets, buffers)
+                load(grids[b], buffers.came)
+            straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
             length = straight + diagonal + 1
             if length or unsolvable:
                 ends[b, 0], ends[b, 1], ends[b, 2], ends[b, 3] = (
@@ -166,12 +171,11 @@ def solve_pairs(
                     longer = np.empty((2 * (used + length), 2), np.int64)
                     longer[:used] = cells[:used]
                     cells = longer
-                if length:
-                    write_cells(buffers[0], offsets, stride, start, goal, length - 1, cells[used : used + length])
+                write_cells(buffers.came, goal, lattice, cells[used : used + length])
                 ways[b + 1], iterations[b] = used + length, expanded
                 break
             if search == ASTAR:
-                wipe(buffers[0], buffers[2], pushes)
+                wipe(buffers, pushes)
     return ends, cells[: ways[count]], ways, iterations
 
 

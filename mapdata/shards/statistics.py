@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.search.labels import Labels
+from mapdata.search.lattice import hardness
 from mapdata.shards.manifest import Manifest, read_manifest
 from mapdata.shards.root import shards
-from mapdata.spec import SPLITS, Movement
+from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
 _DIGEST = 16
@@ -144,14 +145,6 @@ def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
     return edges, counts.astype(np.int64)
 
 
-def estimate(starts: Ints, goals: Ints, movement: Movement) -> Floats:
-    """Return the heuristic between cells, (..., 2) each, as (...): Manhattan, or octile under 8-connectivity."""
-    gap = np.abs(starts - goals)
-    if movement.connectivity == 4:
-        return np.asarray(gap.sum(axis=-1), np.float64)
-    return np.asarray(gap.max(axis=-1) + gap.min(axis=-1) * (movement.diagonal_cost - 1), np.float64)
-
-
 def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     """Return what a shard adds to each array of a `DatasetStatistics`; of no shard: empty arrays."""
     if labels is None:
@@ -164,13 +157,12 @@ def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     used = np.arange(maps.directions.shape[1]) < (maps.rooms - 1)[:, None]
     starts, goals = maps.seed_points[:, :-1][used], maps.seed_points[:, 1:][used]
     steps = np.diff(labels.astar.offsets)
-    diagonal = (np.abs(np.diff(_cells_moved(labels)))) if movement.connectivity == 8 else np.zeros_like(steps)
+    diagonal = np.diff(_diagonal_moves(labels))
     costs = steps - diagonal + diagonal * movement.diagonal_cost
-    least = estimate(starts, goals, movement)
-    hardness = np.maximum(costs / np.maximum(least, 1), 1.0)  # 1, not 1 - 1e-16; and 1 from a cell to itself
-    hardness[~labels.reachable] = -1
+    costs[~labels.reachable] = -1
+    hard = hardness(costs, starts, goals, movement)
     hardest = np.zeros(len(maps))
-    np.maximum.at(hardest, np.repeat(np.arange(len(maps)), maps.rooms - 1), hardness)
+    np.maximum.at(hardest, np.repeat(np.arange(len(maps)), maps.rooms - 1), hard)
     known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
     free, exact, symmetric = _look_at_grids(labels, hashes)
     return {
@@ -182,7 +174,7 @@ def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
         "redundant": labels.all_connected & (~maps.connected & used).any(axis=1) & known,
         "hardest": hardest,
         "lengths": np.where(labels.reachable, steps + 1, 0),
-        "hardness": hardness,
+        "hardness": hard,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
         "known": np.array([known]),
@@ -191,7 +183,7 @@ def _look(labels: Labels | None, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     }
 
 
-def _cells_moved(labels: Labels) -> Ints:
+def _diagonal_moves(labels: Labels) -> Ints:
     """Return (S + 1,) int64, diagonal moves of A* before each segment."""
     return np.concatenate(([0], np.cumsum(labels.astar.moves >= 4)))[labels.astar.offsets]
 
