@@ -8,12 +8,24 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Bytes, Flags, Float32s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan
 from mapdata.jit import Int, kernel
-from mapdata.search import STEPS, search_batch
+from mapdata.search import (
+    WALL,
+    Lattice,
+    Rule,
+    cell_at,
+    heuristic,
+    in_cells,
+    is_legal,
+    lattice_of,
+    load,
+    position,
+    rule_of,
+    search_batch,
+)
 from mapdata.spec import Movement
 
 
@@ -71,18 +83,13 @@ class _Follower(Batched, ABC):
         """Return the plans, those without a path replaced where the planner has another way."""
         return plans
 
-    @property
-    def _rule(self) -> tuple[int, float]:
-        """How one moves, as the kernels want it."""
-        return int(self.model.movement.corner_cutting), self.model.movement.diagonal_cost
-
 
 @dataclass(frozen=True, eq=False)
 class LearnedPlanner(_Follower):
     """Follows the most probable legal move to a cell not yet visited, until the goal.
 
-    Every cell of the walk is one expansion: each is taken once, and its neighbours are looked at, as in a search. The
-    path is the shortest one over the moves that were looked at.
+    Every cell of the walk is one expansion: its neighbours are looked at, once, as in a search. The path is the
+    shortest one over the moves that were looked at.
 
     Attributes:
         fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew from the start, and
@@ -92,7 +99,7 @@ class LearnedPlanner(_Follower):
     fallback: bool = True
 
     def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
-        return Plan(*_walk(grid, scores, start, goal, *self._rule))
+        return Plan(*_walk(grid, scores, start, goal, rule_of(self.model.movement)))
 
     def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
@@ -119,7 +126,8 @@ class GuidedSearch(_Follower):
     trust: float = 2.0
 
     def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
-        return Plan(*_search(grid, scores, ratios, start, goal, *self._rule, self.trust))
+        rule = rule_of(self.model.movement)
+        return Plan(*_search(grid, scores, ratios, start, goal, rule, self.trust))
 
 
 def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:
@@ -128,7 +136,7 @@ def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Int
     Raises:
         ValueError: a start or goal outside its map or on an occupied cell.
     """
-    grids = np.array(grids, np.uint8)
+    grids = np.not_equal(grids, 0).astype(np.uint8)
     starts, goals = np.array(starts, np.int64), np.array(goals, np.int64)
     for ends in (starts, goals):
         outside = (ends < 0).any() or (ends >= grids.shape[1:]).any()
@@ -144,115 +152,116 @@ def _search(
     ratios: Float32s,
     start: Ints,
     goal: Ints,
-    corners: Int,
-    diagonal: float,
+    rule: Rule,
     trust: float,
 ) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, and how many cells were expanded."""
-    moves, rows, columns = scores.shape
-    best = np.full((rows, columns), np.inf)  # g and what the improbable moves cost; -inf once a cell is expanded
-    way = np.zeros((rows, columns))
-    best[start[0], start[1]] = 0.0
-    heap, pushes, expansions = [(0.0, 0, start[0] * columns + start[1])], 0, 0
+    lattice = lattice_of(grid.shape, rule)
+    came = np.full(lattice.cells, WALL)
+    load(grid, came)
+    first = cell_at(start[0], start[1], lattice)
+    last = cell_at(goal[0], goal[1], lattice)
+    best = np.full(lattice.cells, np.inf)  # g and what the improbable moves cost; -inf once expanded
+    way = np.zeros(lattice.cells)
+    best[first] = 0.0
+    heap = [(0.0, 0, first)]
+    pushes = 0
+    expansions = 0
     while heap:
         _, _, cell = heapq.heappop(heap)
-        row, column = cell // columns, cell % columns
-        so_far = best[row, column]
+        so_far = best[cell]
         if so_far == -np.inf:
             continue
-        best[row, column] = -np.inf
+        best[cell] = -np.inf
         expansions += 1
-        if row == goal[0] and column == goal[1]:
+        if cell == last:
             break
-        top, legal = -np.inf, 0
-        for k in range(moves):
-            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j]:
+        row, column = position(cell, lattice)
+        top = -np.inf
+        for move in range(len(lattice.offsets)):
+            if is_legal(came, cell, move, lattice):
+                top = max(top, scores[move, row, column])
+        for move in range(len(lattice.offsets)):
+            to = cell + lattice.offsets[move]
+            if best[to] == -np.inf or not is_legal(came, cell, move, lattice):
                 continue
-            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
-                continue
-            legal |= 1 << k
-            top = max(top, scores[k, row, column])
-        for k in range(moves):
-            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if not legal >> k & 1 or best[i, j] == -np.inf:
-                continue
-            step = 1.0 if k < 4 else diagonal
-            cost = so_far + step + trust * (top - scores[k, row, column])
-            if cost < best[i, j]:
-                best[i, j], way[i, j] = cost, way[row, column] + step
-                high, wide = abs(i - goal[0]), abs(j - goal[1])
-                least = max(high, wide) + (diagonal - 1) * min(high, wide) if moves == 8 else high + wide
+            step = 1.0 if move < 4 else in_cells(lattice.step)
+            cost = so_far + step + trust * (top - scores[move, row, column])
+            if cost < best[to]:
+                best[to] = cost
+                way[to] = way[cell] + step
+                i, j = position(to, lattice)
+                least = in_cells(heuristic(i - goal[0], j - goal[1], lattice))
                 pushes += 1
-                f = cost + least / max(ratios[i, j], 0.05) - 0.001 * way[i, j]  # among equals the farthest
-                heapq.heappush(heap, (f, -pushes, i * columns + j))
-    return _through(grid, best == -np.inf, start, goal, moves, corners, diagonal), expansions
+                f = cost + least / max(ratios[i, j], 0.05) - 0.001 * way[to]  # among equals the farthest
+                heapq.heappush(heap, (f, -pushes, to))
+    return _through(came, best == -np.inf, first, last, lattice), expansions
 
 
 @kernel
-def _through(
-    grid: Bytes, expanded: npt.NDArray[np.bool_], start: Ints, goal: Ints, moves: Int, corners: Int, diagonal: float
-) -> Ints:
+def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Lattice) -> Ints:
     """Return the shortest path over all moves that a search has looked at, (k, 2); (0, 2) where there is none.
 
     Those are the moves from and to expanded cells. Among them there may be a shorter path than the one that the
     search came by. Dijkstra's algorithm.
     """
-    rows, columns = grid.shape
-    costs, came = np.full((rows, columns), np.inf), np.full((rows, columns), -1)
-    costs[start[0], start[1]] = 0.0
-    heap = [(0.0, start[0] * columns + start[1])]
+    costs = np.full(lattice.cells, np.inf)
+    parents = np.full(lattice.cells, start)
+    costs[start] = 0.0
+    heap = [(0.0, start)]
     while heap:
         cost, cell = heapq.heappop(heap)
-        row, column = cell // columns, cell % columns
-        if row == goal[0] and column == goal[1]:
+        if cell == goal:
             break
-        if cost > costs[row, column]:
+        if cost > costs[cell]:
             continue
-        for k in range(moves):
-            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j]:
+        for move in range(len(lattice.offsets)):
+            to = cell + lattice.offsets[move]
+            if not (expanded[cell] or expanded[to]) or not is_legal(came, cell, move, lattice):
                 continue
-            if not (expanded[row, column] or expanded[i, j]):
-                continue
-            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
-                continue
-            longer = cost + (1.0 if k < 4 else diagonal)
-            if longer < costs[i, j] - 1e-9:
-                costs[i, j], came[i, j] = longer, k
-                heapq.heappush(heap, (longer, i * columns + j))
-    path = np.empty((rows * columns, 2), np.int64)
-    at, row, column = len(path), goal[0], goal[1]
-    while costs[row, column] < np.inf:
+            longer = cost + (1.0 if move < 4 else in_cells(lattice.step))
+            if longer < costs[to] - 1e-9:
+                costs[to] = longer
+                parents[to] = cell
+                heapq.heappush(heap, (longer, to))
+    path = np.empty((lattice.cells, 2), np.int64)
+    at = len(path)
+    cell = goal
+    while costs[cell] < np.inf:
         at -= 1
-        path[at, 0], path[at, 1] = row, column
-        k = came[row, column]
-        if k < 0:
+        path[at, 0], path[at, 1] = position(cell, lattice)
+        if cell == start:
             break
-        row, column = row - STEPS[k, 0], column - STEPS[k, 1]
+        cell = parents[cell]
     return path[at:].copy()
 
 
 @kernel
-def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, corners: Int, diagonal: float) -> tuple[Ints, Int]:
+def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells were expanded."""
-    moves, rows, columns = scores.shape
-    expanded = np.zeros((rows, columns), np.bool_)
-    row, column, move, expansions = start[0], start[1], 0, 0
+    lattice = lattice_of(grid.shape, rule)
+    came = np.full(lattice.cells, WALL)
+    load(grid, came)
+    first = cell_at(start[0], start[1], lattice)
+    last = cell_at(goal[0], goal[1], lattice)
+    expanded = np.zeros(lattice.cells, np.bool_)
+    cell = first
+    move = 0
+    expansions = 0
     while move >= 0:
-        expanded[row, column] = True
+        expanded[cell] = True
         expansions += 1
-        move, best = -1, np.float32(-np.inf)
-        if row == goal[0] and column == goal[1]:
+        if cell == last:
             break
-        for k in range(moves):
-            i, j = row + STEPS[k, 0], column + STEPS[k, 1]
-            if i < 0 or j < 0 or i >= rows or j >= columns or grid[i, j] or expanded[i, j]:
-                continue
-            if k >= 4 and not corners and (grid[i, column] or grid[row, j]):
+        row, column = position(cell, lattice)
+        move = -1
+        best = np.float32(-np.inf)
+        for k in range(len(lattice.offsets)):
+            if expanded[cell + lattice.offsets[k]] or not is_legal(came, cell, k, lattice):
                 continue
             if scores[k, row, column] > best:
-                move, best = k, scores[k, row, column]
+                move = k
+                best = scores[k, row, column]
         if move >= 0:
-            row, column = row + STEPS[move, 0], column + STEPS[move, 1]
-    return _through(grid, expanded, start, goal, moves, corners, diagonal), expansions
+            cell += lattice.offsets[move]
+    return _through(came, expanded, first, last, lattice), expansions

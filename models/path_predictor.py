@@ -38,7 +38,7 @@ from torch.utils.data import DataLoader
 
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.datasets import MapDataModule, Sample
-from mapdata.search import STEPS
+from mapdata.search import STEPS, heuristics
 from mapdata.spec import Movement
 from models.layers import Muon, Trunk, bfloat16, padded, scheduled
 from models.learned_planners import LearnedPlanner
@@ -55,30 +55,26 @@ FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 def _surroundings(rows: int, columns: int, movement: Movement) -> Tensor:
     """Return what lies about a goal in the middle, ((2 rows - 1) * (2 columns - 1), 8 + moves), a line a cell.
 
-    Of each cell: a place for the map, the goal, six planes, and how much each move leads astray: its cost plus the
+    Of each cell: a place for the map, the goal, six planes, and the detour of each move: its cost plus the
     change of the heuristic, 0 for the moves that would be optimal on an empty map.
     """
-    down = torch.arange(1 - rows, rows).float()[:, None].expand(-1, 2 * columns - 1)
-    right = torch.arange(1 - columns, columns).float()[None].expand(2 * rows - 1, -1)
-
-    def heuristic(down: Tensor, right: Tensor) -> Tensor:
-        down, right = down.abs(), right.abs()
-        if movement.connectivity == 4:
-            return down + right
-        return torch.maximum(down, right) + (movement.diagonal_cost - 1) * torch.minimum(down, right)
-
-    here = heuristic(down, right)
+    goal = np.array([rows - 1, columns - 1])
+    cells = np.moveaxis(np.indices((2 * rows - 1, 2 * columns - 1)), 0, -1)  # (2 rows - 1, 2 columns - 1, 2)
+    down, right = torch.from_numpy(cells - goal).float().unbind(-1)
+    least = heuristics(cells, goal, movement)
+    here = torch.from_numpy(least).float()
     near, side = [torch.clamp(each / 4, -1, 1) for each in (down, right)], (down.abs() - right.abs()) / 4
     planes = [torch.zeros_like(here), (here == 0).float()]
     planes += [here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)]
-    steps = STEPS[: movement.connectivity].tolist()
-    costs = [movement.diagonal_cost if row and column else 1.0 for row, column in steps]
-    detour = [heuristic(down + r, right + c) - here + cost for (r, c), cost in zip(steps, costs, strict=True)]
-    return torch.stack([*planes, *detour], dim=-1).flatten(0, 1)
+    steps = STEPS[: movement.connectivity]
+    # a move's own cost is the heuristic from (0, 0) to where it leads
+    through = heuristics(cells[:, :, None] + steps, goal, movement) + heuristics(steps, [0, 0], movement)
+    detour = torch.from_numpy(through - least[..., None]).float()
+    return torch.cat([torch.stack(planes, dim=-1), detour], dim=-1).flatten(0, 1)
 
 
 def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return what the network sees, (B, 8, H, W), and how much each move leads astray, (B, moves, H, W).
+    """Return what the network sees, (B, 8, H, W), and the detour of each move, (B, moves, H, W).
 
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.

@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.datasets.field_kernels import (
+    GoalFields,
     count_steps,
     fill_goal_fields,
     fill_room_matrices,
-    hardness_of,
     mask_paths,
     pad_paths,
     path_probabilities,
@@ -26,6 +26,7 @@ from mapdata.datasets.field_kernels import (
 from mapdata.datasets.sample import PATH_STEP
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import UNIT, rule_of
+from mapdata.search.lattice import hardness as hardness_of
 from mapdata.spec import Movement
 
 
@@ -38,19 +39,10 @@ class Paths(NamedTuple):
 
 
 class Rooms(NamedTuple):
-    """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 centres."""
+    """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 seed points."""
 
     matrix: Float32s
     seed_points: Ints
-
-
-class GoalFields(NamedTuple):
-    """The fields that one search around the goal gives, (B, 1, H, W) each, or empty."""
-
-    cost_to_go: Float32s
-    optimal_moves: Bytes
-    heuristic_ratio: Float32s
-    optimal_mask: Bytes
 
 
 @dataclass
@@ -65,9 +57,9 @@ class Batch:
         goals: (B, 2) int64.
         problems: (B,) int64, numbers in the dataset.
         find_paths: gives the paths.
-        find_rooms: gives connection matrices and centres.
+        find_rooms: gives connection matrices and seed points.
         wanted: names of the fields that will be asked for.
-        max_length: cells that ``path`` has room for; None for what the batch needs.
+        max_length: how many cells ``path`` holds; None for what the batch needs.
     """
 
     movement: Movement
@@ -112,7 +104,7 @@ class Batch:
                 for name in GoalFields._fields
             )
         )
-        fill_goal_fields(self.grids, self.starts, self.goals, *rule_of(self.movement), *fields)
+        fill_goal_fields(self.grids, self.starts, self.goals, rule_of(self.movement), fields)
         return fields
 
 
@@ -161,11 +153,11 @@ def hardness(batch: Batch) -> Float32s:
     best = batch.costs
     if batch.search == "bfs" and batch.movement.connectivity == 8:  # BFS counts moves, which are not its costs
         best = search_batch("astar", batch.grids, batch.starts, batch.goals, batch.movement).cost
-    return hardness_of(best, batch.starts, batch.goals, *rule_of(batch.movement))
+    return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
 
 
 def iterations(batch: Batch) -> Ints:
-    """``iterations``: (B,) int64, cells that the planner took from its frontier."""
+    """``iterations``: (B,) int64, cells that the search expanded."""
     return batch.paths.iterations
 
 
@@ -195,10 +187,9 @@ def cost_to_go(batch: Batch) -> Float32s:
 
 
 def optimal_moves(batch: Batch) -> Bytes:
-    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k (`kernels.STEPS`) starts a shortest path to the
-    goal.
+    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k starts a shortest path to the goal.
 
-    0 at the goal, in walls and where the goal cannot be reached.
+    Move k is `mapdata.search.STEPS[k]`. 0 at the goal, in walls and where the goal cannot be reached.
     """
     return batch.goal_fields.optimal_moves
 
@@ -217,7 +208,7 @@ def path_probability(batch: Batch) -> Float32s:
     TransPath's path probability map "PPM" (https://arxiv.org/abs/2212.11730); 0 everywhere without a path.
     """
     cells, offsets, _ = batch.paths
-    return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, *rule_of(batch.movement))
+    return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, rule_of(batch.movement))
 
 
 def connection_matrix(batch: Batch) -> Float32s:
@@ -274,7 +265,7 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
     """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2), found by searching each grid.
 
-    -1 no connection, -2 where a centre is (-1, -1). "bfs" counts moves.
+    -1 no connection, -2 where a seed point is (-1, -1). "bfs" counts moves.
     """
     diagonals, step = rule_of(movement)
-    return fill_room_matrices(grids, seed_points, diagonals, UNIT if search == "bfs" else step)
+    return fill_room_matrices(grids, seed_points, (diagonals, UNIT if search == "bfs" else step))

@@ -16,7 +16,7 @@ from mapdata.generators.generator import Generator, generate, identity
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
-from mapdata.search.lattice import rule_of
+from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.manifest import read_manifest
 from mapdata.shards.reader import read_shard
 from mapdata.spec import SPLITS, Movement, check_seed
@@ -73,7 +73,7 @@ class Problems:
     @cached_property
     def hardness(self) -> Floats:
         """(N,) optimal cost over heuristic (the cost on an empty grid); 1 is the easiest."""
-        return _hardness(self.starts, self.goals, self.optimal.cost, self.movement)
+        return hardness(self.optimal.cost, self.starts, self.goals, self.movement)
 
     @cached_property
     def hard(self) -> Flags:
@@ -165,14 +165,6 @@ def _check(maps: int | None, until_hard: int | None) -> None:
             raise ValueError(f"{name}: got {value}, expected at least 1")
 
 
-def _hardness(starts: Ints, goals: Ints, cost: Floats, movement: Movement) -> Floats:
-    """Return cost over heuristic."""
-    sides = np.abs(starts - goals)
-    diagonal = sides.min(axis=1)
-    step = 2.0 if movement.connectivity == 4 else movement.diagonal_cost
-    return np.asarray(cost / (sides.max(axis=1) - diagonal + diagonal * step))
-
-
 def _collect(
     chunks: Iterable[tuple[Ints, Bytes]],
     maps: int,
@@ -193,7 +185,7 @@ def _collect(
         if until_hard is not None:
             starts, goals, steps = np.split(sampled[kept], 3, axis=1)
             cost = steps[:, 0] + steps[:, 1] * movement.diagonal_cost
-            hard_so_far = hard + np.cumsum(_hardness(starts, goals, cost, movement) >= HARD)
+            hard_so_far = hard + np.cumsum(hardness(cost, starts, goals, movement) >= HARD)
             kept = kept[: np.searchsorted(hard_so_far, until_hard) + 1]
             hard = int(hard_so_far[: len(kept)].max(initial=hard))
         found.append((indices[kept], grids[kept], sampled[kept]))

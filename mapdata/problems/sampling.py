@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.sources import Bands
 from mapdata.rng import PROBLEM, block, bounded
-from mapdata.search.kernels import find, log_size, scratch, shortest_costs, wipe, write_cells
-from mapdata.search.lattice import ASTAR, BFS, FAR, STEPS, WALL, estimate, load, parts
+from mapdata.search.kernels import find, scratch, shortest_costs, wipe, write_cells
+from mapdata.search.lattice import (
+    ASTAR,
+    BFS,
+    COSTS,
+    FAR,
+    Search,
+    cell_at,
+    heuristic,
+    in_cells,
+    lattice_of,
+    load,
+    parts,
+    position,
+)
 
 _ATTEMPTS = 32
 """Goals tried on one map before it is given up."""
@@ -39,14 +50,9 @@ def sample_problems(
         the same); -1 where the map has no such problem.
     """
     rows, columns = grids.shape[1], grids.shape[2]
-    stride = columns + 2
-    cells = (rows + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    came = np.full(cells, WALL)
-    costs = np.empty(cells, np.int64)
-    log = log_size(cells, diagonals, step)
-    queue = np.empty(log, np.uint32)
-    below = np.empty(log, np.uint32)
+    lattice = lattice_of((rows, columns), (diagonals, step))
+    buffers = scratch(COSTS, lattice)
+    costs = buffers.g
     starts = np.empty(rows * columns, np.int64)
     sampled = np.full((len(grids), 6), -1)
     for b in range(len(grids)):
@@ -57,25 +63,24 @@ def sample_problems(
         for attempt in range(_ATTEMPTS if free > 1 else 0):
             w0, w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
             goal_row, goal_column = _free_cell(grids[b], bounded(w0, 0, free - 1))
-            goal = (goal_row + 1) * stride + goal_column + 1
-            load(grids[b], came)
-            shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)
+            goal = cell_at(goal_row, goal_column, lattice)
+            load(grids[b], buffers.came)
+            shortest_costs(goal, lattice, buffers)
             fitting = 0
             for row in range(rows):
                 for column in range(columns):
-                    cell = (row + 1) * stride + column + 1
+                    cell = cell_at(row, column, lattice)
                     if costs[cell] == FAR or cell == goal:
                         continue
-                    least = estimate(row - goal_row, column - goal_column, diagonals, step)
+                    least = heuristic(row - goal_row, column - goal_column, lattice)
                     if _is_within(bands, costs[cell], least):
                         starts[fitting] = cell
                         fitting += 1
             if fitting:
                 start = starts[bounded(w1, 0, fitting - 1)]
-                straight, diagonal = parts(costs[start])
-                sampled[b, 0], sampled[b, 1] = start // stride - 1, start % stride - 1
+                sampled[b, 0], sampled[b, 1] = position(start, lattice)
                 sampled[b, 2], sampled[b, 3] = goal_row, goal_column
-                sampled[b, 4], sampled[b, 5] = straight, diagonal
+                sampled[b, 4], sampled[b, 5] = parts(costs[start])
                 break
     return sampled
 
@@ -98,9 +103,8 @@ def _is_within(bands: Bands, cost: Int, least: Int) -> bool:
     """Return whether a problem of this cost and heuristic meets the conditions."""
     straight, diagonal = parts(cost)
     length: int = straight + diagonal + 1
-    distance: float = straight + diagonal * math.sqrt(2.0)
-    straight, diagonal = parts(least)
-    hardness: float = distance / (straight + diagonal * math.sqrt(2.0))
+    distance: float = in_cells(cost)
+    hardness: float = distance / in_cells(least)
     distances, ratios, lengths = bands
     return (
         distances[0] <= distance <= distances[1]
@@ -119,7 +123,7 @@ def solve_pairs(
     indices: Ints,
     route: Int,
     unsolvable: Int,
-    search: Int,
+    search: Search,
     diagonals: Int,
     step: Int,
 ) -> tuple[Ints, Ints, Ints, Ints]:
@@ -135,18 +139,17 @@ def solve_pairs(
         indices: (B,) number of each problem.
         route: draw from the pairs (q, q + 1) instead of all i < j.
         unsolvable: keep pairs without a path.
-        search: as `kernels.BFS` and `kernels.ASTAR`.
-        diagonals: as `kernels.rule_of` gives it.
+        search: BFS or ASTAR.
+        diagonals: as `rule_of` gives it.
         step: likewise.
 
     Returns:
         ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of the paths;
         iterations (B,).
     """
-    count, stride = len(grids), grids.shape[2] + 2
-    padded = (grids.shape[1] + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    buffers = scratch(padded, search, diagonals)
+    count = len(grids)
+    lattice = lattice_of(grids.shape[1:], (diagonals, step))
+    buffers = scratch(search, lattice)
     ends, ways, iterations = np.full((count, 4), -1), np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
     for b in range(count):
@@ -155,16 +158,16 @@ def solve_pairs(
         pairs = n - 1 if route else n * (n - 1) // 2
         word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
         drawn = bounded(word, 0, pairs - 1)
-        load(grids[b], buffers[0])
+        load(grids[b], buffers.came)
         for attempt in range(pairs):
             i, j = _pair((drawn + attempt) % pairs, n, route)
-            start = (seed_points[b, i, 0] + 1) * stride + seed_points[b, i, 1] + 1
-            goal = (seed_points[b, j, 0] + 1) * stride + seed_points[b, j, 1] + 1
+            start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
+            goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
             if start == goal:
                 continue
             if search == BFS and attempt:
-                load(grids[b], buffers[0])
-            straight, diagonal, expanded, pushes = find(stride, start, goal, search, diagonals, step, offsets, buffers)
+                load(grids[b], buffers.came)
+            straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
             length = straight + diagonal + 1
             if length or unsolvable:
                 ends[b, 0], ends[b, 1], ends[b, 2], ends[b, 3] = (
@@ -177,12 +180,11 @@ def solve_pairs(
                     longer = np.empty((2 * (used + length), 2), np.int64)
                     longer[:used] = cells[:used]
                     cells = longer
-                if length:
-                    write_cells(buffers[0], offsets, stride, start, goal, length - 1, cells[used : used + length])
+                write_cells(buffers.came, goal, lattice, cells[used : used + length])
                 ways[b + 1], iterations[b] = used + length, expanded
                 break
             if search == ASTAR:
-                wipe(buffers[0], buffers[2], pushes)
+                wipe(buffers, pushes)
     return ends, cells[: ways[count]], ways, iterations
 
 

@@ -1,20 +1,52 @@
-"""Solving maps: BFS, A*, distance fields, the path check, the labels of the paper. docs/format.md fixes their order."""
+"""Solving maps: BFS, A*, distance fields, the path check, the labels of the paper. docs/format.md fixes their order.
+
+For kernels of your own: the lattice, its legal moves and its heuristic.
+"""
 
 from mapdata.search.api import BatchResult, SearchResult, astar, bfs, check_path, distance_field, search_batch
 from mapdata.search.labels import Labels, SearchLabels, label
-from mapdata.search.lattice import MAX_CELLS, STEPS
+from mapdata.search.lattice import (
+    MAX_CELLS,
+    STEPS,
+    WALL,
+    Lattice,
+    Rule,
+    cell_at,
+    hardness,
+    heuristic,
+    heuristics,
+    in_cells,
+    is_legal,
+    lattice_of,
+    load,
+    position,
+    rule_of,
+)
 
 __all__ = [
     "MAX_CELLS",
     "STEPS",
+    "WALL",
     "BatchResult",
     "Labels",
+    "Lattice",
+    "Rule",
     "SearchLabels",
     "SearchResult",
     "astar",
     "bfs",
+    "cell_at",
     "check_path",
     "distance_field",
+    "hardness",
+    "heuristic",
+    "heuristics",
+    "in_cells",
+    "is_legal",
     "label",
+    "lattice_of",
+    "load",
+    "position",
+    "rule_of",
     "search_batch",
 ]

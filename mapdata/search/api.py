@@ -14,9 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.search.kernels import solve_all, solve_one, write_field
-from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, rule_of
+from mapdata.search.kernels import first_bad_cell, solve_all, solve_one, write_field
+from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, Search, rule_of
 from mapdata.spec import Movement
+
+SEARCHES = {"bfs": BFS, "astar": ASTAR}
+"""The searches of labels and datasets, by name."""
 
 
 class SearchResult(NamedTuple):
@@ -25,7 +28,7 @@ class SearchResult(NamedTuple):
     Attributes:
         path: (k, 2) int64, cells from start to goal, both included; (0, 2) when there is none.
         cost: cost of the path, in cells (BFS: in moves); -1.0 when there is none.
-        iterations: number of cells taken from the frontier, the goal included.
+        iterations: number of expanded cells, the goal included.
     """
 
     path: Ints
@@ -103,8 +106,19 @@ def search_batch(
     Raises:
         ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not fit together.
     """
-    if search not in ("bfs", "astar"):
+    if search not in SEARCHES:
         raise ValueError(f"search: got {search!r}, expected 'bfs' or 'astar'")
+    return solve_batch(SEARCHES[search], grids, starts, goals, movement)
+
+
+def solve_batch(
+    search: Search,
+    grids: npt.ArrayLike,
+    starts: npt.ArrayLike,
+    goals: npt.ArrayLike,
+    movement: Movement,
+) -> BatchResult:
+    """Solve B problems by any ``search``; else as `search_batch`."""
     array = np.asarray(grids)
     stack = _grid(array if array.ndim == 3 else array[None], 3)
     cells = [np.ascontiguousarray(points, np.int64) for points in (_whole("starts", starts), _whole("goals", goals))]
@@ -116,15 +130,13 @@ def search_batch(
         if len(outside):
             k = int(outside[0])
             raise ValueError(f"problem {k}: {name} {_cell_text(points[k])} is outside the map of {_size(stack)} cells")
-    starts, goals = cells
-    code, (diagonals, step) = ASTAR if search == "astar" else BFS, rule_of(movement)
-    path, found, solved = solve_all(stack, starts, goals, code, diagonals, step)
+    path, found, solved = solve_all(stack, cells[0], cells[1], search, rule_of(movement))
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         raise ValueError(f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}")
     straight, diagonal, iterations, ends = found.T
-    diagonal_cost = 1.0 if search == "bfs" else movement.diagonal_cost
-    return BatchResult(path, np.concatenate(([0], ends)), straight + diagonal * diagonal_cost, iterations.copy())
+    costs = straight + diagonal * movement.diagonal_cost
+    return BatchResult(path, np.concatenate(([0], ends)), costs, iterations.copy())
 
 
 def distance_field(grid: npt.ArrayLike, goal: object, movement: Movement = Movement()) -> npt.NDArray[np.float32]:
@@ -141,7 +153,7 @@ def distance_field(grid: npt.ArrayLike, goal: object, movement: Movement = Movem
     array = _grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    if not write_field(array, row, column, *rule_of(movement), out) or array[row, column]:
+    if not write_field(array, row, column, rule_of(movement), out) or array[row, column]:
         raise ValueError(_complaint(array, (row, column), (row, column)).replace("start", "goal", 1))
     return out
 
@@ -161,39 +173,30 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
     2.0
     """
     array = _grid(grid, 2)
-    if not np.all(array <= 1):
-        raise ValueError(_values_complaint(array))
-    cells = _whole("path", path)
+    cells = np.array(_whole("path", path), order="C")  # a copy: one flavour for the kernel
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
-    outside = np.any((cells < 0) | (cells >= array.shape), axis=1)
-    occupied = np.zeros(len(cells), bool)
-    occupied[~outside] = array[tuple(cells[~outside].T)] == 1
-    steps = np.abs(np.diff(cells, axis=0))
-    diagonal = np.all(steps == 1, axis=1)
-    bad = (steps.max(axis=1, initial=0) != 1) | (diagonal & (movement.connectivity == 4))
-    if movement.connectivity == 8 and not movement.corner_cutting:
-        padded = np.pad(array, 1, constant_values=1)
-        first, last = np.clip(cells[:-1], -1, array.shape) + 1, np.clip(cells[1:], -1, array.shape) + 1
-        blocked = padded[first[:, 0], last[:, 1]] | padded[last[:, 0], first[:, 1]]
-        bad |= diagonal & (blocked == 1)
-    for k in np.flatnonzero(outside | occupied | np.concatenate(([False], bad))).tolist():
-        cell = _cell_text(cells[k])
-        if outside[k]:
-            raise ValueError(f"path: cell {k}, {cell}, is outside the map of {_size(array)} cells")
-        if occupied[k]:
-            raise ValueError(f"path: cell {k}, {cell}, is occupied")
-        raise ValueError(f"path: step {k - 1}, from {_cell_text(cells[k - 1])} to {cell}, is not a move of {movement}")
-    return float((~diagonal).sum() + diagonal.sum() * movement.diagonal_cost)
+    bad, diagonal = first_bad_cell(array, cells, rule_of(movement))
+    if bad == -1:
+        return float(len(cells) - 1 - diagonal + diagonal * movement.diagonal_cost)
+    if bad == -2:
+        raise ValueError(_values_complaint(array))
+    cell = _cell_text(cells[bad])
+    if ((cells[bad] < 0) | (cells[bad] >= array.shape)).any():
+        raise ValueError(f"path: cell {bad}, {cell}, is outside the map of {_size(array)} cells")
+    if array[tuple(cells[bad])]:
+        raise ValueError(f"path: cell {bad}, {cell}, is occupied")
+    before = _cell_text(cells[bad - 1])
+    raise ValueError(f"path: step {bad - 1}, from {before} to {cell}, is not a move of {movement}")
 
 
-def _search(search: int, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
+def _search(search: Search, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
     array = _grid(grid, 2)
     begin, end = _cell("start", start, array), _cell("goal", goal, array)
-    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, *rule_of(movement))
+    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))
     if iterations == 0:
         raise ValueError(_complaint(array, begin, end))
-    return SearchResult(path, straight + diagonal * (1.0 if search == BFS else movement.diagonal_cost), iterations)
+    return SearchResult(path, straight + diagonal * movement.diagonal_cost, iterations)
 
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:

@@ -3,26 +3,22 @@
 The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f, among equal f the
 most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's parent changes only for a smaller g.
 
-Inside, a grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col) of a map
-with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
+Inside, a grid is a flat array with a wall around it, and cells are numbers (`mapdata.search.lattice`).
 """
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Ints, UInt32s
+from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.lattice import (
-    _COLUMN_PART,
-    _ONE,
-    _ROW_PART,
     ASTAR,
     BFS,
     CLOSED,
+    COSTS,
     FAR,
     ROOT,
     STEPS,
@@ -30,38 +26,71 @@ from mapdata.search.lattice import (
     UNIT_BITS,
     UNSEEN,
     WALL,
-    estimate,
+    Lattice,
+    Rule,
+    Search,
+    cell_at,
+    heuristic,
+    in_cells,
+    is_legal,
+    lattice_of,
     load,
-    parts,
+    position,
 )
+
+_ONE = np.uint64(1)
+
+
+class Scratch(NamedTuple):
+    """What a search writes to. What it does not need is empty.
+
+    Attributes:
+        came: (cells,) WALL, UNSEEN, or the move that led to a cell.
+        g: (cells,) cost of the best way to a cell so far.
+        pushed: (pushes,) cells, in the order in which they were pushed.
+        links: (pushes,) the heap, or lists through ``pushed``: which push stands below each.
+        f: (pushes,) priority of each push.
+    """
+
+    came: Bytes
+    g: Ints
+    pushed: UInt32s
+    links: UInt32s
+    f: Ints
+
 
 # --- kernels: one search on a padded grid ---------------------------------------------------------------------------
 
 
 @kernel
-def flood(came: Bytes, queue: UInt32s, stride: Int, start: Int, targets: Ints, diagonals: Int) -> Int:
-    """Breadth-first search from ``start`` until all ``targets`` (if any) are seen; return how many cells are in
-    ``queue``.
+def flood(start: Int, targets: Ints, lattice: Lattice, buffers: Scratch) -> Int:
+    """Breadth-first search from ``start`` until all ``targets`` (if any) are seen.
 
-    ``came`` holds WALL and UNSEEN; seen cells get the code of the move that led there. The order of ``queue`` is the
-    order in which cells are taken; the last level may be longer than the search for one target needs.
+    Returns how many cells are in ``pushed``, in the order in which they are expanded; the last level
+    may be longer than the search for one target needs.
     """
-    p, head, tail, level = np.uint64(stride), np.uint64(0), _ONE, 0
+    came = buffers.came
+    queue = buffers.pushed
+    p = np.uint64(lattice.stride)
+    head = np.uint64(0)
+    tail = _ONE
+    level = 0
     queue[0] = start
     came[start] = ROOT
     while head < tail:
         end = tail
-        while head < end:
+        while head < end:  # one level
             c = np.uint64(queue[head])
             head += _ONE
             tail = _see(came, queue, tail, c - p, 0)
             tail = _see(came, queue, tail, c + _ONE, 1)
             tail = _see(came, queue, tail, c + p, 2)
             tail = _see(came, queue, tail, c - _ONE, 3)
-            if diagonals:
+            if lattice.diagonals:
+                # The corner rule of `is_legal`, with each neighbour read once: a third of the time.
                 n, e = came[c - p] != WALL, came[c + _ONE] != WALL
                 s, w = came[c + p] != WALL, came[c - _ONE] != WALL
-                cut = diagonals == 2
+                cut = lattice.diagonals == 2
                 if cut or (n and e):
                     tail = _see(came, queue, tail, c - p + _ONE, 4)
                 if cut or (s and e):
@@ -78,9 +107,7 @@ def flood(came: Bytes, queue: UInt32s, stride: Int, start: Int, targets: Ints, d
 
 @inlined
 def _see(came: Bytes, queue: UInt32s, tail: np.uint64, cell: np.uint64, move: Int) -> np.uint64:
-    """Append ``cell`` to the queue if it is unseen. Without a branch: the store is always made, the tail moves or
-    not.
-    """
+    """Append ``cell`` if it is unseen. Without a branch: it is always stored, the tail moves or not."""
     before = came[cell]
     fresh = before == UNSEEN
     queue[tail] = cell
@@ -98,7 +125,7 @@ def _all_seen(came: Bytes, targets: Ints) -> Int:
 
 @kernel
 def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
-    """Return the number of cells that a search takes from ``queue`` up to and including ``goal``, or ``count``."""
+    """Return how many of the ``count`` cells of ``queue`` are expanded until ``goal`` is, or all."""
     for k in range(count):
         if queue[np.uint64(k)] == goal:
             return k + 1
@@ -106,29 +133,37 @@ def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
 
 
 @kernel
-def astar_manhattan(
-    came: Bytes, g: Ints, cell: UInt32s, below: UInt32s, stride: Int, start: Int, goal: Int
-) -> tuple[Int, Int]:
+def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
 
-    A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the nearer one is exactly the
-    order of the format. Both stacks are lists through one log of pushes, ``cell[1:]`` and ``below``, where 0 ends a
-    list. ``came`` holds WALL and UNSEEN, then the move that led to a cell, with CLOSED once it is taken; ``g`` needs
-    no content.
+    A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the nearer
+    one is exactly the order of the format. Both stacks are lists through ``pushed[1:]``, where link 0
+    ends a list. ``came`` holds WALL and UNSEEN, then the move that led to a cell, with CLOSED once it
+    is expanded; ``g``, in moves, needs no content.
     """
-    p, target = np.uint32(stride), np.uint32(goal)
+    came = buffers.came
+    g = buffers.g
+    pushed = buffers.pushed
+    links = buffers.links
+    p = np.uint32(lattice.stride)
+    target = np.uint32(goal)
     goal_row = target // p
     goal_column = target - goal_row * p
-    near, far, pushes, expanded = np.uint32(1), np.uint32(0), np.uint32(2), 0
-    cell[1], below[1] = start, 0
-    came[start], g[start] = 0, 0
+    near = np.uint32(1)
+    far = np.uint32(0)
+    pushes = np.uint32(2)
+    expanded = 0
+    pushed[1] = start
+    links[1] = 0
+    came[start] = 0
+    g[start] = 0
     while True:
         if near == 0:
             if far == 0:
                 return expanded, np.int64(pushes)
             near, far = far, near
-        c = cell[np.uint64(near)]
-        near = below[np.uint64(near)]
+        c = pushed[np.uint64(near)]
+        near = links[np.uint64(near)]
         if came[np.uint64(c)] & CLOSED:
             continue
         came[np.uint64(c)] |= CLOSED
@@ -150,81 +185,88 @@ def astar_manhattan(
             before = came[to]
             if before == UNSEEN or (before < CLOSED and g[to] > longer):
                 came[to], g[to] = move, longer
-                cell[np.uint64(pushes)] = to
-                below[np.uint64(pushes)] = near if closer else far
+                pushed[np.uint64(pushes)] = to
+                links[np.uint64(pushes)] = near if closer else far
                 near, far = (pushes, far) if closer else (near, pushes)
                 pushes += np.uint32(1)
 
 
 @kernel
-def wipe(came: Bytes, cell: UInt32s, pushes: Int) -> None:
+def wipe(buffers: Scratch, pushes: Int) -> None:
     """Make ``came`` fresh again after an A*."""
+    came = buffers.came
+    pushed = buffers.pushed
     for k in range(1, pushes):
-        came[np.uint64(cell[np.uint64(k)])] = UNSEEN
+        came[np.uint64(pushed[np.uint64(k)])] = UNSEEN
 
 
 @kernel
-def astar_heap(
-    came: Bytes,
-    g: Ints,
-    cell: UInt32s,
-    f: Ints,
-    heap: UInt32s,
-    offsets: Ints,
-    stride: Int,
-    start: Int,
-    goal: Int,
-    diagonals: Int,
-    step: Int,
-) -> tuple[Int, Int]:
-    """A* with 8-connected moves; return (iterations, pushes).
+def astar_heap(start: Int, goal: Int, search: Search, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
+    """A* with any moves and weights; return (iterations, pushes).
 
-    A binary heap of push numbers, the least f on top and among equal f the latest push. ``cell[1:]`` and ``f`` are
-    the log of pushes; ``came`` and ``g`` are as in `astar_manhattan`.
+    A binary heap of push numbers, the least f on top and among equal f the latest push; ``came`` and
+    ``g`` are as in `astar_manhattan`, costs in 1 / UNIT.
     """
-    goal_row, goal_column = goal // stride, goal % stride
-    came[start], g[start] = 0, 0
-    cell[1], f[1], heap[0] = start, 0, 1
-    pushes, size, expanded = 2, 1, 0
+    came = buffers.came
+    g = buffers.g
+    pushed = buffers.pushed
+    heap = buffers.links
+    f = buffers.f
+    way, weight = search
+    goal_row, goal_column = position(goal, lattice)
+    came[start] = 0
+    g[start] = 0
+    pushed[1] = start
+    f[1] = 0
+    heap[0] = 1
+    pushes = 2
+    size = 1
+    expanded = 0
     while size:
-        c = np.int64(cell[heap[0]])
+        c = np.int64(pushed[heap[0]])
         size -= 1
+        # The last entry goes to the top and down to its place.
         last = np.int64(heap[size])
-        key, at, child = f[last], 0, 1
-        while child < size:  # the last entry goes to the top and down to its place
+        key = f[last]
+        at = 0
+        child = 1
+        while child < size:
             best = np.int64(heap[child])
             if child + 1 < size:
                 other = np.int64(heap[child + 1])
                 if f[other] < f[best] or (f[other] == f[best] and other > best):
-                    best, child = other, child + 1
+                    best = other
+                    child += 1
             if key < f[best] or (key == f[best] and last > best):
                 break
             heap[at] = best
-            at, child = child, 2 * child + 1
+            at = child
+            child = 2 * child + 1
         heap[at] = last
-        if came[c] & CLOSED:
+        if came[c] & CLOSED:  # it was pushed again with a smaller g, and expanded then
             continue
         came[c] |= CLOSED
         cost = g[c]
         expanded += 1
         if c == goal:
             break
-        for move in range(8):
-            to = c + offsets[move]
-            if came[to] == WALL:
+        for move in range(len(lattice.offsets)):
+            if not is_legal(came, c, move, lattice):
                 continue
-            if move >= 4 and diagonals == 1:
-                side = c + offsets[_ROW_PART[move]], c + offsets[_COLUMN_PART[move]]
-                if came[side[0]] == WALL or came[side[1]] == WALL:
-                    continue
-            longer = cost + (UNIT if move < 4 else step)
+            to = c + lattice.offsets[move]
+            longer = cost + (UNIT if move < 4 else lattice.step)
             before = came[to]
             if before == UNSEEN or (before < CLOSED and g[to] > longer):
-                came[to], g[to] = move, longer
-                key = longer + estimate(to // stride - goal_row, to % stride - goal_column, diagonals, step)
-                cell[pushes], f[pushes] = to, key
+                came[to] = move
+                g[to] = longer
+                row, column = position(to, lattice)
+                h = heuristic(row - goal_row, column - goal_column, lattice)
+                # A float would round the h of long distances: the weight of A* keeps it exact.
+                key = way * longer + (h if weight == 1 else np.int64(weight * h))
+                pushed[pushes] = to
+                f[pushes] = key
                 at = size
-                while at and f[heap[(at - 1) >> 1]] >= key:  # up past entries of equal f: this is the latest push
+                while at and f[heap[(at - 1) >> 1]] >= key:  # up past equal f: this is the latest push
                     heap[at] = heap[(at - 1) >> 1]
                     at = (at - 1) >> 1
                 heap[at] = pushes
@@ -234,38 +276,40 @@ def astar_heap(
 
 
 @kernel
-def count_moves(came: Bytes, offsets: Ints, start: Int, goal: Int) -> tuple[Int, Int]:
+def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[Int, Int]:
     """Return how many straight and diagonal moves led from ``start`` to ``goal``."""
     straight: Int = 0
     diagonal: Int = 0
     c = goal
     while c != start:
         move = np.uint64(came[np.uint64(c)] & np.uint8(7))
-        straight += move < 4
-        diagonal += move >= 4
-        c -= offsets[move]
+        if move < 4:
+            straight += 1
+        else:
+            diagonal += 1
+        c -= lattice.offsets[move]
     return straight, diagonal
 
 
 @kernel
-def write_moves(came: Bytes, offsets: Ints, start: Int, goal: Int, moves: Bytes, end: Int) -> None:
+def write_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice, moves: Bytes, end: Int) -> None:
     """Write the moves that led from ``start`` to ``goal`` so that the last one stands before ``moves[end]``."""
     c = goal
     while c != start:
         move = np.uint64(came[np.uint64(c)] & np.uint8(7))
         end -= 1
         moves[end] = move
-        c -= offsets[move]
+        c -= lattice.offsets[move]
 
 
 @kernel
-def write_cells(came: Bytes, offsets: Ints, stride: Int, start: Int, goal: Int, count: Int, path: Ints) -> None:
-    """Write the ``count`` moves from ``start`` to ``goal`` as the cells of ``path``, (count + 1, 2)."""
+def write_cells(came: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
+    """Write the cells of a path that ends at ``goal``, as many as ``path`` (k, 2) holds."""
     c = goal
-    for k in range(count, -1, -1):
-        path[k, 0], path[k, 1] = c // stride - 1, c % stride - 1
+    for k in range(len(path) - 1, -1, -1):
+        path[k, 0], path[k, 1] = position(c, lattice)
         if k:
-            c -= offsets[np.uint64(came[np.uint64(c)] & np.uint8(7))]
+            c -= lattice.offsets[np.uint64(came[np.uint64(c)] & np.uint8(7))]
 
 
 @kernel
@@ -280,45 +324,54 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 
 # --- kernels: whole grids -------------------------------------------------------------------------------------------
 
-Scratch = tuple[Bytes, Ints, UInt32s, UInt32s, Ints]
-
 
 @kernel
-def scratch(cells: Int, search: Int, diagonals: Int) -> Scratch:
-    """Return (came, g, cell, below, f) for searches on ``cells`` padded cells; what is not needed is empty."""
-    # A cell is pushed at most once for each neighbour (on the two stacks: once for each), so the logs cannot overflow.
-    pushes = cells if search == BFS else 2 * cells if diagonals == 0 else 8 * cells
-    return (
+def scratch(search: Search, lattice: Lattice) -> Scratch:
+    """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
+    cells = lattice.cells
+    # A cell is pushed at most once for each neighbour, so that the logs cannot overflow.
+    pushes = len(lattice.offsets) * cells + 2
+    keys = 0
+    if search == BFS or (search == COSTS and lattice.step == UNIT):
+        pushes = cells + 2
+    elif search == ASTAR and lattice.diagonals == 0:
+        pushes = 2 * cells + 2  # once on each stack
+    elif search != COSTS:
+        keys = pushes
+    return Scratch(
         np.full(cells, WALL),
-        np.empty(cells if search == ASTAR else 0, np.int64),
-        np.empty(pushes + 2, np.uint32),
-        np.empty(pushes + 2 if search == ASTAR else 0, np.uint32),
-        np.empty(pushes + 2 if search == ASTAR and diagonals else 0, np.int64),
+        np.empty(cells, np.int64),
+        np.empty(pushes, np.uint32),
+        np.empty(pushes, np.uint32),
+        np.empty(keys, np.int64),
     )
 
 
 @kernel
-def find(
-    stride: Int, start: Int, goal: Int, search: Int, diagonals: Int, step: Int, offsets: Ints, buffers: Scratch
-) -> tuple[Int, Int, Int, Int]:
-    """Search one problem on a grid that is loaded; return straight and diagonal moves or (-1, 0), iterations,
-    pushes.
+def find(start: Int, goal: Int, search: Search, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int, Int, Int]:
+    """Search one problem on a grid that is loaded.
+
+    Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
+    moves, counts all as straight.
     """
-    came, g, cell, below, f = buffers
+    came = buffers.came
     pushes = 0
     if search == BFS:
         target = np.empty(1, np.int64)
         target[0] = goal
-        expanded = expansions_until(cell, flood(came, cell, stride, start, target, diagonals), goal)
-    elif diagonals == 0:
-        expanded, pushes = astar_manhattan(came, g, cell, below, stride, start, goal)
+        count = flood(start, target, lattice, buffers)
+        expanded = expansions_until(buffers.pushed, count, goal)
+    elif search == ASTAR and lattice.diagonals == 0:
+        expanded, pushes = astar_manhattan(start, goal, lattice, buffers)
         if came[goal] != UNSEEN:
-            return g[goal], 0, expanded, pushes
+            return buffers.g[goal], 0, expanded, pushes
     else:
-        expanded, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
+        expanded, pushes = astar_heap(start, goal, search, lattice, buffers)
     if came[goal] == UNSEEN:
         return -1, 0, expanded, pushes
-    straight, diagonal = count_moves(came, offsets, start, goal)
+    straight, diagonal = count_moves(came, start, goal, lattice)
+    if search == BFS:
+        return straight + diagonal, 0, expanded, pushes
     return straight, diagonal, expanded, pushes
 
 
@@ -329,163 +382,168 @@ def solve_one(
     start_column: Int,
     goal_row: Int,
     goal_column: Int,
-    search: Int,
-    diagonals: Int,
-    step: Int,
+    search: Search,
+    rule: Rule,
 ) -> tuple[Ints, Int, Int, Int]:
     """Search one problem; return its path, straight and diagonal moves, and iterations (0 when the problem is bad)."""
-    stride = grid.shape[1] + 2
-    cells = (grid.shape[0] + 2) * stride
-    buffers = scratch(cells, search, diagonals)
-    if not load(grid, buffers[0]) or grid[start_row, start_column] or grid[goal_row, goal_column]:
+    lattice = lattice_of(grid.shape, rule)
+    buffers = scratch(search, lattice)
+    bad = not load(grid, buffers.came)
+    if bad or grid[start_row, start_column] or grid[goal_row, goal_column]:
         return np.empty((0, 2), np.int64), -1, 0, 0
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    start, goal = (start_row + 1) * stride + start_column + 1, (goal_row + 1) * stride + goal_column + 1
-    straight, diagonal, expanded, _ = find(stride, start, goal, search, diagonals, step, offsets, buffers)
+    start = cell_at(start_row, start_column, lattice)
+    goal = cell_at(goal_row, goal_column, lattice)
+    straight, diagonal, expanded, _ = find(start, goal, search, lattice, buffers)
     path = np.empty((straight + diagonal + 1, 2), np.int64)
-    if len(path):
-        write_cells(buffers[0], offsets, stride, start, goal, straight + diagonal, path)
+    write_cells(buffers.came, goal, lattice, path)
     return path, straight, diagonal, expanded
 
 
 @kernel
-def solve_all(
-    grids: Bytes, starts: Ints, goals: Ints, search: Int, diagonals: Int, step: Int
-) -> tuple[Ints, Ints, Int]:
+def solve_all(grids: Bytes, starts: Ints, goals: Ints, search: Search, rule: Rule) -> tuple[Ints, Ints, Int]:
     """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one grid).
 
     Returns:
         cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1, 0), iterations,
         and the end of the path in ``cells``; the number of problems solved before one was found bad.
     """
-    stride = grids.shape[2] + 2
-    cells = (grids.shape[1] + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    buffers = scratch(cells, search, diagonals)
-    came, cell = buffers[0], buffers[2]
+    lattice = lattice_of(grids.shape[1:], rule)
+    buffers = scratch(search, lattice)
     found = np.empty((len(starts), 4), np.int64)
     path = np.empty((64 * len(starts) + 64, 2), np.int64)
     used = 0
     for k in range(len(starts)):
         grid = grids[k if len(grids) > 1 else 0]
         stale = k == 0 or len(grids) > 1 or search == BFS
-        if stale and not load(grid, came):
+        if stale and not load(grid, buffers.came):
             return path, found, k
         if grid[starts[k, 0], starts[k, 1]] or grid[goals[k, 0], goals[k, 1]]:
             return path, found, k
-        start = (starts[k, 0] + 1) * stride + starts[k, 1] + 1
-        goal = (goals[k, 0] + 1) * stride + goals[k, 1] + 1
-        straight, diagonal, expanded, pushes = find(stride, start, goal, search, diagonals, step, offsets, buffers)
-        count = straight + diagonal
-        if used + count + 1 > len(path):
-            longer = np.empty((2 * (used + count + 1), 2), np.int64)
+        start = cell_at(starts[k, 0], starts[k, 1], lattice)
+        goal = cell_at(goals[k, 0], goals[k, 1], lattice)
+        straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
+        end = used + straight + diagonal + 1
+        if end > len(path):
+            longer = np.empty((2 * end, 2), np.int64)
             longer[:used] = path[:used]
             path = longer
-        if count >= 0:
-            write_cells(came, offsets, stride, start, goal, count, path[used : used + count + 1])
-        used += count + 1
+        write_cells(buffers.came, goal, lattice, path[used:end])
+        used = end
         found[k, 0], found[k, 1], found[k, 2], found[k, 3] = straight, diagonal, expanded, used
-        if search == ASTAR:
-            wipe(came, cell, pushes)
+        if search != BFS:
+            wipe(buffers, pushes)
     return path[:used], found, len(starts)
 
 
 @kernel
-def write_field(grid: Bytes, row: Int, column: Int, diagonals: Int, step: Int, out: npt.NDArray[np.float32]) -> Int:
+def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
+    """Return the first k whose cell is not free, or not one move from cell k - 1, or -1 when all is well,
+    and how many moves are diagonal. The first is -2 when ``grid`` is not of 0 and 1.
+    """
+    lattice = lattice_of(grid.shape, rule)
+    came = np.full(lattice.cells, WALL)
+    if not load(grid, came):
+        return -2, 0
+    diagonal = 0
+    for k in range(len(path)):
+        row, column = path[k]
+        if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]) or grid[row, column]:
+            return k, diagonal
+        if k == 0:
+            continue
+        good = False
+        for move in range(len(lattice.offsets)):
+            if row - path[k - 1, 0] == STEPS[move, 0] and column - path[k - 1, 1] == STEPS[move, 1]:
+                good = is_legal(came, cell_at(path[k - 1, 0], path[k - 1, 1], lattice), move, lattice)
+                diagonal += move >= 4
+        if not good:
+            return k, diagonal
+    return -1, diagonal
+
+
+@kernel
+def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -> Int:
     """Write the cost from every cell to (row, column) into ``out``, -1 where there is none; return whether grid is
     0/1.
     """
-    rows, columns = grid.shape
-    stride = columns + 2
-    cells = (rows + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    goal = (row + 1) * stride + column + 1
-    came, costs = np.full(cells, WALL), np.empty(cells, np.int64)
-    good = load(grid, came)
+    lattice = lattice_of(grid.shape, rule)
+    buffers = scratch(COSTS, lattice)
+    good = load(grid, buffers.came)
     out[:, :] = -1
     if good and not grid[row, column]:
-        log = log_size(cells, diagonals, step)
-        queue, below = np.empty(log, np.uint32), np.empty(log, np.uint32)
-        for k in range(shortest_costs(came, costs, queue, below, offsets, goal, diagonals, step)):
-            cell = np.int64(queue[k])
-            straight, diagonal = parts(costs[cell])
-            out[cell // stride - 1, cell % stride - 1] = straight + diagonal * math.sqrt(2.0)
+        for k in range(shortest_costs(cell_at(row, column, lattice), lattice, buffers)):
+            cell = np.int64(buffers.pushed[k])
+            out[position(cell, lattice)] = in_cells(buffers.g[cell])
     return good
 
 
 @kernel
-def log_size(cells: Int, diagonals: Int, step: Int) -> Int:
-    """Return how long the logs of `shortest_costs` must be."""
-    return 8 * cells + 2 if diagonals and step != UNIT else cells + 1
+def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
+    """Write the cost of the shortest path from ``source`` to every cell into ``g``, FAR where there is none.
 
-
-@kernel
-def shortest_costs(
-    came: Bytes, costs: Ints, queue: UInt32s, below: UInt32s, offsets: Ints, source: Int, diagonals: Int, step: Int
-) -> Int:
-    """Write the cost of the shortest path from ``source`` to every cell into ``costs``, FAR where there is none.
-
-    ``came`` is as `load` leaves it; ``queue`` and ``below`` are `log_size` long. Returns how many cells are reached;
-    they stand in ``queue``, each once.
+    ``came`` is as `load` leaves it; the buffers are `scratch` of COSTS. Returns how many cells are reached;
+    they stand in ``pushed``, each once.
     """
+    came = buffers.came
+    costs = buffers.g
+    queue = buffers.pushed
     costs[:] = FAR
-    if diagonals and step != UNIT:
-        costs[source] = 0
-        queue[1] = source
-        return bucket_search(came, costs, queue, below, offsets, 1, diagonals, step)
     costs[source] = 0
-    count = flood(came, queue, offsets[2], source, np.empty(0, np.int64), diagonals)
+    if lattice.step != UNIT:
+        queue[1] = source
+        return bucket_search(1, lattice, buffers)
+    count = flood(source, np.empty(0, np.int64), lattice, buffers)
     for k in range(1, count):
         cell = np.int64(queue[k])
-        costs[cell] = costs[cell - offsets[came[cell]]] + UNIT
+        costs[cell] = costs[cell - lattice.offsets[came[cell]]] + UNIT
     return count
 
 
 @kernel
-def bucket_search(
-    came: Bytes, costs: Ints, cell: UInt32s, below: UInt32s, offsets: Ints, sources: Int, diagonals: Int, step: Int
-) -> Int:
-    """Write costs from the nearest of the sources ``cell[1:sources + 1]``, whose cost is 0 already.
+def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
+    """Write costs from the nearest of the sources ``pushed[1:sources + 1]``, whose ``g`` is 0 already.
 
     Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper,
     whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log
-    replace a heap.
+    replace a heap. Returns as `shortest_costs` does.
     """
+    came = buffers.came
+    costs = buffers.g
+    pushed = buffers.pushed
+    links = buffers.links
     heads = np.zeros(3, np.int64)  # entry 0 ends a list
     heads[0] = sources
     for k in range(1, sources + 1):
-        below[k] = k - 1
-    pushes, bucket, waiting = sources + 1, 0, sources
+        links[k] = k - 1
+    pushes = sources + 1
+    bucket = 0
+    waiting = sources
     while waiting:
         entry = heads[bucket % 3]
         if entry == 0:
             bucket += 1
             continue
-        heads[bucket % 3] = below[entry]
+        heads[bucket % 3] = links[entry]
         waiting -= 1
-        c = np.int64(cell[entry])
+        c = np.int64(pushed[entry])
         cost = costs[c]
-        if cost >> UNIT_BITS != bucket:
+        if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
-        for move in range(8 if diagonals else 4):
-            to = c + offsets[move]
-            if came[to] == WALL:
-                continue
-            longer = cost + (UNIT if move < 4 else step)
-            if longer >= costs[to]:
-                continue
-            if move >= 4 and diagonals == 1:
-                side = c + offsets[_ROW_PART[move]], c + offsets[_COLUMN_PART[move]]
-                if came[side[0]] == WALL or came[side[1]] == WALL:
-                    continue
-            costs[to] = longer
-            ahead = (longer >> UNIT_BITS) % 3
-            cell[pushes], below[pushes], heads[ahead] = to, heads[ahead], pushes
-            pushes += 1
-            waiting += 1
+        for move in range(len(lattice.offsets)):
+            to = c + lattice.offsets[move]
+            longer = cost + (UNIT if move < 4 else lattice.step)
+            if longer < costs[to] and is_legal(came, c, move, lattice):
+                costs[to] = longer
+                ahead = (longer >> UNIT_BITS) % 3
+                pushed[pushes] = to
+                links[pushes] = heads[ahead]
+                heads[ahead] = pushes
+                pushes += 1
+                waiting += 1
+    # The log is over: what was reached takes its place.
     count = 0
     for k in range(len(costs)):
         if costs[k] != FAR:
-            cell[count] = k
+            pushed[count] = k
             count += 1
     return count

@@ -15,17 +15,16 @@ from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_labels, bit_scratch
 from mapdata.search.kernels import (
     Scratch,
-    astar_heap,
-    astar_manhattan,
     count_moves,
     expansions_until,
+    find,
     flood,
     scratch,
     wipe,
     with_capacity,
     write_moves,
 )
-from mapdata.search.lattice import ASTAR, BFS, STEPS, UNSEEN, WALL, rule_of
+from mapdata.search.lattice import ASTAR, BFS, STEPS, UNSEEN, WALL, Lattice, Rule, cell_at, lattice_of, rule_of
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,7 @@ def label(maps: Maps) -> Labels:
         maps.seed_points,
         maps.segment_offsets,
         maps.pair_offsets,
-        *rule_of(maps.movement),
+        rule_of(maps.movement),
         *tables,
     )
     bfs, astar = (
@@ -169,8 +168,7 @@ def _label(
     seed_points: Ints,
     segments: Ints,
     pairs: Ints,
-    diagonals: Int,
-    step: Int,
+    rule: Rule,
     bfs_table: Ints,
     bfs_costs: Ints,
     astar_table: Ints,
@@ -180,51 +178,35 @@ def _label(
 
     The tables are (S, 2), number of moves and iterations; the costs (P, 2), straight and diagonal moves.
     """
-    stride = columns + 2
-    cells = (packed.shape[1] + 2) * stride
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    fresh, seed_cells = np.full(cells, WALL, np.uint8), np.empty(seed_points.shape[1], np.int64)
-    flooding, searching = scratch(cells, BFS, diagonals), scratch(cells, ASTAR, diagonals)
-    bfs_moves, astar_moves = np.empty(1024, np.uint8), np.empty(1024, np.uint8)
+    lattice = lattice_of((packed.shape[1], columns), rule)
+    fresh = np.full(lattice.cells, WALL)
+    seed_cells = np.empty(seed_points.shape[1], np.int64)
+    flooding = scratch(BFS, lattice)
+    searching = scratch(ASTAR, lattice)
+    bfs_moves = np.empty(1024, np.uint8)
+    astar_moves = np.empty(1024, np.uint8)
     # numbers that are handed on get their final type at once: else the kernels that take them are compiled twice
-    bfs_used, astar_used = np.int64(0), np.int64(0)
-    small = diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
+    bfs_used = np.int64(0)
+    astar_used = np.int64(0)
+    small = lattice.diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
     levels = bit_scratch(small)
     for m in range(len(packed)):
         _unpack(packed[m], columns, fresh)
         n = rooms[m]
         for q in range(n):
-            seed_cells[q] = (seed_points[m, q, 0] + 1) * stride + seed_points[m, q, 1] + 1
-        at, of = slice(segments[m], segments[m + 1]), slice(pairs[m], pairs[m + 1])
+            seed_cells[q] = cell_at(seed_points[m, q, 0], seed_points[m, q, 1], lattice)
+        at = slice(segments[m], segments[m + 1])
+        of = slice(pairs[m], pairs[m + 1])
         if small:
             bfs_moves, bfs_used = bit_labels(
                 packed[m], columns, seed_points[m, :n], levels, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
             )
         else:
             bfs_moves, bfs_used = _bfs_labels(
-                fresh,
-                flooding,
-                seed_cells[:n],
-                stride,
-                offsets,
-                diagonals,
-                bfs_table[at],
-                bfs_costs[of],
-                bfs_moves,
-                bfs_used,
+                fresh, seed_cells[:n], lattice, flooding, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
             )
         astar_moves, astar_used = _astar_labels(
-            fresh,
-            searching,
-            seed_cells[:n],
-            stride,
-            offsets,
-            diagonals,
-            step,
-            astar_table[at],
-            astar_costs[of],
-            astar_moves,
-            astar_used,
+            fresh, seed_cells[:n], lattice, searching, astar_table[at], astar_costs[of], astar_moves, astar_used
         )
     return bfs_moves[:bfs_used], astar_moves[:astar_used]
 
@@ -247,73 +229,70 @@ def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
 @kernel
 def _bfs_labels(
     fresh: Bytes,
+    cells: Ints,
+    lattice: Lattice,
     buffers: Scratch,
-    seed_points: Ints,
-    stride: Int,
-    offsets: Ints,
-    diagonals: Int,
     table: Ints,
     costs: Ints,
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by BFS: one flood from each seed until all later ones are seen; return the moves and their
-    number.
+    """Label one map by BFS: one flood from each of the seed ``cells`` until all later ones are seen.
+
+    Returns the moves and their number.
     """
-    came, queue, pair, n = buffers[0], buffers[2], 0, len(seed_points)
-    for a in range(n - 1):
+    came = buffers.came
+    pair = 0
+    for a in range(len(cells) - 1):
         came[:] = fresh
-        count = flood(came, queue, stride, seed_points[a], seed_points[a + 1 :], diagonals)
-        for b in range(a + 1, n):
-            costs[pair, 0], costs[pair, 1] = -1, 0
-            if came[seed_points[b]] != UNSEEN:
-                straight, diagonal = count_moves(came, offsets, seed_points[a], seed_points[b])
+        count = flood(cells[a], cells[a + 1 :], lattice, buffers)
+        length = 0
+        for b in range(a + 1, len(cells)):
+            costs[pair, 0] = -1
+            costs[pair, 1] = 0
+            if came[cells[b]] != UNSEEN:
+                straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
                 costs[pair, 0] = straight + diagonal
+                if b == a + 1:
+                    length = straight + diagonal
             pair += 1
-        length = max(costs[pair - n + a + 1, 0], 0)
-        table[a, 0], table[a, 1] = length, expansions_until(queue, count, seed_points[a + 1])
-        moves, used = with_capacity(moves, used, length), used + length
+        table[a, 0] = length
+        table[a, 1] = expansions_until(buffers.pushed, count, cells[a + 1])
+        moves = with_capacity(moves, used, length)
+        used += length
         if length:
-            write_moves(came, offsets, seed_points[a], seed_points[a + 1], moves, used)
+            write_moves(came, cells[a], cells[a + 1], lattice, moves, used)
     return moves, used
 
 
 @kernel
 def _astar_labels(
     fresh: Bytes,
+    cells: Ints,
+    lattice: Lattice,
     buffers: Scratch,
-    seed_points: Ints,
-    stride: Int,
-    offsets: Ints,
-    diagonals: Int,
-    step: Int,
     table: Ints,
     costs: Ints,
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
     """Label one map by A*: a search for each pair of rooms; return the moves and their number."""
-    came, g, cell, below, f = buffers
+    came = buffers.came
     came[:] = fresh
     pair = 0
-    for a in range(len(seed_points) - 1):
-        for b in range(a + 1, len(seed_points)):
-            start, goal, straight, diagonal = seed_points[a], seed_points[b], -1, 0
-            if diagonals == 0:
-                expanded, pushes = astar_manhattan(came, g, cell, below, stride, start, goal)
-                if came[goal] != UNSEEN:
-                    straight = g[goal]
-            else:
-                expanded, pushes = astar_heap(came, g, cell, f, below, offsets, stride, start, goal, diagonals, step)
-                if came[goal] != UNSEEN:
-                    straight, diagonal = count_moves(came, offsets, start, goal)
-            costs[pair, 0], costs[pair, 1] = straight, diagonal
+    for a in range(len(cells) - 1):
+        for b in range(a + 1, len(cells)):
+            straight, diagonal, expanded, pushes = find(cells[a], cells[b], ASTAR, lattice, buffers)
+            costs[pair, 0] = straight
+            costs[pair, 1] = diagonal
             pair += 1
             if b == a + 1:
                 length = max(straight + diagonal, 0)
-                table[a, 0], table[a, 1] = length, expanded
-                moves, used = with_capacity(moves, used, length), used + length
+                table[a, 0] = length
+                table[a, 1] = expanded
+                moves = with_capacity(moves, used, length)
+                used += length
                 if length:
-                    write_moves(came, offsets, start, goal, moves, used)
-            wipe(came, cell, pushes)
+                    write_moves(came, cells[a], cells[b], lattice, moves, used)
+            wipe(buffers, pushes)
     return moves, used

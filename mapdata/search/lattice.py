@@ -1,14 +1,19 @@
 """The lattice that searches run on: a padded grid, its moves, the corner rule, exact costs, the heuristic.
 
-A grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col) of a map with W
-columns stands at ``(row + 1) * (W + 2) + col + 1``.
+A grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col) of
+a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``. The legal moves, the heuristic and
+hardness are defined here, once.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from typing import NamedTuple, TypeAlias
 
-from mapdata.arrays import Bytes
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.spec import Movement
 
@@ -26,9 +31,6 @@ error is below d / 2**42. DIAGONAL being odd, (s, d) can be read back from the s
 
 _DIAGONAL_INVERSE = pow(DIAGONAL, -1, UNIT)
 
-BFS, ASTAR = 0, 1
-"""Codes of the planners."""
-
 STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
 """(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); the number of a move is its code everywhere."""
 
@@ -38,27 +40,68 @@ CLOSED = np.uint8(8)
 
 FAR = np.int64(2**62)
 
-_ONE = np.uint64(1)
+Search: TypeAlias = tuple[Int, float]
+"""Which search, as kernels take it: (way, weight) of a best-first search by f = way * g + weight * h."""
+
+ASTAR: Search = (1, 1.0)
+
+BFS: Search = (-1, 0.0)
+
+COSTS: Search = (-2, 0.0)
+"""The costs of all cells. Neither this nor BFS has an f."""
+
+Rule: TypeAlias = tuple[Int, Int]
+"""How one moves, as kernels take it from Python: ``diagonals`` and ``step`` of a `Lattice`. A plain
+tuple, because a NamedTuple costs 2 us a call, a third of a short search."""
 
 
-def rule_of(movement: Movement) -> tuple[int, int]:
-    """Return ``movement`` as the kernels want it: ``diagonals`` and ``step``.
-
-    ``diagonals``: 0 none, 1 only beside two free cells, 2 unrestricted. ``step``: cost of a diagonal step, in 1 / UNIT.
-    """
+def rule_of(movement: Movement) -> Rule:
+    """Return ``movement`` as kernels take it."""
     if not isinstance(movement, Movement):
         raise ValueError(f"movement: got {movement!r}, expected a Movement")
     diagonals = 0 if movement.connectivity == 4 else 2 if movement.corner_cutting else 1
-    return diagonals, UNIT if movement.diagonal_cost == 1 else DIAGONAL
+    return diagonals, UNIT if movement.diagonal_cost == 1 or not diagonals else DIAGONAL
+
+
+class Lattice(NamedTuple):
+    """The padded cells of one map size, and how one moves on them.
+
+    Attributes:
+        stride: cells from a row to the next one.
+        cells: number of cells, those of the wall included.
+        offsets: (4,) or (8,) int64, what each move adds to a cell.
+        diagonals: 0 none, 1 only beside two free cells, 2 unrestricted.
+        step: cost of a diagonal move, in 1 / UNIT.
+    """
+
+    stride: Int
+    cells: Int
+    offsets: Ints
+    diagonals: Int
+    step: Int
+
+
+@kernel
+def lattice_of(shape: tuple[Int, Int], rule: Rule) -> Lattice:
+    """Return the lattice of maps of ``shape`` (rows, columns)."""
+    diagonals, step = rule
+    stride = shape[1] + 2
+    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
+    moves = 8 if diagonals else 4
+    return Lattice(stride, (shape[0] + 2) * stride, offsets[:moves], diagonals, step)
 
 
 @inlined
-def estimate(rows: Int, columns: Int, diagonals: Int, step: Int) -> Int:
-    """Return the cost of the shortest path on an empty grid: Manhattan, octile, or Chebyshev when step is UNIT."""
-    rows, columns = abs(rows), abs(columns)
-    if diagonals == 0:
-        return (rows + columns) * UNIT
-    return abs(rows - columns) * UNIT + min(rows, columns) * step
+def cell_at(row: Int, column: Int, lattice: Lattice) -> Int:
+    """Return the padded cell of (row, column)."""
+    return (row + 1) * lattice.stride + column + 1
+
+
+@inlined
+def position(cell: Int, lattice: Lattice) -> tuple[Int, Int]:
+    """Return (row, column) of a padded cell."""
+    row = cell // lattice.stride
+    return row - 1, cell - row * lattice.stride - 1
 
 
 _ROW_PART = np.array([0, 1, 2, 3, 0, 2, 2, 0])
@@ -66,15 +109,60 @@ _ROW_PART = np.array([0, 1, 2, 3, 0, 2, 2, 0])
 _COLUMN_PART = np.array([0, 1, 2, 3, 1, 1, 3, 3])
 
 
+@inlined
+def is_legal(came: Bytes, cell: Int, move: Int, lattice: Lattice) -> Int:
+    """Tell whether ``move`` leads from ``cell`` to a free one without cutting a forbidden corner."""
+    if came[cell + lattice.offsets[move]] == WALL:
+        return False
+    if move < 4 or lattice.diagonals == 2:
+        return True
+    beside = came[cell + lattice.offsets[_ROW_PART[move]]]
+    return beside != WALL and came[cell + lattice.offsets[_COLUMN_PART[move]]] != WALL
+
+
+@inlined
+def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
+    """Return the cost of moving by (rows, columns) on an empty map: Manhattan, octile or Chebyshev."""
+    rows = abs(rows)
+    columns = abs(columns)
+    if lattice.diagonals == 0:
+        return (rows + columns) * UNIT
+    return abs(rows - columns) * UNIT + min(rows, columns) * lattice.step
+
+
+@kernel
+def _heuristics(gaps: Ints, rule: Rule) -> Floats:
+    lattice = lattice_of((0, 0), rule)
+    found = np.empty(len(gaps))
+    for k in range(len(gaps)):
+        found[k] = in_cells(heuristic(gaps[k, 0], gaps[k, 1], lattice))
+    return found
+
+
+def heuristics(starts: npt.ArrayLike, goals: npt.ArrayLike, movement: Movement) -> Floats:
+    """Return the heuristic from ``starts`` to ``goals``, cells (..., 2), as (...) float64 in cells."""
+    gaps = np.subtract(starts, goals, dtype=np.int64, order="C")
+    return _heuristics(gaps.reshape(-1, 2), rule_of(movement)).reshape(gaps.shape[:-1])
+
+
+def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Floats:
+    """Return optimal ``costs`` over the heuristic: 1 from a cell to itself, -1 where the cost is."""
+    least = heuristics(starts, goals, movement)
+    ratio = np.where(least > 0, costs / np.maximum(least, 1), 1.0)
+    return np.where(costs < 0, -1.0, ratio)
+
+
 @kernel
 def load(grid: Bytes, came: Bytes) -> Int:
     """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL; return whether all of it is 0 or 1."""
     rows, columns = grid.shape
-    flat, seen = grid.reshape(-1), np.uint8(0)
+    flat = grid.reshape(-1)
+    seen = np.uint8(0)
     for k in range(len(flat)):  # a loop of its own: both become vector instructions
         seen |= flat[np.uint64(k)]
     for row in range(rows):
-        base, first = np.uint64((row + 1) * (columns + 2) + 1), np.uint64(row * columns)
+        base = np.uint64((row + 1) * (columns + 2) + 1)
+        first = np.uint64(row * columns)
         for column in range(columns):
             came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]
     return seen <= 1
@@ -86,3 +174,10 @@ def parts(cost: Int) -> tuple[Int, Int]:
     low = np.uint64(UNIT - 1)
     diagonal = np.int64(((np.uint64(cost) & low) * np.uint64(_DIAGONAL_INVERSE)) & low)
     return (cost - diagonal * DIAGONAL) >> UNIT_BITS, diagonal
+
+
+@kernel
+def in_cells(cost: Int) -> Int:
+    """Return a cost as a float: ``s + d * sqrt(2)``."""
+    straight, diagonal = parts(cost)
+    return straight + diagonal * math.sqrt(2.0)

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, label
+from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
-from mapdata.spec import SPLITS, Movement
+from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
 _DIGEST = 16
@@ -143,13 +144,6 @@ def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
     return edges, counts.astype(np.int64)
 
 
-def estimate(starts: Ints, goals: Ints, movement: Movement) -> Floats:
-    """Return the heuristic between cells, (..., 2) each, as (...): Manhattan, or octile under 8-connectivity."""
-    gap = np.abs(starts - goals)
-    diagonal = 2.0 if movement.connectivity == 4 else movement.diagonal_cost
-    return np.asarray(gap.max(axis=-1) + gap.min(axis=-1) * (diagonal - 1))
-
-
 def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     """Return what a shard adds to each array of a `DatasetStatistics`."""
     maps, movement = labels.maps, labels.maps.movement
@@ -158,11 +152,10 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     steps = np.diff(labels.astar.offsets)
     diagonal = np.diff(_diagonal_moves(labels))
     costs = steps - diagonal + diagonal * movement.diagonal_cost
-    least = estimate(starts, goals, movement)
-    hardness = np.maximum(costs / np.maximum(least, 1), 1.0)  # 1, not 1 - 1e-16; and 1 from a cell to itself
-    hardness[~labels.reachable] = -1
+    costs[~labels.reachable] = -1
+    hard = hardness(costs, starts, goals, movement)
     hardest = np.zeros(len(maps))
-    np.maximum.at(hardest, np.repeat(np.arange(len(maps)), maps.rooms - 1), hardness)
+    np.maximum.at(hardest, np.repeat(np.arange(len(maps)), maps.rooms - 1), hard)
     known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
     free, exact, symmetric = _grid_columns(labels, hashes)
     return {
@@ -174,7 +167,7 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
         "redundant": labels.all_connected & (~maps.connected & used).any(axis=1) & known,
         "hardest": hardest,
         "lengths": np.where(labels.reachable, steps + 1, 0),
-        "hardness": hardness,
+        "hardness": hard,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
         "known": np.array([known]),

@@ -167,7 +167,7 @@ def test_a_weight_is_a_number_from_zero(weight: float) -> None:
         ([[0, 0]], (0, 0), (0, 2), "outside"),
         ([[0, 0]], (-1, 0), (0, 1), "outside"),
         ([[0, 1]], (0, 0), (0, 1), "occupied"),
-        ([[0, 2, 0]], (0, 0), (0, 2), "0 and 1"),
+        ([[0, 2, 0]], (0, 0), (0, 2), "the value 2"),
         ([[[0, 0]]], (0, 0), (0, 1), "expected"),
     ],
 )

@@ -15,7 +15,7 @@ from scipy import stats
 from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, generate
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
-from mapdata.search.lattice import rule_of
+from mapdata.search import rule_of
 
 MOVEMENTS = [Movement(), Movement(8), Movement(8, corner_cutting=True), Movement(8, diagonal_cost=1)]
 

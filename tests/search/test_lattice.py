@@ -1,12 +1,82 @@
-"""The lattice: the order of moves, and costs of integers that order paths as exact ones do."""
+"""The lattice: cells, legal moves, the heuristic and hardness equal those of plain Python."""
 
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
 from random import Random
 
-from mapdata.search import MAX_CELLS, STEPS
+import numpy as np
+import pytest
+from helpers import reference
+
+from mapdata.search import (
+    MAX_CELLS,
+    STEPS,
+    WALL,
+    cell_at,
+    hardness,
+    heuristic,
+    heuristics,
+    in_cells,
+    is_legal,
+    lattice_of,
+    load,
+    position,
+    rule_of,
+)
 from mapdata.search.lattice import DIAGONAL, UNIT
+from mapdata.spec import Movement
+
+MOVEMENTS = [
+    pytest.param(Movement(), id="4"),
+    pytest.param(Movement(8), id="8"),
+    pytest.param(Movement(8, corner_cutting=True), id="8-cutting"),
+    pytest.param(Movement(8, diagonal_cost=1), id="8-one"),
+    pytest.param(Movement(8, corner_cutting=True, diagonal_cost=1), id="8-cutting-one"),
+]
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_legal_moves_equal_the_reference(movement: Movement) -> None:
+    """From every free cell exactly the moves to its neighbours are legal; from an occupied one none is asked for."""
+    grid = (np.random.default_rng(1).random((9, 13)) < 0.4).astype(np.uint8)
+    lattice = lattice_of(grid.shape, rule_of(movement))
+    came = np.full(lattice.cells, WALL)
+    assert load(grid, came)
+    assert len(lattice.offsets) == movement.connectivity
+    for row, column in np.argwhere(grid == 0).tolist():
+        cell = cell_at(row, column, lattice)
+        assert position(cell, lattice) == (row, column)
+        legal = [move for move in range(len(lattice.offsets)) if is_legal(came, cell, move, lattice)]
+        expected = [cell for cell, _ in reference.neighbours(grid.tolist(), (row, column), movement)]
+        assert [(row + STEPS[move, 0], column + STEPS[move, 1]) for move in legal] == expected
+        assert [position(cell + lattice.offsets[move], lattice) for move in legal] == expected
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_the_heuristic_equals_the_reference(movement: Movement) -> None:
+    """In fixed point and as floats, of one pair of cells and of arrays."""
+    ends = np.random.default_rng(2).integers(0, 1000, (2, 5, 7, 2))
+    lattice = lattice_of((1000, 1000), rule_of(movement))
+    found = heuristics(ends[0], ends[1], movement)
+    assert found.shape == (5, 7)
+    for at in np.ndindex(5, 7):
+        pair = reference.heuristic(tuple(ends[0][at]), tuple(ends[1][at]), movement)
+        rows, columns = (ends[0][at] - ends[1][at]).tolist()
+        assert found[at] == reference.as_float(pair, movement)
+        assert in_cells(heuristic(rows, columns, lattice)) == found[at]
+
+
+def test_hardness() -> None:
+    """Exactly 1 on straight paths, whatever the rounding, and from a cell to itself; -1 without a path."""
+    movement = Movement(8)
+    goals = np.array([[k, k // 3] for k in range(300)])
+    starts = np.zeros_like(goals)
+    least = heuristics(starts, goals, movement)
+    assert least[0] == 0
+    assert (hardness(least, starts, goals, movement) == 1).all()
+    assert (hardness(2 * least, starts, goals, movement)[1:] == 2).all()
+    assert (hardness(-np.ones(300), starts, goals, movement) == -1).all()
 
 
 def test_the_order_of_moves() -> None:
