@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -85,6 +86,12 @@ def check_count(name: str, value: object, lowest: int = 1) -> int:
     if count < lowest:
         raise ValueError(f"{name}: got {count}, expected an integer of at least {lowest}")
     return count
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Refuse a value that is not one of ``choices``."""
+    if value not in choices:
+        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")
 
 
 def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:

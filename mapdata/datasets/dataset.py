@@ -8,6 +8,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,13 +22,13 @@ from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.fields import hardness as problem_hardness
 from mapdata.datasets.fields import length as path_length_of
 from mapdata.datasets.sample import Rows, Sample, row, sample_class, stack
-from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving, check_choice
+from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import rule_of
-from mapdata.spec import SPLITS, Movement
+from mapdata.spec import SPLITS, Movement, check_choice
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -109,17 +110,69 @@ class ProblemDataset(Dataset[Sample], ABC):
         sample: Sample = self._class(*values)
         return sample
 
+    @abstractmethod
+    def _grids(self, places: Ints) -> Bytes:
+        """Return the maps at some places, (B, H, W): place i is that of sample i, others are substitutes."""
+
+    @abstractmethod
+    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
+        """Return the rooms of the maps at some places."""
+
+    @abstractmethod
+    def _substitutes(self, indices: Ints, attempt: int) -> Ints:
+        """Return the places of the maps that are tried where those of samples ``indices`` have no problem."""
+
+    def _sampled_batch(self, indices: Ints, epoch: int) -> Batch:
+        """Return a problem for each index, sampled on its own map or, where that has none, on a substitute."""
+        places = indices.copy()
+        grids, ends, paths = self._sample(places, indices, epoch)
+        for attempt in range(SUBSTITUTES):
+            missing = np.flatnonzero(ends[:, 0] < 0)
+            if len(missing) == 0:
+                break
+            places[missing] = self._substitutes(indices[missing], attempt)
+            grids[missing], ends[missing], new = self._sample(places[missing], indices[missing], epoch)
+            if paths and new:
+                paths = paths.replaced(missing, new)
+        else:
+            raise ValueError(f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row")
+        starts = np.ascontiguousarray(ends[:, :2])
+        goals = np.ascontiguousarray(ends[:, 2:])
+        return self._as_batch(indices, places, grids, starts, goals, lambda: paths or self._solve(grids, starts, goals))
+
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, Paths | None]:
+        """Return the maps at some places, start and goal on each, (B, 4), -1 where it has none, and paths found."""
+        assert isinstance(self.serving.problems, Random)
+        grids = self._grids(places)
+        seed, bands = np.uint64(self.serving.sampling_seed), self.serving.problems.bands
+        sampled = sample_problems(grids, seed, epoch, indices, bands, *rule_of(self.movement))
+        return grids, sampled[:, :4], None
+
+    def _as_batch(
+        self,
+        indices: Ints,
+        places: Ints,
+        grids: Bytes,
+        starts: Ints,
+        goals: Ints,
+        paths: Callable[[], Paths],
+    ) -> Batch:
+        return Batch(
+            self.movement,
+            self.serving.search,
+            grids,
+            starts,
+            goals,
+            indices,
+            paths,
+            lambda: self._rooms(places, grids),
+            self._wanted,
+            self.serving.max_length,
+        )
+
     def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
         found = search_batch(self.serving.search, grids, starts, goals, self.movement)
         return Paths(found.cells, found.offsets, found.iterations)
-
-    def _sample(self, conditions: Random, grids: Bytes, indices: Ints, epoch: int) -> Ints:
-        """Return start and goal of a random problem on each map, (B, 4), -1 where it has none."""
-        seed = np.uint64(self.serving.sampling_seed)
-        return sample_problems(grids, seed, epoch, indices, conditions.bands, *rule_of(self.movement))[:, :4]
-
-    def _no_problem(self) -> ValueError:
-        return ValueError(f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row")
 
 
 class MapDataset(ProblemDataset):
@@ -235,24 +288,20 @@ class MapDataset(ProblemDataset):
 
     def _meets(self, indices: Ints, conditions: dict[str, Any]) -> npt.NDArray[np.bool_]:
         """Return which problems meet the conditions of `filter`."""
+        batch = replace(self._stored_batch(indices), wanted=frozenset())
+        rooms = cache(partial(self._stored_rooms, indices, "astar"))
+        values: dict[str, Callable[[], npt.NDArray[Any]]] = {
+            "rooms": lambda: (rooms().seed_points[:, :, 0] >= 0).sum(axis=1),
+            "path_length": lambda: path_length_of(batch),
+            "reachable": lambda: path_length_of(batch) > 0,
+            "all_connected": lambda: (rooms().matrix != -1).all(axis=(1, 2)),
+            "hardness": lambda: problem_hardness(batch),
+        }
         keep = np.ones(len(indices), np.bool_)
-        if "rooms" in conditions or "all_connected" in conditions:
-            shards, maps, _, _ = self.store.find(indices)
-            matrices, seed_points = self.store.rooms(shards, maps, "astar")
-            counts = (seed_points[:, :, 0] >= 0).sum(axis=1)
-            if "rooms" in conditions:
-                keep &= _within(counts, conditions["rooms"])
-            if "all_connected" in conditions:
-                keep &= (matrices != -1).all(axis=(1, 2)) == conditions["all_connected"]
-        if {"path_length", "reachable", "hardness"} & set(conditions):
-            batch = replace(self._stored_batch(indices), wanted=frozenset())
-            lengths = path_length_of(batch)
-            if "path_length" in conditions:
-                keep &= _within(lengths, conditions["path_length"])
-            if "reachable" in conditions:
-                keep &= (lengths > 0) == conditions["reachable"]
-            if "hardness" in conditions:
-                keep &= _within(problem_hardness(batch), conditions["hardness"])
+        for name, wanted in conditions.items():
+            lowest, highest = np.broadcast_to(wanted, 2)
+            value = values[name]()
+            keep &= (value >= lowest) & (value <= highest)
         return keep
 
     def table(self) -> pd.DataFrame:
@@ -269,9 +318,8 @@ class MapDataset(ProblemDataset):
     def _batch(self, indices: Ints, epoch: int) -> Batch:
         if self._kept is not None:
             indices = self._kept[indices]
-        problems = self.serving.problems
-        if isinstance(problems, Random):
-            return self._random_batch(problems, indices, epoch)
+        if isinstance(self.serving.problems, Random):
+            return self._sampled_batch(indices, epoch)
         return self._stored_batch(indices)
 
     def _stored_batch(self, indices: Ints) -> Batch:
@@ -287,45 +335,25 @@ class MapDataset(ProblemDataset):
                     raise self.store.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
             return self._solve(grids, starts, goals)
 
-        return self._as_batch(indices, shards, maps, grids, starts, goals, paths)
+        return self._as_batch(indices, indices, grids, starts, goals, paths)
 
-    def _random_batch(self, conditions: Random, indices: Ints, epoch: int) -> Batch:
-        chosen = indices.copy()
-        shards, maps, _, _ = self.store.find(chosen)
-        grids = self.store.grids(shards, maps)
-        ends = self._sample(conditions, grids, indices, epoch)
-        for _ in range(SUBSTITUTES):
-            missing = np.flatnonzero(ends[:, 0] < 0)
-            if len(missing) == 0:
-                break
-            chosen[missing] = (chosen[missing] + 1) % len(self.store)
-            shards[missing], maps[missing], _, _ = self.store.find(chosen[missing])
-            grids[missing] = self.store.grids(shards[missing], maps[missing])
-            ends[missing] = self._sample(conditions, grids[missing], indices[missing], epoch)
-        else:
-            raise self._no_problem()
-        starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
-        return self._as_batch(indices, shards, maps, grids, starts, goals, lambda: self._solve(grids, starts, goals))
+    def _grids(self, places: Ints) -> Bytes:
+        shards, maps, _, _ = self.store.find(places)
+        return self.store.grids(shards, maps)
 
-    def _as_batch(
-        self,
-        indices: Ints,
-        shards: Ints,
-        maps: Ints,
-        grids: Bytes,
-        starts: Ints,
-        goals: Ints,
-        paths: Callable[[], Paths],
-    ) -> Batch:
-        search, max_length = self.serving.search, self.serving.max_length
+    def _stored_rooms(self, places: Ints, search: str) -> Rooms:
+        shards, maps, _, _ = self.store.find(places)
+        return Rooms(*self.store.rooms(shards, maps, search))
 
-        def rooms() -> Rooms:
-            matrices, seed_points = self.store.rooms(shards, maps, search)
-            if self.movement != self.store.movement:
-                matrices = room_matrices(search, grids, seed_points, self.movement)
-            return Rooms(matrices, seed_points)
+    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
+        rooms = self._stored_rooms(places, self.serving.search)
+        if self.movement == self.store.movement:
+            return rooms
+        matrices = room_matrices(self.serving.search, grids, rooms.seed_points, self.movement)
+        return rooms._replace(matrix=matrices)
 
-        return Batch(self.movement, search, grids, starts, goals, indices, paths, rooms, self._wanted, max_length)
+    def _substitutes(self, indices: Ints, attempt: int) -> Ints:
+        return (indices + attempt + 1) % len(self.store)
 
 
 def _keep_freed_memory() -> None:
@@ -379,7 +407,3 @@ def _reopen(
     for conditions in filters:
         dataset = dataset.filter(**conditions)
     return dataset
-
-
-def _within(values: npt.NDArray[Any], limits: tuple[float, float]) -> npt.NDArray[np.bool_]:
-    return np.asarray((values >= limits[0]) & (values <= limits[1]))

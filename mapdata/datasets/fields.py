@@ -37,6 +37,19 @@ class Paths(NamedTuple):
     offsets: Ints
     iterations: Ints
 
+    def replaced(self, places: Ints, new: Paths) -> Paths:
+        """Return the paths with ``new`` ones at some places."""
+        first = self.offsets[:-1].copy()
+        first[places] = len(self.cells) + new.offsets[:-1]
+        lengths = np.diff(self.offsets)
+        lengths[places] = np.diff(new.offsets)
+        iterations = self.iterations.copy()
+        iterations[places] = new.iterations
+        offsets = np.append(0, np.cumsum(lengths))
+        chosen = np.repeat(first - offsets[:-1], lengths) + np.arange(offsets[-1])
+        cells = np.concatenate((self.cells, new.cells)).take(chosen, axis=0)
+        return Paths(cells, offsets, iterations)
+
 
 class Rooms(NamedTuple):
     """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 seed points."""

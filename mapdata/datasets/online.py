@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from mapdata.arrays import Ints
-from mapdata.datasets.dataset import SUBSTITUTES, ProblemDataset
+from mapdata.arrays import Bytes, Ints
+from mapdata.datasets.batches import pair_of
+from mapdata.datasets.dataset import ProblemDataset
 from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
-from mapdata.problems.sampling import replace_paths, solve_pairs
+from mapdata.problems.sampling import sample_numbers
 from mapdata.problems.sources import Random, Route, Source, problem_source
-from mapdata.search.lattice import ASTAR, BFS, rule_of
 from mapdata.spec import Movement, check_seed
 
 
@@ -83,59 +83,45 @@ class OnlineMapDataset(ProblemDataset):
         return self.spec.map_size
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:
-        maps = self._maps(indices)
-        grids, seed_points = maps.occupancy, maps.seed_points
-        ends, paths = self._problem(maps, indices, epoch)
-        for attempt in range(SUBSTITUTES):
-            missing = np.flatnonzero(ends[:, 0] < 0)
-            if len(missing) == 0:
-                break
-            others = self._maps(self.length + (indices[missing] + attempt) % self.length)
-            grids[missing], seed_points[missing] = others.occupancy, others.seed_points
-            ends[missing], new = self._problem(others, indices[missing], epoch)
-            cells, offsets = replace_paths(paths.cells, paths.offsets, new.cells, new.offsets, missing)
-            paths.iterations[missing] = new.iterations
-            paths = Paths(cells, offsets, paths.iterations)
-        else:
-            raise self._no_problem()
-        starts, goals = np.ascontiguousarray(ends[:, :2]), np.ascontiguousarray(ends[:, 2:])
-        search = self.serving.search
-        return Batch(
-            self.movement,
-            search,
-            grids,
-            starts,
-            goals,
-            indices,
-            lambda: paths,
-            lambda: Rooms(room_matrices(search, grids, seed_points, self.movement), seed_points),
-            self._wanted,
-            self.serving.max_length,
-        )
+        return self._sampled_batch(indices, epoch)
 
-    def _maps(self, positions: Ints) -> Maps:
-        return generate(self.spec, self.seed, positions if self._numbers is None else self._numbers[positions])
+    def _maps(self, places: Ints) -> Maps:
+        return generate(self.spec, self.seed, places if self._numbers is None else self._numbers[places])
 
-    def _problem(self, maps: Maps, indices: Ints, epoch: int) -> tuple[Ints, Paths]:
-        """Return start and goal on each map, (B, 4), -1 where it has no such problem, and the paths."""
+    def _grids(self, places: Ints) -> Bytes:
+        return self._maps(places).occupancy
+
+    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
+        seed_points = self._maps(places).seed_points
+        return Rooms(room_matrices(self.serving.search, grids, seed_points, self.movement), seed_points)
+
+    def _substitutes(self, indices: Ints, attempt: int) -> Ints:
+        return self.length + (indices + attempt) % self.length
+
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, Paths | None]:
         problems = self.serving.problems
         if isinstance(problems, Random):
-            ends = self._sample(problems, maps.occupancy, indices, epoch)
-            there = ends[:, 0] >= 0
-            offsets, iterations = np.zeros(len(ends) + 1, np.int64), np.zeros(len(ends), np.int64)
-            solved = self._solve(maps.occupancy[there], ends[there, :2], ends[there, 2:])
-            offsets[1:][there], iterations[there] = np.diff(solved.offsets), solved.iterations
-            return ends, Paths(solved.cells, np.cumsum(offsets), iterations)
-        ends, *found = solve_pairs(
-            maps.occupancy,
-            maps.seed_points,
-            maps.rooms,
-            np.uint64(self.serving.sampling_seed),
-            epoch,
-            indices,
-            isinstance(problems, Route),
-            problems.unsolvable,
-            ASTAR if self.serving.search == "astar" else BFS,
-            *rule_of(self.movement),
-        )
-        return ends, Paths(*found)
+            return super()._sample(places, indices, epoch)
+        maps = self._maps(places)
+        is_route = isinstance(problems, Route)
+        counts = maps.rooms - 1 if is_route else maps.rooms * (maps.rooms - 1) // 2
+        numbers = sample_numbers(np.uint64(self.serving.sampling_seed), epoch, indices, counts)
+        size = len(indices)
+        ends = np.full((size, 4), -1)
+        paths = Paths(np.empty((0, 2), np.int64), np.zeros(size + 1, np.int64), np.zeros(size, np.int64))
+        # A pair without a path gives way to the next one, until all pairs of the map were tried.
+        for attempt in range(counts.max(initial=0)):
+            rows = np.flatnonzero((ends[:, 0] < 0) & (attempt < counts))
+            if len(rows) == 0:
+                break
+            number = (numbers[rows] + attempt) % counts[rows]
+            first, second = (number, number + 1) if is_route else pair_of(number, maps.rooms[rows])
+            starts = maps.seed_points[rows, first]
+            goals = maps.seed_points[rows, second]
+            all_rows = len(rows) == size  # in the first attempt: then nothing is copied
+            found = self._solve(maps.occupancy if all_rows else maps.occupancy[rows], starts, goals)
+            paths = found if all_rows else paths.replaced(rows, found)
+            length = np.diff(found.offsets)
+            good = (length > 1) | (problems.unsolvable & (length == 0))
+            ends[rows[good]] = np.hstack((starts, goals))[good]
+        return maps.occupancy, ends, paths

@@ -10,7 +10,7 @@ from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.sample import Sample
 from mapdata.problems.sources import Source, plain_text
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_seed
+from mapdata.spec import Movement, check_choice, check_seed
 
 FieldFunction = Callable[[Sample], Any]
 
@@ -73,9 +73,3 @@ class Serving:
             raise ValueError(f"fields: got {self.names}, expected each name once")
         if not all(name.isidentifier() for name in self.names):
             raise ValueError("fields: a function gives its name to the sample; use 'def', not 'lambda'")
-
-
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Refuse a value that is not one of ``choices``."""
-    if value not in choices:
-        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")

@@ -19,7 +19,7 @@ from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.manifest import read_manifest
 from mapdata.shards.reader import read_shard
-from mapdata.spec import SPLITS, Movement, check_seed
+from mapdata.spec import SPLITS, Movement, check_choice, check_count, check_seed
 
 HARD = 1.05
 """Hardness (optimal cost over heuristic) from which on a problem is hard."""
@@ -111,7 +111,6 @@ class Problems:
         >>> len(Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
         20
         """
-        _check(maps, until_hard)
         if maps is None:
             if until_hard is None:
                 raise ValueError("got neither maps nor until_hard, expected how many maps or hard problems to sample")
@@ -148,26 +147,18 @@ class Problems:
             ShardError: it is damaged.
             ValueError: no such split; no map with a problem; not enough hard ones.
         """
-        if split not in SPLITS:
-            raise ValueError(f"split: got {split!r}, expected one of {', '.join(SPLITS)}")
-        _check(maps, until_hard)
+        check_choice("split", split, SPLITS)
         manifest = read_manifest(Path(root))
         shards = (read_shard(Path(root) / entry.name).maps for entry in manifest.shards)
         inside = ((each, each.split == SPLITS.index(split)) for each in shards)
         grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in inside)
         seed = (manifest.seed or 0) if seed is None else check_seed(seed)
-        return _collect(grids, maps or sys.maxsize, problems, until_hard, seed, movement, f"split {split} of {root}")
-
-
-def _check(maps: int | None, until_hard: int | None) -> None:
-    for name, value in (("maps", maps), ("until_hard", until_hard)):
-        if value is not None and value < 1:
-            raise ValueError(f"{name}: got {value}, expected at least 1")
+        return _collect(grids, maps, problems, until_hard, seed, movement, f"split {split} of {root}")
 
 
 def _collect(
     chunks: Iterable[tuple[Ints, Bytes]],
-    maps: int,
+    maps: int | None,
     problems: Random,
     until_hard: int | None,
     seed: int,
@@ -175,11 +166,14 @@ def _collect(
     where: str,
 ) -> Problems:
     """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids), until enough of them are hard."""
+    if until_hard is not None:
+        check_count("until_hard", until_hard)
+    left = sys.maxsize if maps is None else check_count("maps", maps)
     found: list[tuple[Ints, Bytes, Ints]] = []
     hard = 0
     for chunk, occupancy in chunks:
-        indices, grids = chunk[:maps], occupancy[:maps]
-        maps -= len(indices)
+        indices, grids = chunk[:left], occupancy[:left]
+        left -= len(indices)
         sampled = sample_problems(grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement))
         kept = np.flatnonzero(sampled[:, 0] >= 0)
         if until_hard is not None:
@@ -189,7 +183,7 @@ def _collect(
             kept = kept[: np.searchsorted(hard_so_far, until_hard) + 1]
             hard = int(hard_so_far[: len(kept)].max(initial=hard))
         found.append((indices[kept], grids[kept], sampled[kept]))
-        if maps == 0 or hard == until_hard:
+        if left == 0 or hard == until_hard:
             break
     if not any(len(index) for index, _, _ in found):
         raise ValueError(f"{where}: no map has a problem that meets {problems}")

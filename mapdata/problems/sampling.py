@@ -8,21 +8,8 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.sources import Bands
 from mapdata.rng import PROBLEM, block, bounded
-from mapdata.search.kernels import find, scratch, shortest_costs, wipe, write_cells
-from mapdata.search.lattice import (
-    ASTAR,
-    BFS,
-    COSTS,
-    FAR,
-    Search,
-    cell_at,
-    heuristic,
-    in_cells,
-    lattice_of,
-    load,
-    parts,
-    position,
-)
+from mapdata.search.kernels import scratch, shortest_costs
+from mapdata.search.lattice import COSTS, FAR, cell_at, heuristic, in_cells, lattice_of, load, parts, position
 
 _ATTEMPTS = 32
 """Goals tried on one map before it is given up."""
@@ -114,108 +101,10 @@ def _is_within(bands: Bands, cost: Int, least: Int) -> bool:
 
 
 @kernel
-def solve_pairs(
-    grids: Bytes,
-    seed_points: Ints,
-    rooms: Ints,
-    seed: np.uint64,
-    epoch: Int,
-    indices: Ints,
-    route: Int,
-    unsolvable: Int,
-    search: Search,
-    diagonals: Int,
-    step: Int,
-) -> tuple[Ints, Ints, Ints, Ints]:
-    """Draw a pair of rooms on each grid and search its path; a pair without one gives way to the next, until all were
-    tried.
-
-    Args:
-        grids: (B, H, W).
-        seed_points: (B, R, 2) cells of the rooms.
-        rooms: (B,) number of rooms.
-        seed: sampling seed.
-        epoch: pass over the data.
-        indices: (B,) number of each problem.
-        route: draw from the pairs (q, q + 1) instead of all i < j.
-        unsolvable: keep pairs without a path.
-        search: BFS or ASTAR.
-        diagonals: as `rule_of` gives it.
-        step: likewise.
-
-    Returns:
-        ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of the paths;
-        iterations (B,).
-    """
-    count = len(grids)
-    lattice = lattice_of(grids.shape[1:], (diagonals, step))
-    buffers = scratch(search, lattice)
-    ends, ways, iterations = np.full((count, 4), -1), np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
-    cells = np.empty((64 * count + 64, 2), np.int64)
-    for b in range(count):
-        n, used = rooms[b], ways[b]
-        ways[b + 1] = used
-        pairs = n - 1 if route else n * (n - 1) // 2
-        word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
-        drawn = bounded(word, 0, pairs - 1)
-        load(grids[b], buffers.came)
-        for attempt in range(pairs):
-            i, j = _pair((drawn + attempt) % pairs, n, route)
-            start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
-            goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
-            if start == goal:
-                continue
-            if search == BFS and attempt:
-                load(grids[b], buffers.came)
-            straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
-            length = straight + diagonal + 1
-            if length or unsolvable:
-                ends[b, 0], ends[b, 1], ends[b, 2], ends[b, 3] = (
-                    seed_points[b, i, 0],
-                    seed_points[b, i, 1],
-                    seed_points[b, j, 0],
-                    seed_points[b, j, 1],
-                )
-                if used + length > len(cells):
-                    longer = np.empty((2 * (used + length), 2), np.int64)
-                    longer[:used] = cells[:used]
-                    cells = longer
-                write_cells(buffers.came, goal, lattice, cells[used : used + length])
-                ways[b + 1], iterations[b] = used + length, expanded
-                break
-            if search == ASTAR:
-                wipe(buffers, pushes)
-    return ends, cells[: ways[count]], ways, iterations
-
-
-@kernel
-def _pair(number: Int, rooms: Int, route: Int) -> tuple[Int, Int]:
-    """Return rooms i < j of pair ``number``: (q, q + 1) with ``route``, else in row-major order."""
-    if route:
-        return number, number + 1
-    i, k = 0, number
-    while k >= rooms - 1 - i:
-        k -= rooms - 1 - i
-        i += 1
-    return i, i + 1 + k
-
-
-@kernel
-def replace_paths(cells: Ints, ways: Ints, others: Ints, other_ways: Ints, where: Ints) -> tuple[Ints, Ints]:
-    """Return paths with those numbered ``where`` (ascending) replaced by ``others``."""
-    lengths = np.diff(ways)
-    for k in range(len(where)):
-        lengths[where[k]] = other_ways[k + 1] - other_ways[k]
-    new_ways = np.zeros(len(ways), np.int64)
-    for b in range(len(lengths)):
-        new_ways[b + 1] = new_ways[b] + lengths[b]
-    new = np.empty((new_ways[-1], 2), np.int64)
-    k = 0
-    for b in range(len(lengths)):
-        source, first = cells, ways[b]
-        if k < len(where) and where[k] == b:
-            source, first = others, other_ways[k]
-            k += 1
-        for c in range(lengths[b]):
-            new[new_ways[b] + c, 0], new[new_ways[b] + c, 1] = source[first + c, 0], source[first + c, 1]
-    return new, new_ways
+def sample_numbers(seed: np.uint64, epoch: Int, indices: Ints, counts: Ints) -> Ints:
+    """Return (B,) a number below ``counts[b]`` for each problem: which of so many pairs of seed points it is."""
+    numbers = np.empty(len(indices), np.int64)
+    for b in range(len(indices)):
+        w0, _w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
+        numbers[b] = bounded(w0, 0, counts[b] - 1)
+    return numbers

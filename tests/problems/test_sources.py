@@ -17,14 +17,14 @@ SAME: list[tuple[Any, Source, str]] = [
     ("random", Random(), "random"),
     (Random(), Random(), "random"),
     ({"random": {}}, Random(), "random"),
-    ({"pairs": {"unsolvable": True}}, Pairs(unsolvable=True), '{"pairs":{"unsolvable":true}}'),
+    ({"pairs": {"unsolvable": True}}, Pairs(unsolvable=True), '{"pairs": {"unsolvable": true}}'),
     ('{"route": {"unsolvable": false}}', Route(), "route"),
     (
         '{"random": {"distance": [10, null], "length": [null, 40]}}',
         Random(distance=(10.0, math.inf), length=(0, 40)),
-        '{"random":{"distance":[10.0,null],"length":[0.0,40.0]}}',
+        '{"random": {"distance": [10.0, null], "length": [0.0, 40.0]}}',
     ),
-    (Random(hardness=(-math.inf, 1.5)), Random(hardness=(0, 1.5)), '{"random":{"hardness":[0.0,1.5]}}'),
+    (Random(hardness=(-math.inf, 1.5)), Random(hardness=(0, 1.5)), '{"random": {"hardness": [0.0, 1.5]}}'),
 ]
 
 
@@ -59,7 +59,7 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:  # noqa: A
     [
         ("rooms", "problems: got 'rooms', expected one of route, pairs, random"),
         ("{}", "problems: got '{}', expected one of"),
-        ("{random}", "problems: '{random}' is not JSON"),
+        ("{random}", "Expecting property name"),
         (None, "problems: got None"),
         ({"route": {}, "pairs": {}}, "problems: got {'route'"),
         ({"rooms": {}}, "problems: got {'rooms'"),
