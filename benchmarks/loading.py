@@ -308,7 +308,7 @@ def opening_rows(folder: Path, rounds: int) -> list[Row]:
 
     def touch() -> None:
         dataset = MapDataset(root)
-        dataset[[int(first) for first in dataset.store.offsets[:-1]]]
+        dataset[[int(first) for first in dataset.reader.offsets[:-1]]]
         opened[0] = dataset
 
     times = interleaved({"touch": touch}, rounds)["touch"]

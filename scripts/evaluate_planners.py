@@ -19,7 +19,7 @@ WEIGHTS = MODELS / "weights" / "path_predictor.pt"
 
 
 def evaluate_command(
-    root: str | None,
+    root: list[str],
     preset: str | None,
     seed: int | None,
     maps: int | None,
@@ -36,7 +36,7 @@ def evaluate_command(
     check_outputs(csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
     learned = learned_planners(weights, movement)
-    maps = 600 if root is None and maps is None and until_hard is None else maps
+    maps = 600 if not root and maps is None and until_hard is None else maps
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     planners: list[Planner] = [*classical(movement), *learned]
     table = evaluate(planners, problems)

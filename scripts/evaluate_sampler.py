@@ -17,7 +17,7 @@ PICTURED = ("halton", "bridge", "lego_cvae", "lego_heatmap")
 
 
 def evaluate_command(
-    root: str | None,
+    root: list[str],
     preset: str | None,
     seed: int | None,
     maps: int | None,
@@ -34,7 +34,7 @@ def evaluate_command(
         raise ValueError(f"weights: there is no folder {weights}")
     files = [*Path(weights or WEIGHTS).glob("lego_*.pt"), *Path(weights or WEIGHTS).glob("shortest_path_*.pt")]
     rows = contenders({file.stem: load(file) for file in sorted(files)})
-    maps = 1000 if root is None and maps is None else maps
+    maps = 1000 if not root and maps is None else maps
     problems = given_problems(root, preset, seed, maps)
     table = compare(rows, problems, sorted(set(sizes)))
     print(f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by {problems.movement}\n")

@@ -218,14 +218,14 @@ class MapDataset(ProblemDataset):
         if not roots:
             raise ValueError("root: got an empty list, expected at least one dataset")
         self.roots = [os.fspath(each) for each in roots]
-        self.store = BatchReader(self.roots, split, source)
-        self.movement = movement or self.store.movement
+        self.reader = BatchReader(self.roots, split, source)
+        self.movement = movement or self.reader.movement
         self.filters: tuple[dict[str, Any], ...] = ()
         self._kept: Ints | None = None
 
     def __len__(self) -> int:
         """Return the number of problems."""
-        return len(self.store) if self._kept is None else len(self._kept)
+        return len(self.reader) if self._kept is None else len(self._kept)
 
     def __repr__(self) -> str:
         filters = "".join(f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters)
@@ -235,13 +235,13 @@ class MapDataset(ProblemDataset):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""
-        content = [manifest.content_hash for manifest in self.store.manifests]
+        content = [manifest.content_hash for manifest in self.reader.manifests]
         return _reopen, (self.roots, self.split, self.serving, self.filters, content)
 
     @property
     def map_size(self) -> tuple[int, int]:
         """(rows, columns) of all maps."""
-        return self.store.map_size
+        return self.reader.map_size
 
     def filter(
         self,
@@ -279,7 +279,7 @@ class MapDataset(ProblemDataset):
         for name in ("rooms", "path_length", "hardness"):
             if name in conditions and len(conditions[name]) != 2:
                 raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
-        indices = np.arange(len(self.store)) if self._kept is None else self._kept
+        indices = np.arange(len(self.reader)) if self._kept is None else self._kept
         keep = [self._meets(indices[k : k + 4096], conditions) for k in range(0, len(indices), 4096)]
         view = copy.copy(self)
         view.filters = (*self.filters, conditions)
@@ -311,8 +311,8 @@ class MapDataset(ProblemDataset):
         from mapdata.shards.table import map_rows
 
         rows: list[dict[str, Any]] = []
-        for k in range(len(self.store.shards)):
-            rows += map_rows(self.store.open(k), self.split)
+        for k in range(len(self.reader.shards)):
+            rows += map_rows(self.reader.open(k), self.split)
         return pd.DataFrame(rows)
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:
@@ -323,37 +323,37 @@ class MapDataset(ProblemDataset):
         return self._stored_batch(indices)
 
     def _stored_batch(self, indices: Ints) -> Batch:
-        shards, maps, first, second = self.store.find(indices)
-        grids = self.store.grids(shards, maps)
-        starts, goals = (self.store.seed_points(shards, maps, rooms) for rooms in (first, second))
+        shards, maps, first, second = self.reader.find(indices)
+        grids = self.reader.grids(shards, maps)
+        starts, goals = (self.reader.seed_points(shards, maps, rooms) for rooms in (first, second))
 
         def paths() -> Paths:
-            if isinstance(self.serving.problems, Route) and self.movement == self.store.movement:
-                return Paths(*self.store.paths(shards, maps, first, self.serving.search))
+            if isinstance(self.serving.problems, Route) and self.movement == self.reader.movement:
+                return Paths(*self.reader.paths(shards, maps, first, self.serving.search))
             for cells in (starts, goals):
                 for k in np.flatnonzero(grids[np.arange(len(grids)), cells[:, 0], cells[:, 1]])[:1]:
-                    raise self.store.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
+                    raise self.reader.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
             return self._solve(grids, starts, goals)
 
         return self._as_batch(indices, indices, grids, starts, goals, paths)
 
     def _grids(self, places: Ints) -> Bytes:
-        shards, maps, _, _ = self.store.find(places)
-        return self.store.grids(shards, maps)
+        shards, maps, _, _ = self.reader.find(places)
+        return self.reader.grids(shards, maps)
 
     def _stored_rooms(self, places: Ints, search: str) -> Rooms:
-        shards, maps, _, _ = self.store.find(places)
-        return Rooms(*self.store.rooms(shards, maps, search))
+        shards, maps, _, _ = self.reader.find(places)
+        return Rooms(*self.reader.rooms(shards, maps, search))
 
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         rooms = self._stored_rooms(places, self.serving.search)
-        if self.movement == self.store.movement:
+        if self.movement == self.reader.movement:
             return rooms
         matrices = room_matrices(self.serving.search, grids, rooms.seed_points, self.movement)
         return rooms._replace(matrix=matrices)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        return (indices + attempt + 1) % len(self.store)
+        return (indices + attempt + 1) % len(self.reader)
 
 
 def _keep_freed_memory() -> None:
@@ -401,7 +401,7 @@ def _reopen(
 ) -> MapDataset:
     """Return the dataset that was pickled, if it still is: in another its problems would have other numbers."""
     dataset = MapDataset(roots, split, **vars(serving))
-    for root, manifest, expected in zip(dataset.roots, dataset.store.manifests, content, strict=True):
+    for root, manifest, expected in zip(dataset.roots, dataset.reader.manifests, content, strict=True):
         if manifest.content_hash != expected:
             raise ValueError(f"root: {root} holds other maps than when this dataset was opened; open it again")
     for conditions in filters:

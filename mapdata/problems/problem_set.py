@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +16,7 @@ from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.lattice import hardness, rule_of
-from mapdata.shards.manifest import read_manifest
-from mapdata.shards.reader import read_shard
+from mapdata.shards.root import Places, Root
 from mapdata.spec import SPLITS, Movement, check_choice, check_count, check_seed
 
 HARD = 1.05
@@ -122,7 +120,7 @@ class Problems:
 
     @staticmethod
     def read(
-        root: str | Path,
+        root: Places,
         maps: int | None = None,
         *,
         split: str = "test",
@@ -134,10 +132,10 @@ class Problems:
         """Sample one problem on each map of one split of a dataset: on map i the one that `sample` gives.
 
         Args:
-            root: folder of the dataset.
+            root: folder or URL of the dataset, or several.
             maps: how many maps of the split at most; all without.
             split: "train", "val" or "test".
-            seed: seed of the problems; default the dataset's own, 0 for imported maps.
+            seed: seed of the problems; default the (first) dataset's own, 0 for imported maps.
             problems: as in `sample`.
             until_hard: as in `sample`.
             movement: how one moves.
@@ -148,12 +146,12 @@ class Problems:
             ValueError: no such split; no map with a problem; not enough hard ones.
         """
         check_choice("split", split, SPLITS)
-        manifest = read_manifest(Path(root))
-        shards = (read_shard(Path(root) / entry.name).maps for entry in manifest.shards)
-        inside = ((each, each.split == SPLITS.index(split)) for each in shards)
+        dataset = Root.open(root)
+        every = (labels.maps for labels in dataset.labels())
+        inside = ((each, each.split == SPLITS.index(split)) for each in every)
         grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in inside)
-        seed = (manifest.seed or 0) if seed is None else check_seed(seed)
-        return _collect(grids, maps, problems, until_hard, seed, movement, f"split {split} of {root}")
+        seed = (dataset.manifests[0].seed or 0) if seed is None else check_seed(seed)
+        return _collect(grids, maps, problems, until_hard, seed, movement, f"split {split} of {dataset}")
 
 
 def _collect(
