@@ -16,7 +16,7 @@ def add_problem_arguments(parser: argparse.ArgumentParser, maps: int) -> None:
     """Add ROOT, --preset, --seed and --maps, of which there are ``maps`` by default; --csv and --json."""
     from mapdata.generators import PRESETS
 
-    parser.add_argument("root", metavar="ROOT", nargs="*", help="datasets, folders or URLs, in place of --preset and --seed")
+    parser.add_argument("root", metavar="ROOT", nargs="*", help="datasets, in place of --preset and --seed")
     parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
     parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
     parser.add_argument("--maps", metavar="N", type=int, help=f"how many maps (default {maps}; of a dataset, all)")
