@@ -15,7 +15,7 @@ from mapdata.search.lattice import (
     BFS,
     COSTS,
     UNIT,
-    Search,
+    Weights,
     cell_at,
     heuristic,
     in_cells,
@@ -114,7 +114,7 @@ def solve_pairs(
     indices: Ints,
     route: Int,
     unsolvable: Int,
-    search: Search,
+    search: Weights,
     diagonals: Int,
     step: Int,
 ) -> tuple[Ints, Ints, Ints, Ints]:
