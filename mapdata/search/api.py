@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.search.kernels import first_bad_cell, solve_all, solve_one, write_field
-from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, Search, rule_of
+from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, Weights, rule_of
 from mapdata.spec import Movement
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
@@ -112,7 +112,7 @@ def search_batch(
 
 
 def solve_batch(
-    search: Search,
+    search: Weights,
     grids: npt.ArrayLike,
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,
@@ -190,7 +190,7 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
     raise ValueError(f"path: step {bad - 1}, from {before} to {cell}, is not a move of {movement}")
 
 
-def _search(search: Search, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
+def _search(search: Weights, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
     array = _grid(grid, 2)
     begin, end = _cell("start", start, array), _cell("goal", goal, array)
     path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))

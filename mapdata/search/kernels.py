@@ -28,7 +28,7 @@ from mapdata.search.lattice import (
     WALL,
     Lattice,
     Rule,
-    Search,
+    Weights,
     cell_at,
     heuristic,
     in_cells,
@@ -42,14 +42,16 @@ _ONE = np.uint64(1)
 
 
 class Scratch(NamedTuple):
-    """What a search writes to. What it does not need is empty.
+    """What searches write to, one after another.
+
+    Kernels take its arrays by name: to unpack it counts references of all five.
 
     Attributes:
-        came: (cells,) WALL, UNSEEN, or the move that led to a cell.
-        g: (cells,) cost of the best way to a cell so far.
+        came: (cells,) WALL, UNSEEN, or the move that led to a cell, with CLOSED once that is expanded.
+        g: (cells,) cost of the best path to a cell so far.
         pushed: (pushes,) cells, in the order in which they were pushed.
-        links: (pushes,) the heap, or lists through ``pushed``: which push stands below each.
-        f: (pushes,) priority of each push.
+        links: (pushes,) a heap of pushes, or lists of them: the next push of each.
+        f: (pushes,) priority of each push; empty where a search has none.
     """
 
     came: Bytes
@@ -201,7 +203,7 @@ def wipe(buffers: Scratch, pushes: Int) -> None:
 
 
 @kernel
-def astar_heap(start: Int, goal: Int, search: Search, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
+def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with any moves and weights; return (iterations, pushes).
 
     A binary heap of push numbers, the least f on top and among equal f the latest push; ``came`` and
@@ -326,7 +328,7 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 
 
 @kernel
-def scratch(search: Search, lattice: Lattice) -> Scratch:
+def scratch(search: Weights, lattice: Lattice) -> Scratch:
     """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
     cells = lattice.cells
     # A cell is pushed at most once for each neighbour, so that the logs cannot overflow.
@@ -348,7 +350,7 @@ def scratch(search: Search, lattice: Lattice) -> Scratch:
 
 
 @kernel
-def find(start: Int, goal: Int, search: Search, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int, Int, Int]:
+def find(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int, Int, Int]:
     """Search one problem on a grid that is loaded.
 
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
@@ -382,7 +384,7 @@ def solve_one(
     start_column: Int,
     goal_row: Int,
     goal_column: Int,
-    search: Search,
+    search: Weights,
     rule: Rule,
 ) -> tuple[Ints, Int, Int, Int]:
     """Search one problem; return its path, straight and diagonal moves, and iterations (0 when the problem is bad)."""
@@ -400,7 +402,7 @@ def solve_one(
 
 
 @kernel
-def solve_all(grids: Bytes, starts: Ints, goals: Ints, search: Search, rule: Rule) -> tuple[Ints, Ints, Int]:
+def solve_all(grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule) -> tuple[Ints, Ints, Int]:
     """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one grid).
 
     Returns:
