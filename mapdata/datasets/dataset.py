@@ -125,28 +125,33 @@ class ProblemDataset(Dataset[Sample], ABC):
     def _sampled_batch(self, indices: Ints, epoch: int) -> Batch:
         """Return a problem for each index, sampled on its own map or, where that has none, on a substitute."""
         places = indices.copy()
-        grids, ends, paths = self._sample(places, indices, epoch)
+        grids, ends, pieces = self._sample(places, indices, epoch)
         for attempt in range(SUBSTITUTES):
             missing = np.flatnonzero(ends[:, 0] < 0)
             if len(missing) == 0:
                 break
             places[missing] = self._substitutes(indices[missing], attempt)
-            grids[missing], ends[missing], new = self._sample(places[missing], indices[missing], epoch)
-            if paths and new:
-                paths = paths.replaced(missing, new)
+            grids[missing], ends[missing], more = self._sample(places[missing], indices[missing], epoch)
+            pieces += [(missing[rows], paths) for rows, paths in more]
         else:
             raise ValueError(f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row")
         starts = np.ascontiguousarray(ends[:, :2])
         goals = np.ascontiguousarray(ends[:, 2:])
-        return self._as_batch(indices, places, grids, starts, goals, lambda: paths or self._solve(grids, starts, goals))
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, Paths | None]:
-        """Return the maps at some places, start and goal on each, (B, 4), -1 where it has none, and paths found."""
+        def paths() -> Paths:
+            return Paths.join(pieces, len(ends)) if pieces else self._solve(grids, starts, goals)
+
+        return self._as_batch(indices, places, grids, starts, goals, paths)
+
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
+        """Return the maps at some places, start and goal on each, (B, 4), -1 where it has none, and paths found:
+        pieces for `Paths.join`, none where the paths have not been searched.
+        """
         assert isinstance(self.serving.problems, Random)
         grids = self._grids(places)
         seed, bands = np.uint64(self.serving.sampling_seed), self.serving.problems.bands
         sampled = sample_problems(grids, seed, epoch, indices, bands, *rule_of(self.movement))
-        return grids, sampled[:, :4], None
+        return grids, sampled[:, :4], []
 
     def _as_batch(
         self,
@@ -185,7 +190,7 @@ class MapDataset(ProblemDataset):
         problems: what is asked of the maps: a `Route`, `Pairs` or `Random`, or its name, "route" (the stored segments
             between consecutive rooms), "pairs" (all pairs of rooms i < j) or "random" (one problem a map, sampled
             anew each epoch); or plain JSON, ``{"random": {"distance": [10, null]}}``. Problems of length 0 are left
-            out.
+            out, those without a path too unless it is ``Route(unsolvable=True)`` or ``Pairs(unsolvable=True)``.
         search: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
         movement: None for the stored one; under another, problems are solved on the fly.
         augment: one of the 8 symmetries (4 when not square) a sample, drawn anew each epoch; not for val and test.

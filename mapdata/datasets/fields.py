@@ -5,7 +5,7 @@ A new field is one function here: it takes a `Batch` and returns an array whose 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -37,17 +37,21 @@ class Paths(NamedTuple):
     offsets: Ints
     iterations: Ints
 
-    def replaced(self, places: Ints, new: Paths) -> Paths:
-        """Return the paths with ``new`` ones at some places."""
-        first = self.offsets[:-1].copy()
-        first[places] = len(self.cells) + new.offsets[:-1]
-        lengths = np.diff(self.offsets)
-        lengths[places] = np.diff(new.offsets)
-        iterations = self.iterations.copy()
-        iterations[places] = new.iterations
+    @staticmethod
+    def join(pieces: Sequence[tuple[Ints, Paths]], count: int) -> Paths:
+        """Return ``count`` paths from pieces (rows, their paths); of several paths of a row the last one counts."""
+        first = np.zeros(count, np.int64)
+        lengths = np.zeros(count, np.int64)
+        iterations = np.zeros(count, np.int64)
+        used = 0
+        for rows, paths in pieces:
+            first[rows] = used + paths.offsets[:-1]
+            lengths[rows] = np.diff(paths.offsets)
+            iterations[rows] = paths.iterations
+            used += len(paths.cells)
         offsets = np.append(0, np.cumsum(lengths))
         chosen = np.repeat(first - offsets[:-1], lengths) + np.arange(offsets[-1])
-        cells = np.concatenate((self.cells, new.cells)).take(chosen, axis=0)
+        cells = np.concatenate([paths.cells for _, paths in pieces]).take(chosen, axis=0)
         return Paths(cells, offsets, iterations)
 
 

@@ -98,7 +98,7 @@ class OnlineMapDataset(ProblemDataset):
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return self.length + (indices + attempt) % self.length
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, Paths | None]:
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
         problems = self.serving.problems
         if isinstance(problems, Random):
             return super()._sample(places, indices, epoch)
@@ -106,9 +106,8 @@ class OnlineMapDataset(ProblemDataset):
         is_route = isinstance(problems, Route)
         counts = maps.rooms - 1 if is_route else maps.rooms * (maps.rooms - 1) // 2
         numbers = sample_numbers(np.uint64(self.serving.sampling_seed), epoch, indices, counts)
-        size = len(indices)
-        ends = np.full((size, 4), -1)
-        paths = Paths(np.empty((0, 2), np.int64), np.zeros(size + 1, np.int64), np.zeros(size, np.int64))
+        ends = np.full((len(indices), 4), -1)
+        pieces: list[tuple[Ints, Paths]] = []
         # A pair without a path gives way to the next one, until all pairs of the map were tried.
         for attempt in range(counts.max(initial=0)):
             rows = np.flatnonzero((ends[:, 0] < 0) & (attempt < counts))
@@ -118,10 +117,10 @@ class OnlineMapDataset(ProblemDataset):
             first, second = (number, number + 1) if is_route else pair_of(number, maps.rooms[rows])
             starts = maps.seed_points[rows, first]
             goals = maps.seed_points[rows, second]
-            all_rows = len(rows) == size  # in the first attempt: then nothing is copied
-            found = self._solve(maps.occupancy if all_rows else maps.occupancy[rows], starts, goals)
-            paths = found if all_rows else paths.replaced(rows, found)
+            grids = maps.occupancy[rows] if len(rows) < len(ends) else maps.occupancy
+            found = self._solve(grids, starts, goals)
+            pieces.append((rows, found))
             length = np.diff(found.offsets)
             good = (length > 1) | (problems.unsolvable & (length == 0))
             ends[rows[good]] = np.hstack((starts, goals))[good]
-        return maps.occupancy, ends, paths
+        return maps.occupancy, ends, pieces
