@@ -106,6 +106,7 @@ class Problems:
             ValueError: neither ``maps`` nor ``until_hard``; no map with a problem; not enough hard ones (without
                 ``maps``: less than one on 1,000 maps).
 
+        >>> from mapdata import MapSpec
         >>> len(Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
         20
         """

@@ -320,7 +320,7 @@ def test_every_field_is_in_the_table() -> None:
 
 
 @pytest.mark.parametrize("augment", [False, True])
-@pytest.mark.parametrize("problems", ["route", "rooms", "random"])
+@pytest.mark.parametrize("problems", ["route", "pairs", "random"])
 @pytest.mark.parametrize("online", [False, True])
 def test_shapes_and_types(wide: str, online: bool, problems: str, augment: bool) -> None:
     """A batch has exactly the fields asked for, in that order, with the shapes and types of the table."""
