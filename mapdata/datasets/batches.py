@@ -336,7 +336,7 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArr
         counts = rooms * (rooms - 1) // 2
         maps = np.repeat(np.arange(len(rooms)), counts)
         order = np.arange(len(maps)) - np.repeat(arrays["pair_offsets"][:-1], counts)
-        first, second = pair_of(order, rooms[maps])
+        first, second = _pair_of(order, rooms[maps])
         seed_points, base = arrays["seeds"], arrays["room_offsets"][maps]
         solvable = arrays["astar_straight"] >= 0
         same = (seed_points[base + first] == seed_points[base + second]).all(axis=1)
@@ -350,7 +350,7 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArr
     return np.stack((maps, first, second), axis=1).astype(np.int32)
 
 
-def pair_of(order: Ints, rooms: Ints) -> tuple[Ints, Ints]:
+def _pair_of(order: Ints, rooms: Ints) -> tuple[Ints, Ints]:
     """Return rooms i < j of pair number ``order`` of a map with so many rooms (row-major)."""
     most = int(rooms.max(initial=2))
     first = np.zeros(len(order), np.int64)

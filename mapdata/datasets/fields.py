@@ -40,6 +40,8 @@ class Paths(NamedTuple):
     @staticmethod
     def join(pieces: Sequence[tuple[Ints, Paths]], count: int) -> Paths:
         """Return ``count`` paths from pieces (rows, their paths); of several paths of a row the last one counts."""
+        if len(pieces) == 1:
+            return pieces[0][1]
         first = np.zeros(count, np.int64)
         lengths = np.zeros(count, np.int64)
         iterations = np.zeros(count, np.int64)

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.datasets.batches import pair_of
 from mapdata.datasets.dataset import ProblemDataset
 from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
-from mapdata.problems.sampling import sample_numbers
+from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, Source, problem_source
+from mapdata.search.lattice import ASTAR, BFS, rule_of
 from mapdata.spec import Movement, check_seed
 
 
@@ -103,24 +103,15 @@ class OnlineMapDataset(ProblemDataset):
         if isinstance(problems, Random):
             return super()._sample(places, indices, epoch)
         maps = self._maps(places)
-        is_route = isinstance(problems, Route)
-        counts = maps.rooms - 1 if is_route else maps.rooms * (maps.rooms - 1) // 2
-        numbers = sample_numbers(np.uint64(self.serving.sampling_seed), epoch, indices, counts)
-        ends = np.full((len(indices), 4), -1)
-        pieces: list[tuple[Ints, Paths]] = []
-        # A pair without a path gives way to the next one, until all pairs of the map were tried.
-        for attempt in range(counts.max(initial=0)):
-            rows = np.flatnonzero((ends[:, 0] < 0) & (attempt < counts))
-            if len(rows) == 0:
-                break
-            number = (numbers[rows] + attempt) % counts[rows]
-            first, second = (number, number + 1) if is_route else pair_of(number, maps.rooms[rows])
-            starts = maps.seed_points[rows, first]
-            goals = maps.seed_points[rows, second]
-            grids = maps.occupancy[rows] if len(rows) < len(ends) else maps.occupancy
-            found = self._solve(grids, starts, goals)
-            pieces.append((rows, found))
-            length = np.diff(found.offsets)
-            good = (length > 1) | (problems.unsolvable & (length == 0))
-            ends[rows[good]] = np.hstack((starts, goals))[good]
-        return maps.occupancy, ends, pieces
+        ends, *found = solve_pairs(
+            maps.occupancy,
+            maps.seed_points,
+            maps.rooms,
+            np.uint64(self.serving.sampling_seed),
+            epoch,
+            indices,
+            (isinstance(problems, Route), problems.unsolvable),
+            ASTAR if self.serving.search == "astar" else BFS,
+            rule_of(self.movement),
+        )
+        return maps.occupancy, ends, [(np.arange(len(ends)), Paths(*found))]

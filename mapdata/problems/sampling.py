@@ -8,8 +8,22 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.sources import Bands
 from mapdata.rng import PROBLEM, block, bounded
-from mapdata.search.kernels import scratch, shortest_costs
-from mapdata.search.lattice import COSTS, FAR, cell_at, heuristic, in_cells, lattice_of, load, parts, position
+from mapdata.search.kernels import find, scratch, shortest_costs, wipe, write_cells
+from mapdata.search.lattice import (
+    ASTAR,
+    BFS,
+    COSTS,
+    FAR,
+    Rule,
+    Weights,
+    cell_at,
+    heuristic,
+    in_cells,
+    lattice_of,
+    load,
+    parts,
+    position,
+)
 
 _ATTEMPTS = 32
 """Goals tried on one map before it is given up."""
@@ -101,10 +115,86 @@ def _is_within(bands: Bands, cost: Int, least: Int) -> bool:
 
 
 @kernel
-def sample_numbers(seed: np.uint64, epoch: Int, indices: Ints, counts: Ints) -> Ints:
-    """Return (B,) a number below ``counts[b]`` for each problem: which of so many pairs of seed points it is."""
-    numbers = np.empty(len(indices), np.int64)
-    for b in range(len(indices)):
-        w0, _w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
-        numbers[b] = bounded(w0, 0, counts[b] - 1)
-    return numbers
+def solve_pairs(
+    grids: Bytes,
+    seed_points: Ints,
+    rooms: Ints,
+    seed: np.uint64,
+    epoch: Int,
+    indices: Ints,
+    kind: tuple[Int, Int],
+    search: Weights,
+    rule: Rule,
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """Sample a pair of seed points on each grid and search its path.
+
+    A pair without a path gives way to the next one, until all pairs of the map were tried.
+
+    Args:
+        grids: (B, H, W).
+        seed_points: (B, R, 2) cells.
+        rooms: (B,) number of seed points.
+        seed: sampling seed.
+        epoch: pass over the data.
+        indices: (B,) number of each problem.
+        kind: whether the pairs are those of the route, (q, q + 1), instead of all i < j; whether pairs without a path
+            are kept.
+        search: BFS or ASTAR.
+        rule: as `rule_of` gives it.
+
+    Returns:
+        ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of the paths;
+        iterations (B,).
+    """
+    count = len(grids)
+    route, unsolvable = kind
+    lattice = lattice_of(grids.shape[1:], rule)
+    buffers = scratch(search, lattice)
+    ends = np.full((count, 4), -1)
+    offsets = np.zeros(count + 1, np.int64)
+    iterations = np.zeros(count, np.int64)
+    cells = np.empty((64 * count + 64, 2), np.int64)
+    for b in range(count):
+        n = rooms[b]
+        used = offsets[b]
+        offsets[b + 1] = used
+        pairs = n - 1 if route else n * (n - 1) // 2
+        word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
+        first = bounded(word, 0, pairs - 1)
+        load(grids[b], buffers.came)
+        for attempt in range(pairs):
+            i, j = _pair((first + attempt) % pairs, n, route)
+            start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
+            goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
+            if start == goal:
+                continue
+            if search == BFS and attempt:  # A* wipes what it wrote, BFS does not
+                load(grids[b], buffers.came)
+            straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
+            length = straight + diagonal + 1
+            if length or unsolvable:
+                ends[b, 0], ends[b, 1] = position(start, lattice)
+                ends[b, 2], ends[b, 3] = position(goal, lattice)
+                if used + length > len(cells):
+                    longer = np.empty((2 * (used + length), 2), np.int64)
+                    longer[:used] = cells[:used]
+                    cells = longer
+                write_cells(buffers.came, goal, lattice, cells[used : used + length])
+                offsets[b + 1] = used + length
+                iterations[b] = expanded
+                break
+            if search == ASTAR:
+                wipe(buffers, pushes)
+    return ends, cells[: offsets[count]], offsets, iterations
+
+
+@kernel
+def _pair(number: Int, rooms: Int, route: Int) -> tuple[Int, Int]:
+    """Return seed points i < j of pair ``number``: (q, q + 1) of the route, else in row-major order."""
+    if route:
+        return number, number + 1
+    i = 0
+    while number >= rooms - 1 - i:
+        number -= rooms - 1 - i
+        i += 1
+    return i, i + 1 + number
