@@ -94,7 +94,10 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
 
 
 def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
-    """Return (B, moves, H, W) bool: the moves that ``movement`` allows from each cell; occupied is (B, 1, H, W)."""
+    """Return (B, moves, H, W) bool: the moves that ``movement`` allows from each cell; occupied is (B, 1, H, W).
+
+    The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
+    """
     rows, columns = occupied.shape[2:]
     free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))
 

@@ -30,7 +30,7 @@ TESTED_IN = {
     "mapdata/datasets/field_kernels.py": ("datasets/test_fields.py",),
     "mapdata/datasets/online.py": ("datasets/test_dataset.py",),
     "mapdata/datasets/sampler.py": ("datasets/test_datamodule.py",),
-    "mapdata/datasets/serving.py": ("datasets/test_dataset.py", "datasets/test_datamodule.py"),
+    "mapdata/datasets/arguments.py": ("datasets/test_dataset.py", "datasets/test_datamodule.py"),
     "mapdata/formats/collection.py": ("formats/test_importing.py",),
     "mapdata/formats/files.py": ("formats/test_images.py", "formats/test_planning.py"),
     "mapdata/formats/images.py": ("formats/test_images.py", "formats/test_ros.py"),

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import pytorch_lightning as pl
 from torch.utils.data import DataLoader
 
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample
 from mapdata.datasets.sampler import EpochSampler, LateLoader
-from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest

@@ -17,12 +17,12 @@ import torch
 from torch.utils.data import Dataset
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.fields import hardness as problem_hardness
 from mapdata.datasets.fields import length as path_length_of
 from mapdata.datasets.sample import Rows, Sample, row, sample_class, stack
-from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids

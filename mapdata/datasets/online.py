@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import ProblemDataset
 from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
-from mapdata.datasets.serving import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split

@@ -37,7 +37,7 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
     """Return the free cells of the largest component of ``grid``, (H, W), as row * W + column in row-major order; of
     equally large ones that which holds the first cell.
 
-    ``diagonals`` is as in `kernels.rule_of`; diagonal steps beside two free cells join nothing that
+    ``diagonals`` is as in a `Lattice` of mapdata/search; diagonal steps beside two free cells join nothing that
     straight ones do not.
     """
     rows, columns = grid.shape

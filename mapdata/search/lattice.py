@@ -2,7 +2,8 @@
 
 A grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col) of
 a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``. The legal moves, the heuristic and
-hardness are defined here, once.
+hardness are defined here. The corner rule is written twice more, each for a reason that is said there: `flood` in
+kernels.py, and on tensors `legal_moves` in models/path_predictor.py; tests hold all three together.
 """
 
 from __future__ import annotations

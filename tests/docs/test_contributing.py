@@ -14,21 +14,12 @@ from helpers.pages import ROOT
 from mapdata import MapDataset, build, formats, generators
 from mapdata.datasets import FIELDS
 
-IMPORTS = """
-from dataclasses import dataclass
-from typing import ClassVar
-import numpy as np
-from mapdata import Maze, Movement, Plan, astar, evaluate, formats, generators
-from mapdata.datasets import FIELDS
-from mapdata.problems import Problems
-"""
-
 
 def test_the_examples_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The family is built and served with the field, the format reads a file, and the planner is in a table."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "contributing"}
-    texts = [IMPORTS, *(block.text for block in pages.blocks(ROOT / "CONTRIBUTING.md"))]
+    texts = [block.text for block in pages.blocks(ROOT / "CONTRIBUTING.md")]
     texts[-1] = texts[-1].replace("\nevaluate(", "\ntable = evaluate(")
     with ExitStack() as stack:
         for registry in (FIELDS, formats.FORMATS, generators.GENERATORS, generators.PRESETS):
