@@ -20,7 +20,7 @@ from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
-from mapdata.shards.root import is_url
+from mapdata.shards.root import is_url, places
 from mapdata.spec import SPLITS, Movement
 
 if TYPE_CHECKING:
@@ -91,8 +91,7 @@ class MapDataModule(_Base):
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
-        roots = [] if root is None else [root] if isinstance(root, (str, os.PathLike)) else list(root)
-        self.roots = [os.fspath(each) for each in roots]
+        self.roots = () if root is None else places(root)
         if not self.roots and build is None:
             raise ValueError("root: got None, expected a dataset; or say with build= which maps to make online")
         if build is not None and (len(self.roots) > 1 or any(is_url(each) for each in self.roots)):
@@ -113,7 +112,7 @@ class MapDataModule(_Base):
         self.serving = Serving(fields, source, search, moves, augment, sampling_seed, max_length)
         self.datasets: dict[str, Dataset] = {}
         plain = {**self.loading, **self.serving.plain(), "build": build, "batch_size": batch_size}
-        plain["root"] = self.roots[0] if len(self.roots) == 1 else tuple(self.roots) or None
+        plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None
         self.save_hyperparameters(plain, logger=False)
 
     def prepare_data(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import operator
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -28,6 +27,7 @@ from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import rule_of
+from mapdata.shards.root import Places
 from mapdata.spec import SPLITS, Movement, check_choice
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ class MapDataset(ProblemDataset):
 
     def __init__(
         self,
-        root: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        root: Places,
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
@@ -219,11 +219,8 @@ class MapDataset(ProblemDataset):
         """Read the manifests; shards are opened at their first touch."""
         source = problem_source(problems)
         super().__init__(split, Serving(fields, source, search, movement, augment, sampling_seed, max_length))
-        roots = [root] if isinstance(root, (str, os.PathLike)) else list(root)
-        if not roots:
-            raise ValueError("root: got an empty list, expected at least one dataset")
-        self.roots = [os.fspath(each) for each in roots]
-        self.reader = BatchReader(self.roots, split, source)
+        self.reader = BatchReader(root, split, source)
+        self.roots = self.reader.root.places
         self.movement = movement or self.reader.movement
         self.filters: tuple[dict[str, Any], ...] = ()
         self._kept: Ints | None = None
@@ -398,7 +395,7 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
 
 
 def _reopen(
-    roots: list[str],
+    roots: tuple[str, ...],
     split: str | None,
     serving: Serving,
     filters: tuple[dict[str, Any], ...],

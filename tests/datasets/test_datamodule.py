@@ -488,7 +488,7 @@ def test_cli_checkpoints_come_back(root: str, tmp_path: Path) -> None:
     cli = run_cli(["fit", *QUIET, *flags])
     cli.trainer.save_checkpoint(tmp_path / "cli.ckpt")
     again = MapDataModule.load_from_checkpoint(tmp_path / "cli.ckpt")
-    assert (again.roots, again.batch_size, again.serving.fields) == ([root], 8, FIELDS)
+    assert (again.roots, again.batch_size, again.serving.fields) == ((root,), 8, FIELDS)
 
 
 def test_one_class_serves_both_packages(root: str) -> None:
