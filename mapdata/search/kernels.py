@@ -134,7 +134,7 @@ def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
     return count
 
 
-@kernel
+@inlined
 def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
 
@@ -193,7 +193,7 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
                 pushes += np.uint32(1)
 
 
-@kernel
+@inlined
 def wipe(buffers: Scratch, pushes: Int) -> None:
     """Make ``came`` fresh again after an A*."""
     came = buffers.came
@@ -532,9 +532,11 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
         if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
         for move in range(len(lattice.offsets)):
+            if not is_legal(came, c, move, lattice):
+                continue
             to = c + lattice.offsets[move]
             longer = cost + (UNIT if move < 4 else lattice.step)
-            if longer < costs[to] and is_legal(came, c, move, lattice):
+            if longer < costs[to]:
                 costs[to] = longer
                 ahead = (longer >> UNIT_BITS) % 3
                 pushed[pushes] = to
