@@ -222,7 +222,8 @@ class BatchReader:
     def find(self, indices: Ints) -> tuple[Ints, Ints, Ints, Ints]:
         """Return (shard, map in the shard, room, room) of each problem; the shards are open afterwards."""
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
-        for k in np.unique(shards[self._table[shards, 0] == 0]).tolist():
+        unopened = shards[self._table[shards, 0] == 0]
+        for k in set(unopened.tolist()):
             self.open(k)
         maps, first, second = np.ascontiguousarray(self._rows[indices].T, np.int64)
         return shards, maps, first, second

@@ -162,12 +162,10 @@ def path_probabilities(grids: Bytes, starts: Ints, goals: Ints, cells: Ints, end
         if length == 0:
             continue
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        load(grids[b], came)
-        for point, costs in ((starts[b], around_start), (goals[b], around_goal)):
-            costs[:] = FAR
-            pushed[1] = cell_at(point[0], point[1], lattice)
-            costs[pushed[1]] = 0
-            bucket_search(1, lattice, Scratch(came, costs, pushed, links, buffers.f))
+        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
+        for source, costs in ((start, around_start), (goal, around_goal)):
+            load(grids[b], came)
+            shortest_costs(source, lattice, Scratch(came, costs, pushed, links, buffers.f))
         around_path[:] = FAR
         for k in range(length):
             cell = cell_at(cells[ends[b] + k, 0], cells[ends[b] + k, 1], lattice)

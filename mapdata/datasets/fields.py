@@ -51,8 +51,10 @@ class Paths(NamedTuple):
             lengths[rows] = np.diff(paths.offsets)
             iterations[rows] = paths.iterations
             used += len(paths.cells)
-        offsets = np.append(0, np.cumsum(lengths))
-        chosen = np.repeat(first - offsets[:-1], lengths) + np.arange(offsets[-1])
+        offsets = np.zeros(count + 1, np.int64)
+        np.cumsum(lengths, out=offsets[1:])
+        chosen = np.arange(offsets[-1])
+        chosen += np.repeat(first - offsets[:-1], lengths)
         cells = np.concatenate([paths.cells for _, paths in pieces]).take(chosen, axis=0)
         return Paths(cells, offsets, iterations)
 

@@ -32,6 +32,7 @@ JSON.
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import re
@@ -76,19 +77,20 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Returns:
         Notes for the user.
     """
-    import pandas as pd
-
     (target / "images").mkdir(parents=True)
     with open(target / "maps.csv", "w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        header: list[str] = []
         for labels in root.labels(progress=progress):
             movement = canonical_json(asdict(labels.maps.movement))
-            rows = []
             for k, grid in enumerate(labels.maps.occupancy):
                 row = map_row(labels, k, root.resolution)
-                Image.fromarray(255 * grid).convert("1").save(target / "images" / f"{row['label']}.png")
-                cells = {name: value if isinstance(value, str) else json.dumps(value) for name, value in row.items()}
-                rows.append({**cells, "movement": movement})
-            pd.DataFrame(rows).to_csv(file, index=False, header=file.tell() == 0, lineterminator="\n")
+                Image.fromarray(grid.view(np.bool_)).save(target / "images" / f"{row['label']}.png")
+                if not header:
+                    header = [*row, "movement"]
+                    table.writerow(header)
+                cells = [value if isinstance(value, str) else json.dumps(value) for value in row.values()]
+                table.writerow([*cells, movement])
     return []
 
 

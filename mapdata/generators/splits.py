@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
@@ -11,7 +13,8 @@ from mapdata.rng import SPLIT, block, threshold
 from mapdata.spec import SPLITS, check_fractions, check_seed
 
 
-def split_thresholds(splits: object) -> Words:
+@cache
+def split_thresholds(splits: tuple[float, ...]) -> Words:
     """Return the two integers below which a 32-bit word means train, and train or val.
 
     Raises:

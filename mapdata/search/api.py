@@ -21,6 +21,8 @@ from mapdata.spec import Movement
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
 
+_UINT8 = np.dtype(np.uint8)  # to compare with the class itself takes twice as long
+
 
 class SearchResult(NamedTuple):
     """What a search found.
@@ -205,21 +207,27 @@ def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
         array = np.asarray(grid)
     except ValueError as error:
         raise ValueError(f"grid: {error}") from None
-    if array.ndim != rank or 0 in array.shape[-2:]:
-        raise ValueError(f"grid: got shape {array.shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty")
-    if array.shape[-2] * array.shape[-1] > MAX_CELLS:
+    shape = array.shape
+    if len(shape) != rank or shape[-2] == 0 or shape[-1] == 0:
+        raise ValueError(f"grid: got shape {shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty")
+    if shape[-2] * shape[-1] > MAX_CELLS:
         raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
-    if array.dtype == np.bool_:
-        array = array.view(np.uint8)
-    elif array.dtype != np.uint8:
-        if array.dtype.kind not in "iuf":
-            raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
-        if not np.isin(array, (0, 1)).all():
-            raise ValueError(_values_complaint(array))
-        array = array.astype(np.uint8)
+    if array.dtype != _UINT8:
+        array = _as_bytes(array)
     if not (array.flags.c_contiguous and array.flags.writeable):
         array = np.array(array, order="C")
     return array
+
+
+def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
+    """Return an array of bool, integers or floats, each 0 or 1, as uint8."""
+    if array.dtype == np.bool_:
+        return array.view(np.uint8)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
+    if not np.isin(array, (0, 1)).all():
+        raise ValueError(_values_complaint(array))
+    return array.astype(np.uint8)
 
 
 def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:

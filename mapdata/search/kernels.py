@@ -51,7 +51,7 @@ class Scratch(NamedTuple):
         g: (cells,) cost of the best path to a cell so far.
         pushed: (pushes,) cells, in the order in which they were pushed.
         links: (pushes,) a heap of pushes, or lists of them: the next push of each.
-        f: (pushes,) priority of each push; empty where a search has none.
+        f: (pushes,) priorities of the pushes in the heap; empty where a search has none.
     """
 
     came: Bytes
@@ -206,8 +206,8 @@ def wipe(buffers: Scratch, pushes: Int) -> None:
 def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with any moves and weights; return (iterations, pushes).
 
-    A binary heap of push numbers, the least f on top and among equal f the latest push; ``came`` and
-    ``g`` are as in `astar_manhattan`, costs in 1 / UNIT.
+    A binary heap with the least f on top, and among equal f the latest push. ``links`` holds the numbers of the pushes
+    in the heap, ``f`` their priorities; ``came`` and ``g`` are as in `astar_manhattan`, costs in 1 / UNIT.
     """
     came = buffers.came
     g = buffers.g
@@ -219,7 +219,7 @@ def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers
     came[start] = 0
     g[start] = 0
     pushed[1] = start
-    f[1] = 0
+    f[0] = 0
     heap[0] = 1
     pushes = 2
     size = 1
@@ -228,22 +228,21 @@ def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers
         c = np.int64(pushed[heap[0]])
         size -= 1
         # The last entry goes to the top and down to its place.
-        last = np.int64(heap[size])
-        key = f[last]
+        last = heap[size]
+        key = f[size]
         at = 0
         child = 1
         while child < size:
-            best = np.int64(heap[child])
-            if child + 1 < size:
-                other = np.int64(heap[child + 1])
-                if f[other] < f[best] or (f[other] == f[best] and other > best):
-                    best = other
-                    child += 1
-            if key < f[best] or (key == f[best] and last > best):
+            other = child + 1
+            if other < size and (f[other] < f[child] or (f[other] == f[child] and heap[other] > heap[child])):
+                child = other
+            if key < f[child] or (key == f[child] and last > heap[child]):
                 break
-            heap[at] = best
+            f[at] = f[child]
+            heap[at] = heap[child]
             at = child
             child = 2 * child + 1
+        f[at] = key
         heap[at] = last
         if came[c] & CLOSED:  # it was pushed again with a smaller g, and expanded then
             continue
@@ -252,6 +251,7 @@ def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers
         expanded += 1
         if c == goal:
             break
+        row, column = position(c, lattice)
         for move in range(len(lattice.offsets)):
             if not is_legal(came, c, move, lattice):
                 continue
@@ -261,16 +261,16 @@ def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers
             if before == UNSEEN or (before < CLOSED and g[to] > longer):
                 came[to] = move
                 g[to] = longer
-                row, column = position(to, lattice)
-                h = heuristic(row - goal_row, column - goal_column, lattice)
+                h = heuristic(row + STEPS[move, 0] - goal_row, column + STEPS[move, 1] - goal_column, lattice)
                 # A float would round the h of long distances: the weight of A* keeps it exact.
                 key = way * longer + (h if weight == 1 else np.int64(weight * h))
                 pushed[pushes] = to
-                f[pushes] = key
                 at = size
-                while at and f[heap[(at - 1) >> 1]] >= key:  # up past equal f: this is the latest push
+                while at and f[(at - 1) >> 1] >= key:  # up past equal f: this is the latest push
+                    f[at] = f[(at - 1) >> 1]
                     heap[at] = heap[(at - 1) >> 1]
                     at = (at - 1) >> 1
+                f[at] = key
                 heap[at] = pushes
                 pushes += 1
                 size += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,29 @@ from mapdata.search.kernels import (
     find,
     flood,
     scratch,
+    shortest_costs,
     wipe,
     with_capacity,
     write_moves,
 )
-from mapdata.search.lattice import ASTAR, BFS, STEPS, UNSEEN, WALL, Lattice, Rule, cell_at, lattice_of, rule_of
+from mapdata.search.lattice import (
+    ASTAR,
+    BFS,
+    FAR,
+    STEPS,
+    UNIT,
+    UNSEEN,
+    WALL,
+    Lattice,
+    Rule,
+    cell_at,
+    lattice_of,
+    parts,
+    rule_of,
+)
+
+_MANY = 3
+"""From so many rooms on, one search of the whole map costs less than an A* to each."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +119,7 @@ class Labels:
         straight, diagonal = self.of(search).costs[slice(*self.maps.pair_offsets[i : i + 2])].T
         step = 1.0 if search == "bfs" else self.maps.movement.diagonal_cost
         matrix = np.zeros((n, n))
-        matrix[np.triu_indices(n, 1)] = straight + diagonal * step
+        matrix[_pairs_of(n)] = straight + diagonal * step
         return matrix + matrix.T
 
     def _rooms(self, i: int) -> int:
@@ -117,11 +135,18 @@ class Labels:
         return self.bfs if search == "bfs" else self.astar
 
 
+@cache
+def _pairs_of(rooms: int) -> tuple[Ints, Ints]:
+    """Return rooms i < j of each pair: `numpy.triu_indices` takes longer than a matrix."""
+    return np.triu_indices(rooms, 1)
+
+
 def label(maps: Maps) -> Labels:
     """Return the paper's characterization of ``maps``: routes, iterations and connection matrices by BFS and by A*.
 
-    One breadth-first search from each seed gives its row of the BFS matrix, its segment and the iterations. A*
-    searches every pair of rooms; the searches of consecutive rooms are the segments.
+    One breadth-first search from each seed point gives its row of the BFS matrix, its segment and the iterations. A*
+    searches each segment; what it would cost between the other rooms is found by one search a room, where the shortest
+    paths of a pair of rooms can have only one number of straight and diagonal moves.
 
     Source: arXiv 2110.13242, section III-C and III-D.
 
@@ -206,7 +231,15 @@ def _label(
                 fresh, seed_cells[:n], lattice, flooding, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
             )
         astar_moves, astar_used = _astar_labels(
-            fresh, seed_cells[:n], lattice, searching, astar_table[at], astar_costs[of], astar_moves, astar_used
+            fresh,
+            seed_cells[:n],
+            lattice,
+            searching,
+            bfs_costs[of],
+            astar_table[at],
+            astar_costs[of],
+            astar_moves,
+            astar_used,
         )
     return bfs_moves[:bfs_used], astar_moves[:astar_used]
 
@@ -271,28 +304,57 @@ def _astar_labels(
     cells: Ints,
     lattice: Lattice,
     buffers: Scratch,
+    bfs_costs: Ints,
     table: Ints,
     costs: Ints,
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by A*: a search for each pair of rooms; return the moves and their number."""
+    """Label one map by A*: a search for each segment, and the costs of all pairs as `_fill_costs` finds them.
+
+    Returns the moves and their number.
+    """
     came = buffers.came
     came[:] = fresh
     pair = 0
     for a in range(len(cells) - 1):
-        for b in range(a + 1, len(cells)):
-            straight, diagonal, expanded, pushes = find(cells[a], cells[b], ASTAR, lattice, buffers)
-            costs[pair, 0] = straight
-            costs[pair, 1] = diagonal
-            pair += 1
-            if b == a + 1:
-                length = max(straight + diagonal, 0)
-                table[a, 0] = length
-                table[a, 1] = expanded
-                moves = with_capacity(moves, used, length)
-                used += length
-                if length:
-                    write_moves(came, cells[a], cells[b], lattice, moves, used)
-            wipe(buffers, pushes)
+        straight, diagonal, expanded, pushes = find(cells[a], cells[a + 1], ASTAR, lattice, buffers)
+        length = max(straight + diagonal, 0)
+        table[a, 0] = length
+        table[a, 1] = expanded
+        moves = with_capacity(moves, used, length)
+        used += length
+        if length:
+            write_moves(came, cells[a], cells[a + 1], lattice, moves, used)
+        wipe(buffers, pushes)
+        costs[pair, 0] = straight
+        costs[pair, 1] = diagonal
+        pair += 1
+        others = len(cells) - a - 2
+        _fill_costs(cells[a], cells[a + 2 :], lattice, buffers, bfs_costs[pair : pair + others], costs[pair:])
+        pair += others
     return moves, used
+
+
+@kernel
+def _fill_costs(source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, bfs_costs: Ints, costs: Ints) -> None:
+    """Write the costs from ``source`` to each of ``cells``, as A* finds them, by the least work."""
+    if lattice.diagonals == 0:
+        # Both searches are optimal, and each move costs 1.
+        for k in range(len(cells)):
+            costs[k, 0] = bfs_costs[k, 0]
+            costs[k, 1] = 0
+    elif lattice.step != UNIT and len(cells) >= _MANY:
+        # Only one pair of numbers of moves has the least cost, so any optimal search finds that of A*.
+        shortest_costs(source, lattice, buffers)
+        for k in range(len(cells)):
+            costs[k, 0] = -1
+            costs[k, 1] = 0
+            if buffers.g[cells[k]] != FAR:
+                costs[k, 0], costs[k, 1] = parts(buffers.g[cells[k]])
+    else:
+        for k in range(len(cells)):
+            straight, diagonal, _, pushes = find(source, cells[k], ASTAR, lattice, buffers)
+            costs[k, 0] = straight
+            costs[k, 1] = diagonal
+            wipe(buffers, pushes)

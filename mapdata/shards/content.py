@@ -91,6 +91,8 @@ def _write(
     astar: _Arrays,
 ) -> None:
     """Write the record of every map; ``words`` is ``records`` as int32."""
+    bfs_moves, bfs_offsets, bfs_iterations, bfs_costs = bfs
+    astar_moves, astar_offsets, astar_iterations, astar_costs = astar
     for m in range(len(table)):
         at, n = offsets[m] // 4, table[m, 4]
         words[at], words[at + 1] = size[0], size[1]
@@ -100,17 +102,16 @@ def _write(
         at = _copy_pairs(words, at, seed_points[m], 0, n)
         at = _copy_pairs(words, at, room_sizes[m], 0, n)
         at = _copy_pairs(words, at, directions[m], 0, n - 1)
-        for _, offsets_of_moves, iterations, costs in (bfs, astar):
-            at = _copy_segments(words, at, offsets_of_moves, iterations, segments[m], segments[m + 1])
-            at = _copy_pairs(words, at, costs, pairs[m], pairs[m + 1])
+        at = _copy_segments(words, at, bfs_offsets, bfs_iterations, segments[m], segments[m + 1])
+        at = _copy_pairs(words, at, bfs_costs, pairs[m], pairs[m + 1])
+        at = _copy_segments(words, at, astar_offsets, astar_iterations, segments[m], segments[m + 1])
+        at = _copy_pairs(words, at, astar_costs, pairs[m], pairs[m + 1])
         at *= 4
         for k in range(packed.shape[1]):
             records[at + k] = packed[m, k]
         at += packed.shape[1]
-        for moves, offsets_of_moves, _, _ in (bfs, astar):
-            for k in range(offsets_of_moves[segments[m]], offsets_of_moves[segments[m + 1]]):
-                records[at] = moves[k]
-                at += 1
+        at = _copy_moves(records, at, bfs_moves, bfs_offsets[segments[m]], bfs_offsets[segments[m + 1]])
+        at = _copy_moves(records, at, astar_moves, astar_offsets[segments[m]], astar_offsets[segments[m + 1]])
 
 
 @kernel
@@ -126,4 +127,12 @@ def _copy_segments(words: Int32s, at: int, offsets: Ints, iterations: Ints, firs
     for s in range(first, last):
         words[at], words[at + 1] = offsets[s + 1] - offsets[s], iterations[s]
         at += 2
+    return at
+
+
+@kernel
+def _copy_moves(records: Bytes, at: int, moves: Bytes, first: int, last: int) -> int:
+    for k in range(first, last):
+        records[at] = moves[k]
+        at += 1
     return at
