@@ -1,4 +1,6 @@
-"""The one door to all benchmarks: python -m benchmarks [labels|paths|making|build|loading|planners] [--quick]."""
+"""The one door to all benchmarks: python -m benchmarks [labels|paths|making|build|loading|planners]
+[--quick].
+"""
 
 from __future__ import annotations
 
@@ -12,16 +14,18 @@ TABLES = {
     "paths": "A* a path beside pyastar2d, python-tcod, scipy, scikit-image, networkx, pathfinding",
     "making": "making maps beside maze-dataset",
     "build": "a dataset on disk beside the kernels alone; the first build ever; imports",
-    "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, HF datasets, webdataset",
+    "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
+    "HF datasets, webdataset",
     "planners": "classical and learned planners on the same problems",
 }
 HEAD = """# Benchmarks
 
-Written by `python -m benchmarks{arguments}`. Everything in a table was measured in one run, the contestants taking
-turns on one machine: trust the ratios more than the times. A peer that gives other results than ours stops the run.
-Install the peers with `pip install -e ".[bench]"` (and `maze-dataset "muutils<0.9"` by hand); a missing one is
-skipped by name. Single tables go by their names: labels, paths, making, build, loading, planners. `--quick` takes a
-minute or two; without it there are more repeats, and the figures are steadier.
+Written by `python -m benchmarks{arguments}`. Everything in a table was measured in one run, the
+contestants taking turns on one machine: trust the ratios more than the times. A peer that gives
+other results than ours stops the run. Install the peers with `pip install -e ".[bench]"` (and
+`maze-dataset "muutils<0.9"` by hand); a missing one is skipped by name. Single tables go by their
+names: labels, paths, making, build, loading, planners. `--quick` takes a minute or two; without it
+there are more repeats, and the figures are steadier.
 """
 
 
@@ -33,10 +37,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         epilog="\n".join(f"{name:10}{what}" for name, what in TABLES.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"{', '.join(TABLES)} (default: all)")
-    parser.add_argument("--quick", action="store_true", help="a small run: minutes, and rough figures")
-    parser.add_argument("--folder", help="where datasets are written (default: the temporary folder)")
-    parser.add_argument("--write", metavar="FILE", help="write the tables as a page, such as docs/benchmarks.md")
+    parser.add_argument(
+        "tables", nargs="*", metavar="TABLE", help=f"{', '.join(TABLES)} (default: all)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="a small run: minutes, and rough figures"
+    )
+    parser.add_argument(
+        "--folder", help="where datasets are written (default: the temporary folder)"
+    )
+    parser.add_argument(
+        "--write", metavar="FILE", help="write the tables as a page, such as docs/benchmarks.md"
+    )
     options = parser.parse_args(arguments)
     if unknown := [name for name in options.tables if name not in TABLES]:
         parser.error(f"unknown table {', '.join(unknown)}: expected {', '.join(TABLES)}")
@@ -48,8 +60,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         texts.append(import_module(f"benchmarks.{name}").table(options.quick, options.folder))
         print(texts[-1], flush=True)
     if options.write:
-        said = "".join(f" {word}" for word in (*options.tables, *(["--quick"] if options.quick else [])))
-        Path(options.write).write_text("\n".join([HEAD.format(arguments=said), *texts]), encoding="utf-8")
+        said = "".join(
+            f" {word}" for word in (*options.tables, *(["--quick"] if options.quick else []))
+        )
+        Path(options.write).write_text(
+            "\n".join([HEAD.format(arguments=said), *texts]), encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

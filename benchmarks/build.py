@@ -1,7 +1,8 @@
-"""Building a dataset beside the kernels alone, and what a newcomer waits for: python -m benchmarks build.
+"""Building a dataset beside the kernels alone, and what a newcomer waits for: python -m benchmarks
+build.
 
-Everything is measured in one run. Wall time, so the machine should be idle; every build starts from an empty folder and
-ends with both hashes and all bytes on disk.
+Everything is measured in one run. Wall time, so the machine should be idle; every build starts from
+an empty folder and ends with both hashes and all bytes on disk.
 """
 
 from __future__ import annotations
@@ -32,13 +33,17 @@ def kernels(maps: int) -> None:
         label(generate(SPEC, 0, range(start, min(start + SHARD, maps))))
 
 
-def build_rows(folder: Path, maps: int, rounds: int, target: str, *, beside_kernels: bool) -> list[Row]:
+def build_rows(
+    folder: Path, maps: int, rounds: int, target: str, *, beside_kernels: bool
+) -> list[Row]:
     """Return the rows of building ``maps`` maps with one worker and with two."""
     hashes = set()
 
     def run(workers: int) -> None:
         root = tempfile.mkdtemp(dir=folder)
-        hashes.add(build(root, SPEC, maps=maps, seed=0, shard_size=SHARD, workers=workers).content_hash)
+        hashes.add(
+            build(root, SPEC, maps=maps, seed=0, shard_size=SHARD, workers=workers).content_hash
+        )
 
     def write() -> None:
         root = Path(tempfile.mkdtemp(dir=folder))
@@ -85,14 +90,20 @@ def build_rows(folder: Path, maps: int, rounds: int, target: str, *, beside_kern
                 "0.75x",
                 "generate and label alone, nothing kept",
             ),
-            Row("of which writing and fsync", each(times["write"], 1), note=f"{disk}, written once more with fsync"),
+            Row(
+                "of which writing and fsync",
+                each(times["write"], 1),
+                note=f"{disk}, written once more with fsync",
+            ),
             *rows,
         ]
     return rows
 
 
 def first_rows(folder: Path, repeats: int) -> list[Row]:
-    """Return the rows of the very first build: a fresh process and no compiled kernel, then once more with them."""
+    """Return the rows of the very first build: a fresh process and no compiled kernel, then once
+    more with them.
+    """
     cold: list[float] = []
     warm: list[float] = []
     for k in range(repeats):
@@ -108,7 +119,11 @@ def first_rows(folder: Path, repeats: int) -> list[Row]:
             target="15 s",
             note="compiles every kernel it needs",
         ),
-        Row("the next build, 10,000 maps, a process", each(warm, 1), note="kernels from the cache; imports included"),
+        Row(
+            "the next build, 10,000 maps, a process",
+            each(warm, 1),
+            note="kernels from the cache; imports included",
+        ),
     ]
 
 
@@ -119,7 +134,10 @@ def import_rows(repeats: int) -> list[Row]:
         ("import mapdata", "import mapdata", "0.5 s"),
         ("import all that a build needs", "from mapdata import MapSpec, build", ""),
     ):
-        program = f"import sys, time; began = time.perf_counter(); {statement}; print(time.perf_counter() - began);"
+        program = (
+            f"import sys, time; began = time.perf_counter(); {statement}; "
+            "print(time.perf_counter() - began);"
+        )
         program += f"print(', '.join(name for name in {HEAVY} if name in sys.modules) or 'none')"
         times, loaded = [], set()
         for _ in range(repeats):
@@ -127,7 +145,12 @@ def import_rows(repeats: int) -> list[Row]:
             times.append(float(inside))
             loaded.add(names)
         rows.append(
-            Row(work, each(times, 1), target=target, note=f"of {', '.join(HEAVY)}: {', '.join(sorted(loaded))}")
+            Row(
+                work,
+                each(times, 1),
+                target=target,
+                note=f"of {', '.join(HEAVY)}: {', '.join(sorted(loaded))}",
+            )
         )
     return rows
 
@@ -137,13 +160,19 @@ def _wall(command: list[str], environment: dict[str, str]) -> tuple[float, str]:
     output = []
 
     def run() -> None:
-        output.append(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+        output.append(
+            subprocess.run(
+                command, env=environment, check=True, capture_output=True, text=True
+            ).stdout
+        )
 
     return seconds(run), output[0]
 
 
 def table(quick: bool, parent: str | None = None) -> str:
-    """Measure, and return the table; datasets are written below ``parent``, or the temporary folder."""
+    """Measure, and return the table; datasets are written below ``parent``, or the temporary
+    folder.
+    """
     rounds = 3 if quick else 9
     with tempfile.TemporaryDirectory(dir=parent) as name:
         folder = Path(name)
@@ -154,7 +183,8 @@ def table(quick: bool, parent: str | None = None) -> str:
         rows += first_rows(folder, 1 if quick else 3)
         rows += import_rows(5 if quick else 15)
     notes = (
-        f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3}), taking turns",
+        f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3}), taking "
+        "turns",
         f"preset paper, shards of {SHARD} maps; a target in seconds is a limit",
     )
     return to_text("Building a dataset", rows, packages=PACKAGES, notes=notes)

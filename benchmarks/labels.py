@@ -2,7 +2,8 @@
 
 Run as a file, it prints the table of `paths` too.
 
-Everything is measured in one run. The naive implementation (naive.py) gives the same labels, which is checked first.
+Everything is measured in one run. The naive implementation (naive.py) gives the same labels, which
+is checked first.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ DIFFERENT = 1000
 def label_rows(count: int, rounds: int) -> list[Row]:
     """Return the rows of all labels, and of each stage, beside the naive implementation."""
     spec = MapSpec.preset("paper")
-    # Both sides do the same maps; ours so often that a batch is as large as the one of different maps below.
+    # Both sides do the same maps; ours so often that a batch is as large as the one of different
+    # maps below.
     indices = [*range(count)] * math.ceil(DIFFERENT / count)
     maps = generate(spec, 0, range(count))
     bad = {i: found for i in range(count) if (found := naive.differences(label(maps), i))}
@@ -39,17 +41,25 @@ def label_rows(count: int, rounds: int) -> list[Row]:
     times = interleaved(
         {
             "all": lambda: label(generate(spec, 0, indices)),
-            "naive all": lambda: [naive.label(naive.carve(drawings[i]), work[i][1]) for i in range(count)],
+            "naive all": lambda: [
+                naive.label(naive.carve(drawings[i]), work[i][1]) for i in range(count)
+            ],
             "different": lambda: label(generate(spec, 0, range(DIFFERENT))),
             "draw": lambda: generate(spec, 0, indices),
             "naive draw": lambda: [naive.carve(drawing) for drawing in drawings],
-            "bfs": lambda: mapdata.search_batch("bfs", segments.grids, segments.starts, segments.goals),
+            "bfs": lambda: mapdata.search_batch(
+                "bfs", segments.grids, segments.starts, segments.goals
+            ),
             "naive bfs": lambda: [naive.bfs_route(*each_map) for each_map in work],
             "fields": lambda: [
-                mapdata.distance_field(grid, seed) for grid, seed_points in work for seed in seed_points
+                mapdata.distance_field(grid, seed)
+                for grid, seed_points in work
+                for seed in seed_points
             ],
             "naive fields": lambda: [naive.bfs_matrix(*each_map) for each_map in work],
-            "astar": lambda: mapdata.search_batch("astar", segments.grids, segments.starts, segments.goals),
+            "astar": lambda: mapdata.search_batch(
+                "astar", segments.grids, segments.starts, segments.goals
+            ),
             "naive astar": lambda: [naive.astar_route(*each_map) for each_map in work],
             "pairs": lambda: mapdata.search_batch("astar", pairs.grids, pairs.starts, pairs.goals),
             "naive pairs": lambda: [naive.astar_matrix(*each_map) for each_map in work],
@@ -57,34 +67,77 @@ def label_rows(count: int, rounds: int) -> list[Row]:
         rounds,
     )
     shared = [
-        sum(parts) for parts in zip(*(times[f"naive {name}"] for name in ("draw", "fields", "pairs")), strict=True)
+        sum(parts)
+        for parts in zip(
+            *(times[f"naive {name}"] for name in ("draw", "fields", "pairs")), strict=True
+        )
     ]
 
-    def row(work: str, name: str, batch: int, other: list[float], note: str, target: str = "") -> Row:
+    def row(
+        work: str, name: str, batch: int, other: list[float], note: str, target: str = ""
+    ) -> Row:
         ratio = median_ratio(other, times[name]) * batch / count
-        return Row(work, each(times[name], batch), each(other, count), f"{ratio:,.0f}x", target, note)
+        return Row(
+            work, each(times[name], batch), each(other, count), f"{ratio:,.0f}x", target, note
+        )
 
     many = len(indices)
     return [
-        row("all labels, a map", "all", many, times["naive all"], "naive.py: equal on all maps; no draws", "700x"),
+        row(
+            "all labels, a map",
+            "all",
+            many,
+            times["naive all"],
+            "naive.py: equal on all maps; no draws",
+            "700x",
+        ),
         row("the same", "all", many, shared, "naive.py, had it shared searches as label does"),
         Row("the same, all maps different", each(times["different"], DIFFERENT)),
         row("draw and carve, a map", "draw", many, times["naive draw"], "naive.py: no draws"),
-        row("BFS between consecutive rooms, a map", "bfs", count, times["naive bfs"], "naive.py; search_batch"),
-        row("BFS from every room, a map", "fields", count, times["naive fields"], "naive.py; distance_field a room"),
-        row("A* between consecutive rooms, a map", "astar", count, times["naive astar"], "naive.py; search_batch"),
-        row("A* between all rooms, a map", "pairs", count, times["naive pairs"], "naive.py; search_batch"),
+        row(
+            "BFS between consecutive rooms, a map",
+            "bfs",
+            count,
+            times["naive bfs"],
+            "naive.py; search_batch",
+        ),
+        row(
+            "BFS from every room, a map",
+            "fields",
+            count,
+            times["naive fields"],
+            "naive.py; distance_field a room",
+        ),
+        row(
+            "A* between consecutive rooms, a map",
+            "astar",
+            count,
+            times["naive astar"],
+            "naive.py; search_batch",
+        ),
+        row(
+            "A* between all rooms, a map",
+            "pairs",
+            count,
+            times["naive pairs"],
+            "naive.py; search_batch",
+        ),
     ]
 
 
 def growth_rows(work: float, rounds: int) -> list[Row]:
-    """Return the rows of growing maps: rooms and passages as large a share of the side as in Table 1.
+    """Return the rows of growing maps: rooms and passages as large a share of the side as in Table
+    1.
 
     Args:
         work: how many cells times sources a batch has, about.
         rounds: how often each is timed.
     """
-    batches = [(size, rooms, max(4, round(work / (size * size * rooms)))) for size in SIZES for rooms in ROOMS]
+    batches = [
+        (size, rooms, max(4, round(work / (size * size * rooms))))
+        for size in SIZES
+        for rooms in ROOMS
+    ]
     times = interleaved(
         {
             f"{size} {rooms}": partial(_draw_and_label, table_1(size, (rooms, rooms)), count)
@@ -97,18 +150,33 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
         seconds = times[f"{size} {rooms}"]
         cost[size, rooms] = statistics.median(seconds) / count
         free = 1 - generate(table_1(size, (rooms, rooms)), 0, range(count)).occupancy.mean()
-        note = (
-            f"{cost[size, rooms] * 1e9 / (size * size * rooms):.2f} ns a cell and source; {free:.0%} free; {count} maps"
+        nanoseconds = cost[size, rooms] * 1e9 / (size * size * rooms)
+        note = f"{nanoseconds:.2f} ns a cell and source; {free:.0%} free; {count} maps"
+        rows.append(
+            Row(
+                f"all labels, {size} x {size}, {rooms} rooms, a map",
+                each(seconds, count),
+                note=note,
+            )
         )
-        rows.append(Row(f"all labels, {size} x {size}, {rooms} rooms, a map", each(seconds, count), note=note))
     few, many = ROOMS
     for small, large in pairwise(SIZES):
         growth = " and ".join(f"{cost[large, rooms] / cost[small, rooms]:.1f}x" for rooms in ROOMS)
-        rows.append(Row(f"growth, side {small} to {large}", ratio=growth, target="4x", note=f"{few} and {many} rooms"))
+        rows.append(
+            Row(
+                f"growth, side {small} to {large}",
+                ratio=growth,
+                target="4x",
+                note=f"{few} and {many} rooms",
+            )
+        )
     growth = ", ".join(f"{cost[size, many] / cost[size, few]:.1f}x" for size in SIZES)
     pairs = many * (many - 1) / (few * (few - 1))
     note = f"sides {', '.join(map(str, SIZES))}; {pairs:.1f}x the pairs for A*, and more free cells"
-    return [*rows, Row(f"growth, {few} to {many} rooms", ratio=growth, target=f"{many / few:.1f}x", note=note)]
+    return [
+        *rows,
+        Row(f"growth, {few} to {many} rooms", ratio=growth, target=f"{many / few:.1f}x", note=note),
+    ]
 
 
 def _draw_and_label(spec: MapSpec, count: int) -> object:
@@ -120,7 +188,9 @@ def table(quick: bool, parent: str | None = None) -> str:
     rounds = 3 if quick else 9
     rows = [*label_rows(10 if quick else 40, rounds), *growth_rows(5e6 if quick else 2e8, rounds)]
     notes = (
-        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the median of the repeats'",
-        "preset paper (64 x 64, Table 1), 4-connected; targets are ratios, for growth what linear would be",
+        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
+        "median of the repeats'",
+        "preset paper (64 x 64, Table 1), 4-connected; targets are ratios, for growth what linear "
+        "would be",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)

@@ -1,7 +1,7 @@
 """Loading batches beside what people do otherwise: python -m benchmarks loading.
 
-Everything is measured in one run, on one thread. Readers that stand beside ours must first give equal batches; those
-whose package is not installed are left out.
+Everything is measured in one run, on one thread. Readers that stand beside ours must first give
+equal batches; those whose package is not installed are left out.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ ARROW = Peer("HF datasets", "datasets", "datasets", 'load_from_disk(path).with_f
 TAR = Peer("webdataset", "webdataset", "webdataset", "WebDataset(path).decode().to_tuple(...)")
 PEERS = (
     Peer("in-RAM tensors", "torch", "torch", "tensor[idx]"),
-    Peer("TensorDataset", "torch", "torch", "DataLoader(TensorDataset(*tensors), batch_sampler=...)"),
+    Peer(
+        "TensorDataset", "torch", "torch", "DataLoader(TensorDataset(*tensors), batch_sampler=...)"
+    ),
     Peer("naive h5py", "h5py", "h5py", "h5py.File(path)[name][i]"),
     Peer("npz", "numpy", "numpy", "np.load(path)[name], then array[i]"),
     Peer("PNG + CSV", "pillow", "PIL", "Image.open(png), ast.literal_eval(cell of the csv)"),
@@ -46,13 +48,17 @@ SPEC = MapSpec.preset("paper")
 BATCH = 256
 MASKED = ("map", "start", "goal", "path_mask")
 IN_RAM = 40_000
-"""Samples that readers in RAM hold at most (8 kB each): fewer than ours serve, which is to their advantage."""
+"""Samples that readers in RAM hold at most (8 kB each): fewer than ours serve, which is to their
+advantage.
+"""
 
 Tensors = Sequence[torch.Tensor]
 
 
 class Reader(NamedTuple):
-    """A contestant: gives ``samples`` samples a call, or equal ones to check, and what to say about it."""
+    """A contestant: gives ``samples`` samples a call, or equal ones to check, and what to say about
+    it.
+    """
 
     name: str
     run: Callable[[], object]
@@ -61,7 +67,7 @@ class Reader(NamedTuple):
     target: str = ""
 
 
-# --- data -------------------------------------------------------------------------------------------------------------
+# --- data ---------------------------------------------------------------------------------------
 
 
 def orders(length: int, batches: int) -> list[list[int]]:
@@ -89,7 +95,7 @@ def in_ram(root: Path, count: int) -> list[torch.Tensor]:
     return [torch.cat([getattr(part, name) for part in parts]) for name in MASKED]
 
 
-# --- what people do otherwise -----------------------------------------------------------------------------------------
+# --- what people do otherwise -------------------------------------------------------------------
 
 
 class NaiveH5(Dataset[Any]):
@@ -115,7 +121,8 @@ class Npz(Dataset[Any]):
 
     def __init__(self, path: Path, tensors: Tensors) -> None:
         """Write the file and read it."""
-        np.savez(path, **{name: tensor.numpy() for name, tensor in zip(MASKED, tensors, strict=True)})  # type: ignore[arg-type]
+        arrays = {name: tensor.numpy() for name, tensor in zip(MASKED, tensors, strict=True)}
+        np.savez(path, **arrays)  # type: ignore[arg-type]
         with np.load(path) as file:
             self.arrays = [file[name] for name in MASKED]
 
@@ -161,7 +168,10 @@ def hugging_face(folder: Path, tensors: Tensors) -> Dataset[Any]:
     datasets = ARROW.load()
     datasets.disable_progress_bars()
     size = tuple(tensors[0].shape[1:])
-    picture, cell = datasets.Array3D(size, "uint8"), datasets.Sequence(datasets.Value("int64"), length=2)
+    picture, cell = (
+        datasets.Array3D(size, "uint8"),
+        datasets.Sequence(datasets.Value("int64"), length=2),
+    )
     features = datasets.Features(dict(zip(MASKED, (picture, cell, cell, picture), strict=True)))
     columns = {name: list(tensor.numpy()) for name, tensor in zip(MASKED, tensors, strict=True)}
     datasets.Dataset.from_dict(columns, features=features).save_to_disk(folder)
@@ -182,7 +192,9 @@ def web_dataset(path: Path, tensors: Tensors) -> Iterable[Any]:
                 data.seek(0)
                 tar.addfile(entry, data)
     names = [f"{name}.npy" for name in MASKED]
-    pipeline: Iterable[Any] = webdataset.WebDataset(str(path), shardshuffle=False).decode().to_tuple(*names)
+    pipeline: Iterable[Any] = (
+        webdataset.WebDataset(str(path), shardshuffle=False).decode().to_tuple(*names)
+    )
     return pipeline
 
 
@@ -193,7 +205,11 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
     small = [tensor[:few] for tensor in tensors]
     order = [torch.tensor(batch) for batch in orders(length, 20)]
     outputs = [np.empty((BATCH, *tensor.shape[1:]), tensor.numpy().dtype) for tensor in tensors]
-    ram, naive, npz = TensorDataset(*tensors), NaiveH5(folder / "naive.h5", small), Npz(folder / "maps.npz", small)
+    ram, naive, npz = (
+        TensorDataset(*tensors),
+        NaiveH5(folder / "naive.h5", small),
+        Npz(folder / "maps.npz", small),
+    )
     pictures = Pictures(folder / "pictures", [tensor[:BATCH] for tensor in tensors])
     for dataset in (ram, naive, npz, pictures):
         check(next(iter(DataLoader(dataset, 8))), tensors, type(dataset).__name__)
@@ -208,8 +224,19 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
                 output.fill(1)
 
     found = [
-        Reader("in-RAM tensors, tensor[idx], no DataLoader", index, 20 * BATCH, f"uint8, {length:,} samples", "5x"),
-        Reader("TensorDataset, DataLoader", lambda: drain(loader_of(ram, length, 2)), 2 * BATCH, "default collate"),
+        Reader(
+            "in-RAM tensors, tensor[idx], no DataLoader",
+            index,
+            20 * BATCH,
+            f"uint8, {length:,} samples",
+            "5x",
+        ),
+        Reader(
+            "TensorDataset, DataLoader",
+            lambda: drain(loader_of(ram, length, 2)),
+            2 * BATCH,
+            "default collate",
+        ),
         Reader(
             "naive h5py, DataLoader",
             lambda: drain(loader_of(naive, few, 1)),
@@ -217,18 +244,44 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
             f"contiguous uint8, {few:,} samples",
             "300x",
         ),
-        Reader("npz in RAM, DataLoader", lambda: drain(loader_of(npz, few, 2)), 2 * BATCH, f"{few:,} samples"),
-        Reader("PNG + CSV, DataLoader", lambda: drain(loader_of(pictures, BATCH, 1)), BATCH, "the paper's release"),
-        Reader("memset of the same bytes", fill, 20 * BATCH, "writes only; the same memory again and again"),
+        Reader(
+            "npz in RAM, DataLoader",
+            lambda: drain(loader_of(npz, few, 2)),
+            2 * BATCH,
+            f"{few:,} samples",
+        ),
+        Reader(
+            "PNG + CSV, DataLoader",
+            lambda: drain(loader_of(pictures, BATCH, 1)),
+            BATCH,
+            "the paper's release",
+        ),
+        Reader(
+            "memset of the same bytes",
+            fill,
+            20 * BATCH,
+            "writes only; the same memory again and again",
+        ),
     ]
     if not ARROW.absence:
         arrow = hugging_face(folder / "arrow", small)
         batch = next(iter(DataLoader(arrow, 8)))
         check([batch[name] for name in MASKED], tensors, "datasets")
-        found.append(Reader("HF datasets, DataLoader", lambda: drain(loader_of(arrow, few, 1)), BATCH, "torch format"))
+        found.append(
+            Reader(
+                "HF datasets, DataLoader",
+                lambda: drain(loader_of(arrow, few, 1)),
+                BATCH,
+                "torch format",
+            )
+        )
     if not TAR.absence:
         web = web_dataset(folder / "maps.tar", small[:512])
-        found.append(Reader("webdataset, in order", lambda: drain(web), len(small[0]), "tar of npy, no batches"))
+        found.append(
+            Reader(
+                "webdataset, in order", lambda: drain(web), len(small[0]), "tar of npy, no batches"
+            )
+        )
     return found
 
 
@@ -239,7 +292,7 @@ def check(batch: Sequence[torch.Tensor], tensors: Tensors, name: str) -> None:
             raise SystemExit(f"mapdata and {name} differ in {field}: nothing was measured")
 
 
-# --- rows -------------------------------------------------------------------------------------------------------------
+# --- rows ---------------------------------------------------------------------------------------
 
 
 def rate(times: list[float], samples: int) -> str:
@@ -247,7 +300,9 @@ def rate(times: list[float], samples: int) -> str:
     return f"{samples / statistics.median(times):,.0f} samples/s"
 
 
-def reader_rows(folder: Path, maps: int, rounds: int, *, ram_target: str, only_ram: bool) -> list[Row]:
+def reader_rows(
+    folder: Path, maps: int, rounds: int, *, ram_target: str, only_ram: bool
+) -> list[Row]:
     """Return the rows of our readers and of the others, at one number of maps."""
     one, hundred = folder / "one", folder / "hundred"
     build(one, SPEC, maps=maps, shard_size=maps)
@@ -263,14 +318,21 @@ def reader_rows(folder: Path, maps: int, rounds: int, *, ram_target: str, only_r
     online = loader_of(made, maps, batches)
     readers = {
         "masked": Reader(", ".join(MASKED), ours(one, MASKED), batches * BATCH),
-        "default": Reader("the four default fields", ours(one, ("map", "start", "goal", "path")), batches * BATCH),
-        "moves": Reader("map, goal, optimal_moves", ours(one, ("map", "goal", "optimal_moves")), batches * BATCH),
+        "default": Reader(
+            "the four default fields", ours(one, ("map", "start", "goal", "path")), batches * BATCH
+        ),
+        "moves": Reader(
+            "map, goal, optimal_moves", ours(one, ("map", "goal", "optimal_moves")), batches * BATCH
+        ),
         "hundred": Reader("100 shards", ours(hundred, MASKED), batches * BATCH),
         "online": Reader("online: made and solved", lambda: drain(online), batches * BATCH),
     }
     others = peers(folder, one, 2000)
     others = others[:1] if only_ram else others
-    times = interleaved({key: reader.run for key, reader in readers.items()} | {o.name: o.run for o in others}, rounds)
+    times = interleaved(
+        {key: reader.run for key, reader in readers.items()} | {o.name: o.run for o in others},
+        rounds,
+    )
     base = times["masked"]
     size = f"{maps:,} maps"
 
@@ -282,7 +344,8 @@ def reader_rows(folder: Path, maps: int, rounds: int, *, ram_target: str, only_r
             rate(times[other], theirs.samples),
             f"{median_ratio(times[other], times[key]):.2f}x",
             target,
-            f"beside mapdata's {'default fields' if other == 'default' else 'masked fields of one shard'}",
+            "beside mapdata's "
+            f"{'default fields' if other == 'default' else 'masked fields of one shard'}",
         )
 
     rows = []
@@ -291,7 +354,16 @@ def reader_rows(folder: Path, maps: int, rounds: int, *, ram_target: str, only_r
         target = ram_target if other.name.startswith("in-RAM") else other.target
         text = f"{ratio:,.0f}x" if ratio >= 100 else f"{ratio:.2f}x"
         mine, theirs = rate(base, batches * BATCH), rate(times[other.name], other.samples)
-        rows.append(Row(f"{size}: {', '.join(MASKED)}", mine, theirs, text, target, f"{other.name}: {other.note}"))
+        rows.append(
+            Row(
+                f"{size}: {', '.join(MASKED)}",
+                mine,
+                theirs,
+                text,
+                target,
+                f"{other.name}: {other.note}",
+            )
+        )
     rows += [
         beside("default", "masked", "0.8x"),
         beside("moves", "masked", ""),
@@ -314,7 +386,11 @@ def opening_rows(folder: Path, rounds: int) -> list[Row]:
     times = interleaved({"touch": touch}, rounds)["touch"]
     size = len(pickle.dumps(opened[0]))
     rows = [
-        Row("open 100 shards and read from each", f"{statistics.median(times) * 1e3:.0f} ms", target="200 ms"),
+        Row(
+            "open 100 shards and read from each",
+            f"{statistics.median(times) * 1e3:.0f} ms",
+            target="200 ms",
+        ),
         Row("pickle of a used dataset", f"{size:,} bytes", target="10,000 bytes"),
     ]
     if Path("/proc/self/status").exists():
@@ -328,7 +404,9 @@ def opening_rows(folder: Path, rounds: int) -> list[Row]:
 def worker_memory(root: Path) -> list[int]:
     """Return the private memory of a loader's worker after each of three epochs, in kB."""
     dataset = MapDataset(root, "val", MASKED)
-    loader = DataLoader(dataset, BATCH, num_workers=1, persistent_workers=True, multiprocessing_context="fork")
+    loader = DataLoader(
+        dataset, BATCH, num_workers=1, persistent_workers=True, multiprocessing_context="fork"
+    )
     held = []
     for _ in range(3):
         drain(loader)
@@ -414,9 +492,21 @@ def trainer_rows(folder: Path, rounds: int, batches: int) -> list[Row]:
         times[name].append(model.seconds)
     times = {name: values[1:] for name, values in times.items()}  # the first round warms up
     pairs = (
-        ("plain", "ready", "MapDataset in a DataLoader, uint8; beside one ready batch in the same Trainer"),
-        ("module", "ready, cast", "MapDataModule; beside one ready batch, both cast to float32 by the module"),
-        ("module", "ready", "MapDataModule, cast to float32; beside one ready batch that is not cast"),
+        (
+            "plain",
+            "ready",
+            "MapDataset in a DataLoader, uint8; beside one ready batch in the same Trainer",
+        ),
+        (
+            "module",
+            "ready, cast",
+            "MapDataModule; beside one ready batch, both cast to float32 by the module",
+        ),
+        (
+            "module",
+            "ready",
+            "MapDataModule, cast to float32; beside one ready batch that is not cast",
+        ),
     )
     return [
         Row(
@@ -432,7 +522,9 @@ def trainer_rows(folder: Path, rounds: int, batches: int) -> list[Row]:
 
 
 def table(quick: bool, parent: str | None = None) -> str:
-    """Measure, and return the table; datasets are written below ``parent``, or the temporary folder."""
+    """Measure, and return the table; datasets are written below ``parent``, or the temporary
+    folder.
+    """
     rounds = 3 if quick else 9
     logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
     threads = torch.get_num_threads()
@@ -453,7 +545,9 @@ def table(quick: bool, parent: str | None = None) -> str:
             rows += reader_rows(folder, 100_000, rounds, ram_target="3x", only_ram=True)
     torch.set_num_threads(threads)
     notes = (
-        f"medians of {rounds} repeats, the readers taking turns; one thread; a ratio is the median of the repeats'",
-        f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0; data fresh in the page cache",
+        f"medians of {rounds} repeats, the readers taking turns; one thread; a ratio is the "
+        "median of the repeats'",
+        f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0; data fresh "
+        "in the page cache",
     )
     return to_text("Loading", rows, packages=PACKAGES, notes=notes, peers=PEERS)

@@ -1,4 +1,6 @@
-"""What the benchmarks share: timing side by side, and one markdown table with the machine and the versions on top."""
+"""What the benchmarks share: timing side by side, and one markdown table with the machine and the
+versions on top.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,7 @@ class Peer(NamedTuple):
         """Why it is skipped; empty if it is there."""
         return absence(self.module)
 
-    def load(self) -> Any:  # noqa: ANN401  (peers ship types or not)
+    def load(self) -> Any:
         """Return its module."""
         return import_module(self.module)
 
@@ -59,19 +61,25 @@ def absence(module: str) -> str:
     try:
         import_module(module)
     except ModuleNotFoundError as error:
-        return "not installed" if error.name and module.startswith(error.name) else f"does not import: {error}"
+        return (
+            "not installed"
+            if error.name and module.startswith(error.name)
+            else f"does not import: {error}"
+        )
     except ImportError as error:
         return f"does not import: {error}"
     return ""
 
 
 def interleaved(
-    contestants: Mapping[str, Callable[[], object]], rounds: int, after: Callable[[], object] = lambda: None
+    contestants: Mapping[str, Callable[[], object]],
+    rounds: int,
+    after: Callable[[], object] = lambda: None,
 ) -> dict[str, list[float]]:
     """Return the seconds that a call of each contestant took, one value a round.
 
-    Each is called twice to warm up. Then the contestants take turns, so that what else the machine does meets all of
-    them. ``after`` is called after each timing, to clean up.
+    Each is called twice to warm up. Then the contestants take turns, so that what else the machine
+    does meets all of them. ``after`` is called after each timing, to clean up.
     """
     calls = {}
     for name, function in contestants.items():
@@ -108,17 +116,29 @@ def each(times: list[float], count: int) -> str:
 
 
 def to_text(
-    title: str, rows: Iterable[Row], *, packages: Sequence[str], notes: Iterable[str], peers: Sequence[Peer] = ()
+    title: str,
+    rows: Iterable[Row],
+    *,
+    packages: Sequence[str],
+    notes: Iterable[str],
+    peers: Sequence[Peer] = (),
 ) -> str:
     """Return the table in markdown, with versions, machine and the peers' commands on top."""
     found = versions([*packages, *(peer.package for peer in peers if peer.package not in packages)])
-    commands = [f"{peer.name}: {f'skipped, {why}' if (why := peer.absence) else f'`{peer.command}`'}" for peer in peers]
+    commands = [
+        f"{peer.name}: {f'skipped, {why}' if (why := peer.absence) else f'`{peer.command}`'}"
+        for peer in peers
+    ]
     head = [f"## {title}", "", *(f"- {fact}" for fact in (found, machine(), *notes, *commands)), ""]
     lines = [[*Row._fields], *([*row] for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(Row._fields))]
     lines.insert(1, ["-" * width for width in widths])
     for cells in lines:
-        head.append("| " + " | ".join(text.ljust(width) for text, width in zip(cells, widths, strict=True)) + " |")
+        head.append(
+            "| "
+            + " | ".join(text.ljust(width) for text, width in zip(cells, widths, strict=True))
+            + " |"
+        )
     return "\n".join(head) + "\n"
 
 
@@ -137,7 +157,11 @@ def machine() -> str:
     """Return processor, cores, system, and how busy the machine is."""
     name = platform.processor() or platform.machine()
     if (cpuinfo := Path("/proc/cpuinfo")).exists():
-        models = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        models = [
+            line.split(":", 1)[1].strip()
+            for line in cpuinfo.read_text().splitlines()
+            if "model name" in line
+        ]
         name = models[0] if models else name
     load = f", load {os.getloadavg()[0]:.1f} at the end" if hasattr(os, "getloadavg") else ""
     return f"{name}, {os.cpu_count()} cores, {platform.system()} {platform.release()}{load}"

@@ -1,8 +1,10 @@
-"""The labels of `mapdata` as one writes them in an afternoon: numpy slices, a deque for BFS, a heap for A*.
+"""The labels of `mapdata` as one writes them in an afternoon: numpy slices, a deque for BFS, a heap
+for A*.
 
-The yardstick of benchmarks/labels.py. It gives the same paths, iterations and matrices as `mapdata.label`, cell by
-cell, and is neither tuned nor slowed down: the route is searched segment by segment, the BFS matrix takes one search
-from each seed, the A* matrix one for each pair of seeds.
+The yardstick of benchmarks/labels.py. It gives the same paths, iterations and matrices as
+`mapdata.label`, cell by
+cell, and is neither tuned nor slowed down: the route is searched segment by segment, the BFS matrix
+takes one search from each seed, the A* matrix one for each pair of seeds.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ NEIGHBOURS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 class Drawing(NamedTuple):
     """What was drawn to make one map: Algorithm 1 before anything is carved.
 
-    ``seed_points`` and ``sizes`` are (row, col) and (rows, columns) a room; ``horizontal_first`` is a passage's fair
-    coin, or None where no passage is.
+    ``seed_points`` and ``sizes`` are (row, col) and (rows, columns) a room; ``horizontal_first`` is
+    a passage's fair coin, or None where no passage is.
     """
 
     map_size: tuple[int, int]
@@ -63,7 +65,9 @@ def carve(drawing: Drawing) -> Grid:
     for (row, column), (rows, columns) in zip(drawing.seed_points, drawing.sizes, strict=True):
         top, left = row - rows // 2, column - columns // 2
         grid[max(top, 0) : top + rows, max(left, 0) : left + columns] = 0
-    for (a, b), horizontal_first in zip(pairwise(drawing.seed_points), drawing.horizontal_first, strict=True):
+    for (a, b), horizontal_first in zip(
+        pairwise(drawing.seed_points), drawing.horizontal_first, strict=True
+    ):
         if horizontal_first is None:
             continue
         row, column = (a[0], b[1]) if horizontal_first else (b[0], a[1])
@@ -121,7 +125,12 @@ def bfs(grid: Grid, start: Cell, goal: Cell) -> Found:
             return Found(trace(parents, goal), iterations)
         for down, right in NEIGHBOURS:
             row, column = cell[0] + down, cell[1] + right
-            if 0 <= row < rows and 0 <= column < columns and grid[row, column] == 0 and (row, column) not in parents:
+            if (
+                0 <= row < rows
+                and 0 <= column < columns
+                and grid[row, column] == 0
+                and (row, column) not in parents
+            ):
                 parents[row, column] = cell
                 frontier.append((row, column))
     return Found([], iterations)
@@ -136,7 +145,12 @@ def distances(grid: Grid, start: Cell) -> dict[Cell, int]:
         cell = frontier.popleft()
         for down, right in NEIGHBOURS:
             row, column = cell[0] + down, cell[1] + right
-            if 0 <= row < rows and 0 <= column < columns and grid[row, column] == 0 and (row, column) not in moves:
+            if (
+                0 <= row < rows
+                and 0 <= column < columns
+                and grid[row, column] == 0
+                and (row, column) not in moves
+            ):
                 moves[row, column] = moves[cell] + 1
                 frontier.append((row, column))
     return moves
@@ -179,11 +193,13 @@ def trace(parents: dict[Cell, Cell], goal: Cell) -> list[Cell]:
     return path[::-1]
 
 
-# --- beside mapdata ---------------------------------------------------------------------------------------------------
+# --- beside mapdata -----------------------------------------------------------------------------
 
 
 def drawing_of(maps: Maps, i: int) -> Drawing:
-    """Return what `mapdata.generate` drew for map ``i`` of a batch, so that both sides work on the same map."""
+    """Return what `mapdata.generate` drew for map ``i`` of a batch, so that both sides work on the
+    same map.
+    """
     n = int(maps.rooms[i])
     coins = maps.directions[i, : n - 1, 0].tolist()
     return Drawing(
@@ -201,8 +217,8 @@ def seed_points_of(maps: Maps, i: int) -> list[Cell]:
 
 
 def differences(labels: mapdata.Labels, i: int) -> list[str]:
-    """Return the names of what `mapdata` and this file find differently on map ``i`` of a batch: none, if all is
-    well.
+    """Return the names of what `mapdata` and this file find differently on map ``i`` of a batch:
+    none, if all is well.
     """
     grid = carve(drawing_of(labels.maps, i))
     mine = label(grid, seed_points_of(labels.maps, i))
@@ -211,7 +227,9 @@ def differences(labels: mapdata.Labels, i: int) -> list[str]:
         ("bfs", mine.bfs_route, mine.bfs_matrix),
         ("astar", mine.astar_route, mine.astar_matrix),
     ):
-        paths = [[(row, column) for row, column in path.tolist()] for path in labels.route(search, i)]
+        paths = [
+            [(row, column) for row, column in path.tolist()] for path in labels.route(search, i)
+        ]
         if [segment.path for segment in route] != paths:
             found.append(f"{search} route")
         if [segment.iterations for segment in route] != labels.iterations(search, i).tolist():

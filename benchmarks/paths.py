@@ -1,7 +1,7 @@
 """A* a path from Python beside what a user would otherwise pick: python -m benchmarks paths.
 
-Everything is measured in one run. Each peer solves the same problems on its own kind of grid, made beforehand, and must
-find paths of the same length; one that is not installed is skipped by name.
+Everything is measured in one run. Each peer solves the same problems on its own kind of grid, made
+beforehand, and must find paths of the same length; one that is not installed is skipped by name.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ PACKAGES = ("mapdata", "numpy", "numba")
 
 @dataclass(frozen=True)
 class Problems:
-    """P path problems: (P, H, W) uint8 grids, (P, 2) start and goal cells, and the number of each one's map."""
+    """P path problems: (P, H, W) uint8 grids, (P, 2) start and goal cells, and the number of each
+    one's map.
+    """
 
     grids: Bytes
     starts: Ints
@@ -44,16 +46,22 @@ class Problems:
 
     def __iter__(self) -> Iterator[tuple[int, Cell, Cell]]:
         """Yield number, start and goal of each problem."""
-        for k, (start, goal) in enumerate(zip(self.starts.tolist(), self.goals.tolist(), strict=True)):
+        for k, (start, goal) in enumerate(
+            zip(self.starts.tolist(), self.goals.tolist(), strict=True)
+        ):
             yield k, (start[0], start[1]), (goal[0], goal[1])
 
     def first(self, count: int) -> Problems:
         """Return the first ``count`` problems."""
-        return Problems(self.grids[:count], self.starts[:count], self.goals[:count], self.owners[:count])
+        return Problems(
+            self.grids[:count], self.starts[:count], self.goals[:count], self.owners[:count]
+        )
 
 
 def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
-    """Return the problems of a batch: between consecutive seeds, or between every pair of seeds of a map."""
+    """Return the problems of a batch: between consecutive seeds, or between every pair of seeds of
+    a map.
+    """
     owners, starts, goals = [], [], []
     for i in range(len(maps)):
         seed_points = naive.seed_points_of(maps, i)
@@ -65,32 +73,34 @@ def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
 
 
 def table_1(size: int, rooms: tuple[int, int] = (2, 9)) -> MapSpec:
-    """Return Table 1 for maps of ``size`` x ``size``: rooms and passages as large a share of the side."""
+    """Return Table 1 for maps of ``size`` x ``size``: rooms and passages as large a share of the
+    side.
+    """
     scale = size // 64
     sides = 14 * scale, 33 * scale
     width = 7 * scale, 15 * scale
     return MapSpec((size, size), rooms, room_rows=sides, room_columns=sides, passage_width=width)
 
 
-# --- the peers: each makes its kind of grid once, and gives a function from start and goal to a path ------------------
+# --- the peers: each makes its kind of grid once, and gives a function from start and goal to a p
 
 Solver: TypeAlias = Callable[[Cell, Cell], Path]
 
 
-def pyastar2d(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+def pyastar2d(module: Any, grid: Bytes) -> Solver:
     """Weights in float32, infinite where occupied."""
     weights = np.where(grid == 1, np.inf, 1).astype(np.float32)
     return lambda start, goal: none_is_empty(module.astar_path(weights, start, goal))
 
 
-def tcod(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+def tcod(module: Any, grid: Bytes) -> Solver:
     """A cost of 0 where occupied."""
     cost = (1 - grid).astype(np.int8)
     path2d = partial(module.path2d, cost, cardinal=1, diagonal=0)
     return lambda start, goal: path2d(start_points=[start], end_points=[goal])
 
 
-def scipy(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+def scipy(module: Any, grid: Bytes) -> Solver:
     """A sparse graph, both directions of each edge; the path is walked back."""
     from scipy.sparse import csr_matrix
 
@@ -113,13 +123,15 @@ def scipy(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
     return solve
 
 
-def skimage(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+def skimage(module: Any, grid: Bytes) -> Solver:
     """Costs of 1, negative where occupied: no way through."""
     costs = np.where(grid == 1, -1.0, 1.0)
 
     def solve(start: Cell, goal: Cell) -> Path:
         try:
-            found: Path = module.route_through_array(costs, start, goal, fully_connected=False, geometric=False)[0]
+            found: Path = module.route_through_array(
+                costs, start, goal, fully_connected=False, geometric=False
+            )[0]
         except ValueError:  # its word for no path
             return []
         return found
@@ -127,7 +139,7 @@ def skimage(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
     return solve
 
 
-def networkx(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+def networkx(module: Any, grid: Bytes) -> Solver:
     """A graph of numbered cells; its shortest_path searches from both ends."""
     graph = module.Graph()
     graph.add_nodes_from(np.flatnonzero(grid == 0).tolist())
@@ -145,7 +157,7 @@ def networkx(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
     return solve
 
 
-def pathfinding(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
+def pathfinding(module: Any, grid: Bytes) -> Solver:
     """Its grid, 1 free, cleaned between searches."""
     from importlib import import_module
 
@@ -154,7 +166,9 @@ def pathfinding(module: Any, grid: Bytes) -> Solver:  # noqa: ANN401
 
     def solve(start: Cell, goal: Cell) -> Path:
         world.cleanup()
-        found: Path = finder.find_path(world.node(start[1], start[0]), world.node(goal[1], goal[0]), world)[0]
+        found: Path = finder.find_path(
+            world.node(start[1], start[0]), world.node(goal[1], goal[0]), world
+        )[0]
         return found
 
     return solve
@@ -175,11 +189,31 @@ def none_is_empty(path: Path | None) -> Path:
 
 PEERS: dict[Peer, Callable[[Any, Bytes], Solver]] = {
     Peer("pyastar2d", "pyastar2d", "pyastar2d", "astar_path(weights, start, goal)"): pyastar2d,
-    Peer("python-tcod", "tcod", "tcod.path", "path2d(cost, start_points=[s], end_points=[g], cardinal=1)"): tcod,
-    Peer("scipy", "scipy", "scipy.sparse.csgraph", "breadth_first_order(graph, start), then back from goal"): scipy,
-    Peer("scikit-image", "scikit-image", "skimage.graph", "route_through_array(costs, start, goal, False)"): skimage,
+    Peer(
+        "python-tcod",
+        "tcod",
+        "tcod.path",
+        "path2d(cost, start_points=[s], end_points=[g], cardinal=1)",
+    ): tcod,
+    Peer(
+        "scipy",
+        "scipy",
+        "scipy.sparse.csgraph",
+        "breadth_first_order(graph, start), then back from goal",
+    ): scipy,
+    Peer(
+        "scikit-image",
+        "scikit-image",
+        "skimage.graph",
+        "route_through_array(costs, start, goal, False)",
+    ): skimage,
     Peer("networkx", "networkx", "networkx", "shortest_path(graph, start, goal)"): networkx,
-    Peer("pathfinding", "pathfinding", "pathfinding.finder.a_star", "AStarFinder().find_path(s, g, grid)"): pathfinding,
+    Peer(
+        "pathfinding",
+        "pathfinding",
+        "pathfinding.finder.a_star",
+        "AStarFinder().find_path(s, g, grid)",
+    ): pathfinding,
 }
 
 
@@ -196,19 +230,23 @@ def solve_with(peer: Peer, problems: Problems) -> Callable[[], list[Path]]:
     def run() -> list[Path]:
         return [solvers[k](start, goal) for k, start, goal in problems]
 
-    ours = np.diff(mapdata.search_batch("astar", problems.grids, problems.starts, problems.goals).offsets)
+    ours = np.diff(
+        mapdata.search_batch("astar", problems.grids, problems.starts, problems.goals).offsets
+    )
     for k, path in enumerate(run()):
         if len(path) != ours[k]:
-            raise SystemExit(f"mapdata and {peer.name} differ: {ours[k]} and {len(path)} cells on problem {k}")
+            raise SystemExit(
+                f"mapdata and {peer.name} differ: {ours[k]} and {len(path)} cells on problem {k}"
+            )
     return run
 
 
-# --- rows -------------------------------------------------------------------------------------------------------------
+# --- rows ---------------------------------------------------------------------------------------
 
 
 def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
-    """Return the rows of maps of ``size`` x ``size``: ``count`` of them for single calls and batches beside pyastar2d,
-    their first ``few`` problems beside every peer.
+    """Return the rows of maps of ``size`` x ``size``: ``count`` of them for single calls and
+    batches beside pyastar2d, their first ``few`` problems beside every peer.
     """
     maps = generate(table_1(size), 1, range(count))
     own = problems_of(maps, every_pair=False)
@@ -230,7 +268,10 @@ def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
     }
     fastest, *others = PEERS
     if not fastest.absence:
-        contestants |= {"theirs": solve_with(fastest, own), "theirs on one": solve_with(fastest, one)}
+        contestants |= {
+            "theirs": solve_with(fastest, own),
+            "theirs on one": solve_with(fastest, one),
+        }
     contestants |= {peer.name: solve_with(peer, some) for peer in others if not peer.absence}
     times = interleaved(contestants, rounds)
 
@@ -240,7 +281,12 @@ def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
             return Row(work, value, target=target, note=f"{peer.name}: skipped")
         ratio = f"{median_ratio(times[other], times[name]):,.1f}x"
         return Row(
-            work, value, each(times[other], total), ratio, target, f"{peer.name}: equal lengths, {total:,} paths"
+            work,
+            value,
+            each(times[other], total),
+            ratio,
+            target,
+            f"{peer.name}: equal lengths, {total:,} paths",
         )
 
     sized = f"A* a path, {size} x {size}"
@@ -259,7 +305,9 @@ def table(quick: bool, parent: str | None = None) -> str:
     count = 100 if quick else 400
     rows = [*rows_of(64, count, 100, rounds), *rows_of(256, count // 4, 25, rounds)]
     notes = (
-        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the median of the repeats'",
-        "maps of Table 1, for 256 x 256 with 4 times the sides; between consecutive rooms, 4-connected",
+        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
+        "median of the repeats'",
+        "maps of Table 1, for 256 x 256 with 4 times the sides; between consecutive rooms, "
+        "4-connected",
     )
     return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])

@@ -25,5 +25,10 @@ def table(quick: bool, parent: str | None = None) -> str:
     )
     if process.returncode:
         raise SystemExit(f"{SCRIPT} failed:\n{process.stderr}")
-    head = [f"- {fact}" for fact in (versions(PACKAGES), machine(), f"`python {' '.join((SCRIPT, *arguments))}`")]
-    return "\n".join(["## Planners", "", *head, "", "```text", process.stdout.rstrip(), "```"]) + "\n"
+    head = [
+        f"- {fact}"
+        for fact in (versions(PACKAGES), machine(), f"`python {' '.join((SCRIPT, *arguments))}`")
+    ]
+    return (
+        "\n".join(["## Planners", "", *head, "", "```text", process.stdout.rstrip(), "```"]) + "\n"
+    )

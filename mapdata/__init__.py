@@ -1,6 +1,8 @@
-"""Dungeon-like 2D grid maps with shortest paths and room-to-room distances, for planners that learn by example.
+"""Dungeon-like 2D grid maps with shortest paths and room-to-room distances, for planners that learn
+by example.
 
-The public names stand here and are imported on first use: ``import mapdata`` loads neither torch nor numba.
+The public names stand here and are imported on first use: ``import mapdata`` loads neither torch
+nor numba.
 """
 
 from __future__ import annotations
@@ -48,7 +50,16 @@ _FACES = {
     "evaluation": ("Plan", "evaluate"),
     "generators": ("Generator", "MapSpec", "Maps", "Maze", "generate", "identity"),
     "problems": ("Pairs", "Problems", "Random", "Route"),
-    "search": ("Labels", "SearchResult", "astar", "bfs", "check_path", "distance_field", "label", "search_batch"),
+    "search": (
+        "Labels",
+        "SearchResult",
+        "astar",
+        "bfs",
+        "check_path",
+        "distance_field",
+        "label",
+        "search_batch",
+    ),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
     "spec": ("Movement",),
 }

@@ -21,8 +21,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 def source_hash(package: Path) -> str:
     """Return a hash of all sources in ``package`` that define kernels.
 
-    numba watches only the file of the function it compiled. A kernel that calls one of another file would go on
-    giving the old bytes after an edit there, so the name of the cache folder covers all of them.
+    numba watches only the file of the function it compiled. A kernel that calls one of another file
+    would go on giving the old bytes after an edit there, so the name of the cache folder covers all
+    of them.
     """
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
@@ -33,7 +34,9 @@ def source_hash(package: Path) -> str:
 
 
 def cache_home() -> Path:
-    """Return the user's cache folder: compiled code is loaded from it, so it must not be a shared one like /tmp."""
+    """Return the user's cache folder: compiled code is loaded from it, so it must not be a shared
+    one like /tmp.
+    """
     if override := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(override)
     if sys.platform == "win32":
@@ -54,7 +57,9 @@ def _writable(folder: Path) -> bool:
 CACHE_FOLDER = cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
 _CACHED = _writable(CACHE_FOLDER)
 if not _CACHED:
-    warnings.warn(f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process", stacklevel=2)
+    warnings.warn(
+        f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process", stacklevel=2
+    )
 
 
 def kernel(function: F) -> F:
@@ -77,6 +82,7 @@ def kernel(function: F) -> F:
 def inlined(function: F) -> F:
     """Mark ``function`` as a part of kernels, taken into each at its call.
 
-    A call with array arguments counts their references, which costs more than what a small helper does.
+    A call with array arguments counts their references, which costs more than what a small helper
+    does.
     """
     return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))

@@ -2,9 +2,9 @@
 
 Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011, https://doi.org/10.1145/2063384.2063405.
 
-A draw is a pure function of (seed, index, epoch, stream, number): there is no state to share, save or advance, so any
-worker can make any map in any order. Nothing here uses floating point or numpy's generators, whose methods are not
-promised to stay the same between versions.
+A draw is a pure function of (seed, index, epoch, stream, number): there is no state to share, save
+or advance, so any worker can make any map in any order. Nothing here uses floating point or numpy's
+generators, whose methods are not promised to stay the same between versions.
 """
 
 from __future__ import annotations
@@ -25,8 +25,12 @@ Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 
 @kernel
-def philox4x32(c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64) -> Words:
-    """Return the four 32-bit words of philox4x32-10 for a counter and a key, each a uint64 below 2**32."""
+def philox4x32(
+    c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
+) -> Words:
+    """Return the four 32-bit words of philox4x32-10 for a counter and a key, each a uint64 below
+    2**32.
+    """
     for _ in range(10):
         p0, p1 = c0 * _M0, c2 * _M1
         c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW
@@ -58,10 +62,14 @@ def block(seed: np.uint64, index: np.uint64, epoch: Int, stream: Int, number: In
 
 @kernel
 def bounded(word: np.uint64, low: Int, high: Int) -> Int:
-    """Return an integer in [low, high] by multiply-high of a 32-bit word (bias below (high - low + 1) / 2**32)."""
+    """Return an integer in [low, high] by multiply-high of a 32-bit word (bias below (high - low +
+    1) / 2**32).
+    """
     return low + np.int64((word * np.uint64(high - low + 1)) >> _HALF)
 
 
 def threshold(probability: float) -> int:
-    """Return the integer below which a 32-bit word means that an event of this probability happens."""
+    """Return the integer below which a 32-bit word means that an event of this probability
+    happens.
+    """
     return round(probability * 2**32)

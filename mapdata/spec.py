@@ -1,4 +1,6 @@
-"""The rule by which one moves on a map, and the checks of plain values that all specifications share."""
+"""The rule by which one moves on a map, and the checks of plain values that all specifications
+share.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from typing import Any
 FORMAT_VERSIONS = (1, 2)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
 
-Version 2 says what version 1 cannot: maps of another generator than Algorithm 1. All else stays version 1.
+Version 2 says what version 1 cannot: maps of another generator than Algorithm 1. All else stays
+version 1.
 """
 
 MAX_SIDE = 1024
@@ -31,9 +34,10 @@ class Movement:
     """How one moves on a grid.
 
     Attributes:
-        connectivity: 4 (north, east, south, west; the paper's distance in pixels) or 8 (diagonals too).
-        corner_cutting: True lets a diagonal step pass between or beside occupied cells; False demands that both
-            orthogonal neighbours are free. Only with 8.
+        connectivity: 4 (north, east, south, west; the paper's distance in pixels) or 8 (diagonals
+            too).
+        corner_cutting: True lets a diagonal step pass between or beside occupied cells; False
+            demands that both orthogonal neighbours are free. Only with 8.
         diagonal_cost: sqrt(2), or 1 to reproduce data that count moves. Only with 8.
 
     Raises:
@@ -56,12 +60,19 @@ class Movement:
             raise ValueError(f"diagonal_cost: got {cost!r}, expected 1 or sqrt(2) = {math.sqrt(2)}")
         object.__setattr__(self, "diagonal_cost", exact[0])
         if self.connectivity == 4 and (self.corner_cutting or exact[0] == 1.0):
-            raise ValueError("connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do nothing")
+            raise ValueError(
+                "connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do "
+                "nothing"
+            )
 
 
 def canonical_json(values: object) -> str:
-    """Return the one JSON text of ``values`` that hashes are taken of: sorted keys, no white space, ASCII."""
-    return json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    """Return the one JSON text of ``values`` that hashes are taken of: sorted keys, no white space,
+    ASCII.
+    """
+    return json.dumps(
+        values, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
+    )
 
 
 def check_seed(seed: int) -> int:
@@ -106,11 +117,17 @@ def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
 
 
 def check_integers(name: str, values: object, count: int = 2) -> tuple[int, ...]:
-    """Return ``values`` as a tuple of ``count`` ints; numpy integers are welcome, floats and bools are not."""
+    """Return ``values`` as a tuple of ``count`` ints; numpy integers are welcome, floats and bools
+    are not.
+    """
     items = tuple(values) if isinstance(values, (tuple, list)) else ()
-    if len(items) != count or any(isinstance(item, bool) or not hasattr(item, "__index__") for item in items):
+    if len(items) != count or any(
+        isinstance(item, bool) or not hasattr(item, "__index__") for item in items
+    ):
         what = "an integer" if count == 1 else f"{count} integers"
-        raise ValueError(f"{name}: got {items[0] if count == 1 and items else values!r}, expected {what}")
+        raise ValueError(
+            f"{name}: got {items[0] if count == 1 and items else values!r}, expected {what}"
+        )
     return tuple(item.__index__() for item in items)
 
 
@@ -134,9 +151,19 @@ def check_probability(name: str, value: object) -> float:
 
 def check_fractions(values: object) -> tuple[float, ...]:
     """Return ``values`` as the fractions of the splits, which add up to 1."""
-    items = tuple(check_number("splits", item) for item in values) if isinstance(values, (tuple, list)) else ()
-    if len(items) != len(SPLITS) or not all(0 <= item <= 1 for item in items) or abs(sum(items) - 1) > 1e-9:
-        raise ValueError(f"splits: got {values!r}, expected three fractions in [0, 1] that add up to 1")
+    items = (
+        tuple(check_number("splits", item) for item in values)
+        if isinstance(values, (tuple, list))
+        else ()
+    )
+    if (
+        len(items) != len(SPLITS)
+        or not all(0 <= item <= 1 for item in items)
+        or abs(sum(items) - 1) > 1e-9
+    ):
+        raise ValueError(
+            f"splits: got {values!r}, expected three fractions in [0, 1] that add up to 1"
+        )
     return items
 
 

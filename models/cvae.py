@@ -1,12 +1,14 @@
-"""Conditional variational autoencoders as samplers: LEGO's as published, and one whose condition stays in its place.
+"""Conditional variational autoencoders as samplers: LEGO's as published, and one whose condition
+stays in its place.
 
-Kumar, Mandalika, Choudhury, Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for Sampling-Based Planning",
-IROS 2019.
+Kumar, Mandalika, Choudhury, Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for
+Sampling-Based Planning", IROS 2019.
 
-- `CVAE`: as published. A latent of 2 numbers and a condition become a point; the condition is here a convolutional
-  code of map, start and goal, of any map size, where the original has 10 x 10 cells.
-- `LocalCVAE`: the same with a condition that stays where it is: latent and code become a query that the features of
-  the cells answer, so that its points lie in cells instead of between them.
+- `CVAE`: as published. A latent of 2 numbers and a condition become a point; the condition is here
+  a convolutional code of map, start and goal, of any map size, where the original has 10 x 10
+  cells.
+- `LocalCVAE`: the same with a condition that stays where it is: latent and code become a query that
+  the features of the cells answer, so that its points lie in cells instead of between them.
 """
 
 from __future__ import annotations
@@ -35,16 +37,24 @@ def _layers(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequent
 
 
 def _latent(code: Tensor) -> tuple[Tensor, Tensor]:
-    """Return a draw of the latent (..., z), and how far its distribution is from the prior, (...)."""
+    """Return a draw of the latent (..., z), and how far its distribution is from the prior,
+    (...).
+    """
     mean, log_variance = code.float().chunk(2, dim=-1)
     latent = mean + torch.randn_like(mean) * (log_variance / 2).exp()
     return latent, (log_variance.exp() + mean**2 - 1 - log_variance).sum(-1) / 2
 
 
 def _until_free(
-    draw: Callable[[int], Floats], grids: Bytes, n: int, source: np.random.Generator, rounds: int = 8
+    draw: Callable[[int], Floats],
+    grids: Bytes,
+    n: int,
+    source: np.random.Generator,
+    rounds: int = 8,
 ) -> Floats:
-    """Return (B, n, 2): the first n free ones of the points (B, k, 2) that ``draw(k)`` gives; what lacks is uniform."""
+    """Return (B, n, 2): the first n free ones of the points (B, k, 2) that ``draw(k)`` gives; what
+    lacks is uniform.
+    """
     found: list[list[Floats]] = [[] for _ in grids]
     for _ in range(rounds):
         for grid, points, kept in zip(grids, draw(2 * n), found, strict=True):
@@ -52,15 +62,19 @@ def _until_free(
         if min(sum(map(len, kept)) for kept in found) >= n:
             break
     more = [uniform(grid, n, int(source.integers(2**31))) for grid in grids]
-    return np.stack([np.concatenate([*kept, rest])[:n] for kept, rest in zip(found, more, strict=True)])
+    return np.stack(
+        [np.concatenate([*kept, rest])[:n] for kept, rest in zip(found, more, strict=True)]
+    )
 
 
 class CVAE(Sampler):
-    """LEGO's conditional variational autoencoder: a point of the unit square from a latent and a condition.
+    """LEGO's conditional variational autoencoder: a point of the unit square from a latent and a
+    condition.
 
-    Published: two hidden layers of 512 with ReLU and dropout 0.5 on both sides, a latent of 2, squared error plus 2e-4
-    of the divergence, Adam with 1e-4 for up to 600,000 steps of 256 points; the learning rate here is higher, since the
-    steps are far fewer.
+    Published: two hidden layers of 512 with ReLU and dropout 0.5 on both sides, a latent of 2,
+    squared error plus 2e-4
+    of the divergence, Adam with 1e-4 for up to 600,000 steps of 256 points; the learning rate here
+    is higher, since the steps are far fewer.
 
     Args:
         targets: "lego" or "shortest_path".
@@ -106,7 +120,9 @@ class CVAE(Sampler):
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         """Return the condition of each problem, (B, code + 4)."""
         seen = F.pixel_unshuffle(encode(padded(occupied), starts, goals), 2)
-        ends = torch.cat([starts, goals], dim=1) / torch.tensor(occupied.shape[2:]).repeat(2).to(starts.device)
+        ends = torch.cat([starts, goals], dim=1) / torch.tensor(occupied.shape[2:]).repeat(2).to(
+            starts.device
+        )
         return torch.cat([self.condition(seen).float(), ends], dim=1)
 
     def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
@@ -114,18 +130,30 @@ class CVAE(Sampler):
         condition = self(batch["map"], batch["start"], batch["goal"])[owners]
         unit = points / torch.tensor(batch["map"].shape[2:], device=points.device)
         latent, divergence = _latent(self.encoder(torch.cat([unit, condition], dim=1)))
-        error = ((self.decoder(torch.cat([latent, condition], dim=1)).float() - unit) ** 2).mean(dim=1)
+        error = ((self.decoder(torch.cat([latent, condition], dim=1)).float() - unit) ** 2).mean(
+            dim=1
+        )
         error, apart = (each.sum() / max(len(points), 1) for each in (error, divergence))
-        return {"loss": error + self.hparams["divergence_weight"] * apart, "error": error, "divergence": apart}
+        return {
+            "loss": error + self.hparams["divergence_weight"] * apart,
+            "error": error,
+            "divergence": apart,
+        }
 
-    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator) -> Floats:
+    def draw(
+        self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator
+    ) -> Floats:
         """Return points that lie in free cells, of as many as it takes."""
         condition = self(*tensors(self, grids, starts, goals))
 
         def points(count: int) -> Floats:
-            latents = source.standard_normal((len(grids), count, self.hparams["latent"])).astype(np.float32)
+            latents = source.standard_normal((len(grids), count, self.hparams["latent"])).astype(
+                np.float32
+            )
             each = condition[:, None].expand(-1, count, -1)
-            unit = self.decoder(torch.cat([torch.as_tensor(latents, device=each.device), each], dim=2))
+            unit = self.decoder(
+                torch.cat([torch.as_tensor(latents, device=each.device), each], dim=2)
+            )
             found: Floats = unit.double().cpu().numpy() * grids.shape[1:]
             return found
 
@@ -137,10 +165,11 @@ class CVAE(Sampler):
 
 
 class LocalCVAE(Sampler):
-    """A conditional variational autoencoder whose decoder asks the cells: a query of latent and code, a key a cell.
+    """A conditional variational autoencoder whose decoder asks the cells: a query of latent and
+    code, a key a cell.
 
-    A point becomes a cell by the cell that holds it, its likelihood is the softmax of query times keys over free cells,
-    and it is drawn uniformly inside its cell.
+    A point becomes a cell by the cell that holds it, its likelihood is the softmax of query times
+    keys over free cells, and it is drawn uniformly inside its cell.
 
     Args:
         targets: "lego" or "shortest_path".
@@ -180,7 +209,9 @@ class LocalCVAE(Sampler):
         return keys[..., :rows, :columns].flatten(2).transpose(1, 2), code
 
     def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
-        """Return the cross entropy of the cells and the divergence, for some points of each problem that has any."""
+        """Return the cross entropy of the cells and the divergence, for some points of each problem
+        that has any.
+        """
         counts = torch.bincount(owners, minlength=len(batch["map"]))
         some = (counts > 0).nonzero()[:, 0]  # S problems
         chosen = torch.rand(len(some), POINTS, device=points.device) * counts[some, None]
@@ -195,18 +226,33 @@ class LocalCVAE(Sampler):
         query = self.decoder(torch.cat([latent.to(code.dtype), codes], dim=2))
         scores = (query @ keys.transpose(1, 2)).float()  # (S, POINTS, H * W)
         scores = scores.masked_fill(occupied.flatten(2) != 0, -30)
-        error, apart = F.cross_entropy(scores.flatten(0, 1), cells.flatten(), reduction="sum"), divergence.sum()
+        error, apart = (
+            F.cross_entropy(scores.flatten(0, 1), cells.flatten(), reduction="sum"),
+            divergence.sum(),
+        )
         count = max(cells.numel(), 1)
         error, apart = error / count, apart / count
-        return {"loss": error + self.hparams["divergence_weight"] * apart, "error": error, "divergence": apart}
+        return {
+            "loss": error + self.hparams["divergence_weight"] * apart,
+            "error": error,
+            "divergence": apart,
+        }
 
-    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator) -> Floats:
+    def draw(
+        self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator
+    ) -> Floats:
         """Return points, each of a latent of its own."""
         occupied, *ends = tensors(self, grids, starts, goals)
         keys, code = self(occupied, *ends)
-        latents = torch.as_tensor(source.standard_normal((len(grids), n, self.hparams["latent"])), device=code.device)
-        query = self.decoder(torch.cat([latents.to(code.dtype), code[:, None].expand(-1, n, -1)], dim=2))
+        latents = torch.as_tensor(
+            source.standard_normal((len(grids), n, self.hparams["latent"])), device=code.device
+        )
+        query = self.decoder(
+            torch.cat([latents.to(code.dtype), code[:, None].expand(-1, n, -1)], dim=2)
+        )
         scores = torch.einsum("bnk,bck->bnc", query, keys).double()
         likely = scores.masked_fill(occupied.flatten(1)[:, None] != 0, -torch.inf).cpu().numpy()
         cells = (likely + source.gumbel(size=likely.shape)).argmax(axis=2)
-        return np.stack(np.divmod(cells, grids.shape[2]), axis=2) + source.random((len(grids), n, 2))
+        return np.stack(np.divmod(cells, grids.shape[2]), axis=2) + source.random(
+            (len(grids), n, 2)
+        )

@@ -1,9 +1,11 @@
-"""A bank of experience: what a sampler of roadmaps should have sampled, for each problem of a dataset.
+"""A bank of experience: what a sampler of roadmaps should have sampled, for each problem of a
+dataset.
 
-Two kinds of targets. "shortest_path" (Ichter, Harrison, Pavone, ICRA 2018): the vertices of the shortest path on a
-dense roadmap. "lego" (Kumar, Mandalika, Choudhury, Srinivasa, IROS 2019): of those, the bottlenecks, which a sparse
-roadmap cannot do without even when edges to them cost ten times their length; and likewise of further near-optimal
-paths, which are left when an adversary closes a stretch of the ones found.
+Two kinds of targets. "shortest_path" (Ichter, Harrison, Pavone, ICRA 2018): the vertices of the
+shortest path on a dense roadmap. "lego" (Kumar, Mandalika, Choudhury, Srinivasa, IROS 2019): of
+those, the bottlenecks, which a sparse roadmap cannot do without even when edges to them cost ten
+times their length; and likewise of further near-optimal paths, which are left when an adversary
+closes a stretch of the ones found.
 
     from models.experience import Bank, FixedProblems
 
@@ -53,7 +55,8 @@ class Mining:
 
     Attributes:
         dense: vertices of the roadmap that knows the way.
-        sizes: vertices of the roadmaps that the sampler is for; half of them are there already, by Halton.
+        sizes: vertices of the roadmaps that the sampler is for; half of them are there already, by
+            Halton.
         price: what an edge to a vertex of the path costs, in lengths.
         paths: most paths a problem.
         slack: longest path that is near-optimal, in lengths of the shortest.
@@ -72,11 +75,14 @@ class Mining:
     seed: int = 0
 
 
-# --- mining one problem ---------------------------------------------------------------------------------------------
+# --- mining one problem -------------------------------------------------------------------------
 
 
-def mine(grid: Bytes, start: Ints, goal: Ints, mining: Mining = Mining(), seed: int = 0) -> tuple[Floats, Floats]:
-    """Return the targets of one problem, (k, 2) points each: "lego" and "shortest_path", empty without a path.
+def mine(
+    grid: Bytes, start: Ints, goal: Ints, mining: Mining = Mining(), seed: int = 0
+) -> tuple[Floats, Floats]:
+    """Return the targets of one problem, (k, 2) points each: "lego" and "shortest_path", empty
+    without a path.
 
     A bottleneck of several sparse roadmaps or paths is there as often.
 
@@ -92,7 +98,9 @@ def mine(grid: Bytes, start: Ints, goal: Ints, mining: Mining = Mining(), seed: 
     """
     paths = near_optimal_paths(grid, start, goal, mining, seed)
     found = [
-        bottlenecks(grid, path, halton(grid, size // 2, seed + 1009 * (k + 1) + size), size, mining.price)
+        bottlenecks(
+            grid, path, halton(grid, size // 2, seed + 1009 * (k + 1) + size), size, mining.price
+        )
         for k, path in enumerate(paths)
         for size in mining.sizes
     ]
@@ -100,8 +108,12 @@ def mine(grid: Bytes, start: Ints, goal: Ints, mining: Mining = Mining(), seed: 
     return np.concatenate([none, *found]), paths[0][1:-1] if paths else none
 
 
-def near_optimal_paths(grid: Bytes, start: Ints, goal: Ints, mining: Mining, seed: int) -> list[Floats]:
-    """Return up to ``mining.paths`` paths on the dense roadmap, (k, 2) points with both ends, the shortest first."""
+def near_optimal_paths(
+    grid: Bytes, start: Ints, goal: Ints, mining: Mining, seed: int
+) -> list[Floats]:
+    """Return up to ``mining.paths`` paths on the dense roadmap, (k, 2) points with both ends, the
+    shortest first.
+    """
     source = np.random.default_rng([mining.seed, seed])
     dense = between(grid, start, goal, halton(grid, mining.dense, int(source.integers(2**31))))
     prices = np.ones(len(dense.points))
@@ -123,11 +135,13 @@ def near_optimal_paths(grid: Bytes, start: Ints, goal: Ints, mining: Mining, see
 
 
 def bottlenecks(grid: Bytes, path: Floats, sparse: Floats, size: int, price: float) -> Floats:
-    """Return the inner points of ``path`` that the cheapest way still uses when edges to them cost ``price`` lengths.
+    """Return the inner points of ``path`` that the cheapest way still uses when edges to them cost
+    ``price`` lengths.
 
-    The way is one on the roadmap of ``sparse`` and the path together, which reaches as ``size`` vertices do. The
-    original raises the prices step by step until the path gives its vertices up. The length that a cheapest way keeps
-    on the path never grows with the price, so that the last step alone decides.
+    The way is one on the roadmap of ``sparse`` and the path together, which reaches as ``size``
+    vertices do. The original raises the prices step by step until the path gives its vertices up.
+    The length that a cheapest way keeps on the path never grows with the price, so that the last
+    step alone decides.
 
     Args:
         grid: (H, W), 0 free and 1 occupied.
@@ -144,7 +158,7 @@ def bottlenecks(grid: Bytes, path: Floats, sparse: Floats, size: int, price: flo
     return points[way[(way >= 2) & (way < len(path))]]
 
 
-# --- the bank -------------------------------------------------------------------------------------------------------
+# --- the bank -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +170,8 @@ class Bank:
         problem: (N,) int64, ascending.
         ends: (N, 4) int64, start and goal.
         points: of each kind all points, (M, 2) float32.
-        offsets: of each kind (N + 1,) int64: those of row i are ``points[offsets[i]:offsets[i + 1]]``.
+        offsets: of each kind (N + 1,) int64: those of row i are ``points[offsets[i]:offsets[i +
+            1]]``.
     """
 
     identity: str
@@ -167,16 +182,21 @@ class Bank:
 
     @staticmethod
     def of(
-        dataset: Dataset[Sample], folder: str | os.PathLike[str], mining: Mining = Mining(), workers: int | None = None
+        dataset: Dataset[Sample],
+        folder: str | os.PathLike[str],
+        mining: Mining = Mining(),
+        workers: int | None = None,
     ) -> Bank:
-        """Return the bank of all problems of a dataset: read from ``folder`` if it is there, else mined and written.
+        """Return the bank of all problems of a dataset: read from ``folder`` if it is there, else
+        mined and written.
 
         Args:
-            dataset: with the fields ``map``, ``start``, ``goal`` and ``problem``; its samples must not change.
+            dataset: with the fields ``map``, ``start``, ``goal`` and ``problem``; its samples must
+                not change.
             folder: made if missing; the file's name is the bank's identity.
             mining: how.
-            workers: processes; default one a core. 0 mines in this one. A script that starts some needs the usual
-                ``if __name__ == "__main__":``.
+            workers: processes; default one a core. 0 mines in this one. A script that starts some
+                needs the usual ``if __name__ == "__main__":``.
 
         Raises:
             ValueError: a missing field, or a file that is no bank.
@@ -191,20 +211,34 @@ class Bank:
             _from_rows(name, problem, ends, mined).write(file, mining)
         bank = Bank.read(file)
         if bank.identity != name:
-            raise ValueError(f"{file}: holds the bank {bank.identity[:16]}, expected {name[:16]}: remove it")
+            raise ValueError(
+                f"{file}: holds the bank {bank.identity[:16]}, expected {name[:16]}: remove it"
+            )
         return bank
 
     def write(self, file: str | os.PathLike[str], mining: Mining) -> None:
         """Write the bank as one HDF5 file, at once or not at all."""
         buffer = BytesIO()
         with h5py.File(buffer, "w") as h5:
-            h5.attrs.update({"format": "mapdata experience", "version": VERSION, "identity": self.identity})
+            h5.attrs.update(
+                {"format": "mapdata experience", "version": VERSION, "identity": self.identity}
+            )
             h5.attrs["mining"] = canonical_json(asdict(mining))
             _dataset(h5, "problem", self.problem, "number of the problem in its dataset")
             _dataset(h5, "ends", self.ends, "start row, start column, goal row, goal column; cells")
             for kind in KINDS:
-                _dataset(h5, f"{kind}_offsets", self.offsets[kind], "first point of each problem, N + 1 offsets")
-                _dataset(h5, f"{kind}_points", self.points[kind], "(row, col) in cells; a cell's centre is at + 0.5")
+                _dataset(
+                    h5,
+                    f"{kind}_offsets",
+                    self.offsets[kind],
+                    "first point of each problem, N + 1 offsets",
+                )
+                _dataset(
+                    h5,
+                    f"{kind}_points",
+                    self.points[kind],
+                    "(row, col) in cells; a cell's centre is at + 0.5",
+                )
         write_file(Path(file), buffer.getvalue())
 
     @staticmethod
@@ -216,24 +250,35 @@ class Bank:
         """
         try:
             with h5py.File(file, "r") as h5:
-                if (h5.attrs["format"], int(h5.attrs["version"])) != ("mapdata experience", VERSION):
+                if (h5.attrs["format"], int(h5.attrs["version"])) != (
+                    "mapdata experience",
+                    VERSION,
+                ):
                     raise ValueError("of another format or version")
                 points = {kind: h5[f"{kind}_points"][...] for kind in KINDS}
                 offsets = {kind: h5[f"{kind}_offsets"][...] for kind in KINDS}
-                return Bank(str(h5.attrs["identity"]), h5["problem"][...], h5["ends"][...], points, offsets)
+                return Bank(
+                    str(h5.attrs["identity"]), h5["problem"][...], h5["ends"][...], points, offsets
+                )
         except (OSError, KeyError, ValueError) as error:
-            raise ValueError(f"{os.fspath(file)}: no bank of experience ({error}): remove it") from None
+            raise ValueError(
+                f"{os.fspath(file)}: no bank of experience ({error}): remove it"
+            ) from None
 
-    def targets(self, kind: str, problems: Any, ends: npt.ArrayLike | None = None) -> tuple[Floats, Ints]:  # noqa: ANN401
+    def targets(
+        self, kind: str, problems: Any, ends: npt.ArrayLike | None = None
+    ) -> tuple[Floats, Ints]:
         """Return the points of each problem one after another, (M, 2), and how many each has, (B,).
 
         Args:
             kind: one of `KINDS`.
             problems: (B,) numbers in the dataset, as a batch's field ``problem`` has them.
-            ends: (B, 4) start and goal; where they are not the bank's, the bank is not of these problems.
+            ends: (B, 4) start and goal; where they are not the bank's, the bank is not of these
+                problems.
 
         Raises:
-            ValueError: an unknown kind, or a problem that the bank does not know or knows otherwise.
+            ValueError: an unknown kind, or a problem that the bank does not know or knows
+                otherwise.
         """
         if kind not in KINDS:
             raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
@@ -244,7 +289,10 @@ class Bank:
             known &= (self.ends[rows] == np.asarray(ends)).all(axis=1)
         if not known.all():
             wrong = indices[np.argmin(known)]
-            raise ValueError(f"problem {wrong} is not in the bank, or another one: its dataset must keep its problems")
+            raise ValueError(
+                f"problem {wrong} is not in the bank, or another one: its dataset must keep its "
+                "problems"
+            )
         first, counts = self.offsets[kind][rows], np.diff(self.offsets[kind])[rows]
         inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         return self.points[kind][np.repeat(first, counts) + inside].astype(np.float64), counts
@@ -256,7 +304,9 @@ def _all_problems(dataset: Dataset[Sample]) -> tuple[Bytes, Ints, Ints, Ints]:
         batch = dataset[k : k + 1000]
         values = dict(zip(batch._fields, batch, strict=True))
         if missing := {"map", "start", "goal", "problem"} - set(values):
-            raise ValueError(f"fields: the dataset has no {', '.join(sorted(missing))}, which a bank needs")
+            raise ValueError(
+                f"fields: the dataset has no {', '.join(sorted(missing))}, which a bank needs"
+            )
         found.append([values[name].numpy() for name in ("map", "start", "goal", "problem")])
     maps, starts, goals, problem = (np.concatenate(each) for each in zip(*found, strict=True))
     order = np.argsort(problem)
@@ -276,11 +326,18 @@ Rows = list[tuple[Floats, Floats]]
 
 def _mine_piece(piece: tuple[Bytes, Ints, Ints, Ints, Mining]) -> Rows:
     *problems, mining = piece
-    return [mine(grid, start, goal, mining, int(number)) for grid, start, goal, number in zip(*problems, strict=True)]
+    return [
+        mine(grid, start, goal, mining, int(number))
+        for grid, start, goal, number in zip(*problems, strict=True)
+    ]
 
 
-def _mine_all(grids: Bytes, starts: Ints, goals: Ints, problem: Ints, mining: Mining, workers: int | None) -> Rows:
-    """Mine all problems, piece by piece, with a progress bar; the rows do not depend on the workers."""
+def _mine_all(
+    grids: Bytes, starts: Ints, goals: Ints, problem: Ints, mining: Mining, workers: int | None
+) -> Rows:
+    """Mine all problems, piece by piece, with a progress bar; the rows do not depend on the
+    workers.
+    """
     cuts = [slice(k, k + _PIECE) for k in range(0, len(grids), _PIECE)]
     pieces = [(grids[cut], starts[cut], goals[cut], problem[cut], mining) for cut in cuts]
     rows: Rows = []
@@ -291,7 +348,9 @@ def _mine_all(grids: Bytes, starts: Ints, goals: Ints, problem: Ints, mining: Mi
     return rows
 
 
-def _in_processes(pieces: Sequence[tuple[Bytes, Ints, Ints, Ints, Mining]], workers: int) -> Iterator[Rows]:
+def _in_processes(
+    pieces: Sequence[tuple[Bytes, Ints, Ints, Ints, Mining]], workers: int
+) -> Iterator[Rows]:
     if workers == 0:
         yield from map(_mine_piece, pieces)
         return
@@ -313,11 +372,13 @@ def _dataset(h5: h5py.File, name: str, values: npt.NDArray[Any], description: st
     h5.create_dataset(name, data=values).attrs["description"] = description
 
 
-# --- data that keep their problems ----------------------------------------------------------------------------------
+# --- data that keep their problems --------------------------------------------------------------
 
 
 class FixedProblems(MapDataModule):
-    """A `MapDataModule` whose random problems are those of epoch 0 in every epoch: a bank knows no others."""
+    """A `MapDataModule` whose random problems are those of epoch 0 in every epoch: a bank knows no
+    others.
+    """
 
     def setup(self, stage: str | None = None) -> None:
         """Open the datasets."""
@@ -330,15 +391,15 @@ class FixedProblems(MapDataModule):
 class _FirstEpoch(Dataset[Sample]):
     """A dataset whose sampler may ask for any epoch, and gets epoch 0."""
 
-    def __init__(self, dataset: Any) -> None:  # noqa: ANN401
+    def __init__(self, dataset: Any) -> None:
         self.dataset = dataset
 
     def __len__(self) -> int:
         return len(self.dataset)
 
-    def __getitem__(self, index: Any) -> Sample:  # noqa: ANN401
+    def __getitem__(self, index: Any) -> Sample:
         sample: Sample = self.dataset[index]
         return sample
 
-    def __getitems__(self, indices: Sequence[int]) -> Any:  # noqa: ANN401
+    def __getitems__(self, indices: Sequence[int]) -> Any:
         return self.dataset.__getitems__(np.asarray(indices) % len(self.dataset))

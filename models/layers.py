@@ -1,4 +1,6 @@
-"""What the sample models share: their layers, their optimizer and its rate, and fast predictions on a processor."""
+"""What the sample models share: their layers, their optimizer and its rate, and fast predictions on
+a processor.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from torch import Tensor, nn
 
 
 class Residual(nn.Module):
-    """x + two 3 x 3 convolutions, the second of which begins at zero; no norm, so that all map sizes are alike."""
+    """x + two 3 x 3 convolutions, the second of which begins at zero; no norm, so that all map
+    sizes are alike.
+    """
 
     def __init__(self, width: int, dilation: int = 1) -> None:
         """Make both convolutions; the second sees ``dilation`` times as far."""
@@ -52,8 +56,12 @@ STRIDE = 8
 
 
 def padded(occupied: Tensor) -> Tensor:
-    """Return maps (B, 1, H, W), 0 free, with occupied cells below and to the right, up to the next multiple of 8."""
-    return F.pad(occupied, (0, -occupied.shape[3] % STRIDE, 0, -occupied.shape[2] % STRIDE), value=1)
+    """Return maps (B, 1, H, W), 0 free, with occupied cells below and to the right, up to the next
+    multiple of 8.
+    """
+    return F.pad(
+        occupied, (0, -occupied.shape[3] % STRIDE, 0, -occupied.shape[2] % STRIDE), value=1
+    )
 
 
 class Trunk(nn.Module):
@@ -62,8 +70,12 @@ class Trunk(nn.Module):
     Its first and last convolutions are at half the resolution, which takes half the time.
     """
 
-    def __init__(self, inputs: int, outputs: int, widths: tuple[int, int, int], passes: int) -> None:
-        """Take the channels of a cell before and after, the widths at strides 2, 4 and 8, and how far it looks."""
+    def __init__(
+        self, inputs: int, outputs: int, widths: tuple[int, int, int], passes: int
+    ) -> None:
+        """Take the channels of a cell before and after, the widths at strides 2, 4 and 8, and how
+        far it looks.
+        """
         super().__init__()
         shallow, width, deep = widths
         self.stem = nn.Sequential(nn.Conv2d(4 * inputs, shallow, 3, padding=1), Residual(shallow))
@@ -76,7 +88,9 @@ class Trunk(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, outputs, H, W) and a code (B, deep) for (B, inputs, H, W), H and W multiples of ``STRIDE``."""
+        """Return (B, outputs, H, W) and a code (B, deep) for (B, inputs, H, W), H and W multiples
+        of ``STRIDE``.
+        """
         skip = F.relu(self.stem(F.pixel_unshuffle(seen, 2)))  # (B, shallow, H/2, W/2)
         fine: Tensor = self.down(skip)  # (B, width, H/4, W/4)
         coarse: Tensor | None = None
@@ -89,14 +103,21 @@ class Trunk(nn.Module):
 
 
 def bfloat16(device: torch.device) -> contextlib.AbstractContextManager[Any]:
-    """Return the context that halves the time of a prediction where the processor multiplies bfloat16."""
+    """Return the context that halves the time of a prediction where the processor multiplies
+    bfloat16.
+    """
     abilities: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     fast = abilities.get("avx512_bf16") or abilities.get("amx_bf16")
-    return torch.autocast("cpu", torch.bfloat16) if device.type == "cpu" and fast else contextlib.nullcontext()
+    return (
+        torch.autocast("cpu", torch.bfloat16)
+        if device.type == "cpu" and fast
+        else contextlib.nullcontext()
+    )
 
 
 def scheduled(optimizer: torch.optim.Optimizer, steps: float) -> dict[str, Any]:
-    """Return what `configure_optimizers` may: the rate rises over 100 steps, or a tenth, then falls as a cosine to 0.
+    """Return what `configure_optimizers` may: the rate rises over 100 steps, or a tenth, then falls
+    as a cosine to 0.
 
     Args:
         optimizer: whose rate is the highest.
@@ -104,24 +125,27 @@ def scheduled(optimizer: torch.optim.Optimizer, steps: float) -> dict[str, Any]:
     """
 
     def rate(step: int) -> float:
-        return min(1.0, (step + 1) / min(100, 0.1 * steps)) * (0.5 + 0.5 * math.cos(math.pi * min(1.0, step / steps)))
+        return min(1.0, (step + 1) / min(100, 0.1 * steps)) * (
+            0.5 + 0.5 * math.cos(math.pi * min(1.0, step / steps))
+        )
 
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, rate)
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
 class Muon(torch.optim.Optimizer):
-    """Momentum whose matrices are brought near the closest orthogonal one (Jordan et al. 2024), Adam for the vectors.
+    """Momentum whose matrices are brought near the closest orthogonal one (Jordan et al. 2024),
+    Adam for the vectors.
 
     On this network a step is worth about two of AdamW's. https://kellerjordan.github.io/posts/muon
     """
 
-    def __init__(self, parameters: Any, lr: float, weight_decay: float = 0.01) -> None:  # noqa: ANN401
+    def __init__(self, parameters: Any, lr: float, weight_decay: float = 0.01) -> None:
         """Take what any optimizer takes."""
         super().__init__(parameters, {"lr": lr, "weight_decay": weight_decay})
 
     @torch.no_grad()
-    def step(self, closure: Any = None) -> Any:  # noqa: ANN401  (torch's own signature)
+    def step(self, closure: Any = None) -> Any:
         """Change all parameters once."""
         loss = None
         if closure is not None:
@@ -144,7 +168,10 @@ class Muon(torch.optim.Optimizer):
                 for (parameter, _), x in zip(found, near, strict=True):
                     transformed = x.T if len(parameter) > parameter[0].numel() else x
                     parameter.mul_(1 - group["lr"] * group["weight_decay"])
-                    parameter.sub_(transformed.reshape(parameter.shape), alpha=0.2 * group["lr"] * math.sqrt(shape[1]))
+                    parameter.sub_(
+                        transformed.reshape(parameter.shape),
+                        alpha=0.2 * group["lr"] * math.sqrt(shape[1]),
+                    )
         return loss
 
 
@@ -164,7 +191,9 @@ def _momentum(slope: Tensor, state: dict[str, Any]) -> Tensor:
 
 
 def _orthogonal(x: Tensor) -> Tensor:
-    """Return matrices (B, rows, columns) with all singular values near 1; a Newton-Schulz iteration."""
+    """Return matrices (B, rows, columns) with all singular values near 1; a Newton-Schulz
+    iteration.
+    """
     x = x / (torch.linalg.matrix_norm(x, keepdim=True) + 1e-7)
     for _ in range(5):
         square = x @ x.mT

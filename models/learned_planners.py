@@ -1,4 +1,6 @@
-"""Planners that follow predicted moves: a walk, and a best-first search; rows for `mapdata.evaluate`."""
+"""Planners that follow predicted moves: a walk, and a best-first search; rows for
+`mapdata.evaluate`.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ class Predictor(Protocol):
     movement: Movement
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
+        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios
+        (B, H, W).
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
@@ -72,11 +75,15 @@ class _Follower(Batched, ABC):
         """
         grids, starts, goals = _problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals)
-        plans = [self._follow(*each) for each in zip(grids, scores, ratios, starts, goals, strict=True)]
+        plans = [
+            self._follow(*each) for each in zip(grids, scores, ratios, starts, goals, strict=True)
+        ]
         return self._mended(plans, grids, starts, goals)
 
     @abstractmethod
-    def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
+    def _follow(
+        self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints
+    ) -> Plan:
         """Return the plan for one problem, with an empty path where there is none."""
 
     def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
@@ -88,23 +95,28 @@ class _Follower(Batched, ABC):
 class LearnedPlanner(_Follower):
     """Follows the most probable legal move to a cell not yet visited, until the goal.
 
-    Every cell of the walk is one expansion: its neighbours are looked at, once, as in a search. The path is the
+    Every cell of the walk is one expansion: its neighbours are looked at, once, as in a search. The
+    path is the
     shortest one over the moves that were looked at.
 
     Attributes:
-        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew from the start, and
-            its expansions add to those of the walk; False gives up.
+        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew
+            from the start, and its expansions add to those of the walk; False gives up.
     """
 
     fallback: bool = True
 
-    def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
+    def _follow(
+        self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints
+    ) -> Plan:
         return Plan(*_walk(grid, scores, start, goal, rule_of(self.model.movement)))
 
     def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
         if stuck and self.fallback:
-            found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], self.model.movement)
+            found = search_batch(
+                "astar", grids[stuck], starts[stuck], goals[stuck], self.model.movement
+            )
             for n, k in enumerate(stuck):
                 path = found.cells[found.offsets[n] : found.offsets[n + 1]]
                 plans[k] = Plan(path, plans[k].expansions + int(found.iterations[n]))
@@ -113,11 +125,12 @@ class LearnedPlanner(_Follower):
 
 @dataclass(frozen=True, eq=False)
 class GuidedSearch(_Follower):
-    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves so far were.
+    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves
+    so far were.
 
-    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell is expanded once; it
-    finds a path where there is one, and needs no fallback. The path is the shortest one over the moves that were looked
-    at.
+    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell
+    is expanded once; it finds a path where there is one, and needs no fallback. The path is the
+    shortest one over the moves that were looked at.
 
     Attributes:
         trust: cells that a factor e of probability is worth.
@@ -125,7 +138,9 @@ class GuidedSearch(_Follower):
 
     trust: float = 2.0
 
-    def _follow(self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints) -> Plan:
+    def _follow(
+        self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints
+    ) -> Plan:
         rule = rule_of(self.model.movement)
         return Plan(*_search(grid, scores, ratios, start, goal, rule, self.trust))
 
@@ -161,7 +176,9 @@ def _search(
     load(grid, came)
     first = cell_at(start[0], start[1], lattice)
     last = cell_at(goal[0], goal[1], lattice)
-    best = np.full(lattice.cells, np.inf)  # g and what the improbable moves cost; -inf once expanded
+    best = np.full(
+        lattice.cells, np.inf
+    )  # g and what the improbable moves cost; -inf once expanded
     way = np.zeros(lattice.cells)
     best[first] = 0.0
     heap = [(0.0, 0, first)]
@@ -193,17 +210,20 @@ def _search(
                 i, j = position(to, lattice)
                 least = in_cells(heuristic(i - goal[0], j - goal[1], lattice))
                 pushes += 1
-                f = cost + least / max(ratios[i, j], 0.05) - 0.001 * way[to]  # among equals the farthest
+                f = (
+                    cost + least / max(ratios[i, j], 0.05) - 0.001 * way[to]
+                )  # among equals the farthest
                 heapq.heappush(heap, (f, -pushes, to))
     return _through(came, best == -np.inf, first, last, lattice), expansions
 
 
 @kernel
 def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Lattice) -> Ints:
-    """Return the shortest path over all moves that a search has looked at, (k, 2); (0, 2) where there is none.
+    """Return the shortest path over all moves that a search has looked at, (k, 2); (0, 2) where
+    there is none.
 
-    Those are the moves from and to expanded cells. Among them there may be a shorter path than the one that the
-    search came by. Dijkstra's algorithm.
+    Those are the moves from and to expanded cells. Among them there may be a shorter path than the
+    one that the search came by. Dijkstra's algorithm.
     """
     costs = np.full(lattice.cells, np.inf)
     parents = np.full(lattice.cells, start)
@@ -238,7 +258,9 @@ def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Latti
 
 @kernel
 def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) -> tuple[Ints, Int]:
-    """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells were expanded."""
+    """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells
+    were expanded.
+    """
     lattice = lattice_of(grid.shape, rule)
     came = np.full(lattice.cells, WALL)
     load(grid, came)

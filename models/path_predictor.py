@@ -1,7 +1,8 @@
 """A CNN that predicts paths: for every cell, the moves that start a shortest path to the goal.
 
-One path as a target is ill-posed: between two cells of a room there are 10^5 equally good ones. The set of optimal
-moves of each cell is unique, and gives some 2,000 labelled cells a map. Following the most probable moves is a path.
+One path as a target is ill-posed: between two cells of a room there are 10^5 equally good ones. The
+set of optimal moves of each cell is unique, and gives some 2,000 labelled cells a map. Following
+the most probable moves is a path.
 
     from mapdata import MapSpec, Movement
     from mapdata.evaluation import evaluate
@@ -11,12 +12,13 @@ moves of each cell is unique, and gives some 2,000 labelled cells a map. Followi
 
     model = PathPredictor.load("models/weights/path_predictor.pt")
     problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=600)
-    path = model.predict_path(problems.grids[0], problems.starts[0], problems.goals[0])  # (k, 2) cells
-    print(evaluate(planners(model), problems))
+    path = model.predict_path(problems.grids[0], problems.starts[0], problems.goals[0])  # (k, 2)
+    cells print(evaluate(planners(model), problems))
 
-`python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` made the weights that ship, with
-OMP_NUM_THREADS=1: 7,500 steps of 40 maps, 20 minutes of one core of an AMD EPYC. On two cores it takes 13: a step takes
-0.10 s instead of 0.15 s.
+`python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` made the
+weights that ship, with OMP_NUM_THREADS=1: 7,500 steps of 40 maps, 20 minutes of one core of an AMD
+EPYC. On two cores it
+takes 13: a step takes 0.10 s instead of 0.15 s.
 """
 
 from __future__ import annotations
@@ -48,27 +50,36 @@ FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """What a data module must serve."""
 
 
-# --- what the network sees ------------------------------------------------------------------------------------------
+# --- what the network sees ----------------------------------------------------------------------
 
 
 @lru_cache(maxsize=16)
 def _surroundings(rows: int, columns: int, movement: Movement) -> Tensor:
-    """Return what lies about a goal in the middle, ((2 rows - 1) * (2 columns - 1), 8 + moves), a line a cell.
+    """Return what lies about a goal in the middle, ((2 rows - 1) * (2 columns - 1), 8 + moves), a
+    line a cell.
 
-    Of each cell: a place for the map, the goal, six planes, and the detour of each move: its cost plus the
+    Of each cell: a place for the map, the goal, six planes, and the detour of each move: its cost
+    plus the
     change of the heuristic, 0 for the moves that would be optimal on an empty map.
     """
     goal = np.array([rows - 1, columns - 1])
-    cells = np.moveaxis(np.indices((2 * rows - 1, 2 * columns - 1)), 0, -1)  # (2 rows - 1, 2 columns - 1, 2)
+    cells = np.moveaxis(
+        np.indices((2 * rows - 1, 2 * columns - 1)), 0, -1
+    )  # (2 rows - 1, 2 columns - 1, 2)
     down, right = torch.from_numpy(cells - goal).float().unbind(-1)
     least = heuristics(cells, goal, movement)
     here = torch.from_numpy(least).float()
-    near, side = [torch.clamp(each / 4, -1, 1) for each in (down, right)], (down.abs() - right.abs()) / 4
+    near, side = (
+        [torch.clamp(each / 4, -1, 1) for each in (down, right)],
+        (down.abs() - right.abs()) / 4,
+    )
     planes = [torch.zeros_like(here), (here == 0).float()]
     planes += [here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)]
     steps = STEPS[: movement.connectivity]
     # a move's own cost is the heuristic from (0, 0) to where it leads
-    through = heuristics(cells[:, :, None] + steps, goal, movement) + heuristics(steps, [0, 0], movement)
+    through = heuristics(cells[:, :, None] + steps, goal, movement) + heuristics(
+        steps, [0, 0], movement
+    )
     detour = torch.from_numpy(through - least[..., None]).float()
     return torch.cat([torch.stack(planes, dim=-1), detour], dim=-1).flatten(0, 1)
 
@@ -83,18 +94,22 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
     """
     rows, columns = occupied.shape[2:]
     lines = _surroundings(rows, columns, movement).to(occupied.device)
-    # a map with its goal at (i, j) is the window of the surroundings that begins at (rows - 1 - i, columns - 1 - j)
+    # a map with its goal at (i, j) is the window of the surroundings that begins at (rows - 1 - i,
+    # columns - 1 - j)
     corner = torch.tensor([rows - 1, columns - 1]) - goals.cpu()  # (B, 2)
     row = (torch.arange(rows) + corner[:, :1])[:, :, None]  # (B, H, 1)
     column = (torch.arange(columns) + corner[:, 1:])[:, None]  # (B, 1, W)
-    seen = F.embedding((row * (2 * columns - 1) + column).to(occupied.device), lines)  # (B, H, W, 8 + moves)
+    seen = F.embedding(
+        (row * (2 * columns - 1) + column).to(occupied.device), lines
+    )  # (B, H, W, 8 + moves)
     seen[..., 0] = occupied[:, 0] == 0
     seen = seen.permute(0, 3, 1, 2)  # channels last
     return seen[:, :8], seen[:, 8:]
 
 
 def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
-    """Return (B, moves, H, W) bool: the moves that ``movement`` allows from each cell; occupied is (B, 1, H, W).
+    """Return (B, moves, H, W) bool: the moves that ``movement`` allows from each cell; occupied is
+    (B, 1, H, W).
 
     The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
     """
@@ -112,7 +127,7 @@ def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
     return torch.stack(legal, dim=1)
 
 
-# --- what is learnt, and how -----------------------------------------------------------------------------------------
+# --- what is learnt, and how --------------------------------------------------------------------
 
 
 class PathPredictor(pl.LightningModule):
@@ -126,7 +141,8 @@ class PathPredictor(pl.LightningModule):
         diagonal_cost: of a diagonal move, sqrt(2) or 1.
         widths: channels at strides 2, 4 and 8.
         passes: exchanges between strides 4 and 8: how far information travels.
-        learning_rate: the highest; it rises over 100 steps and falls as a cosine until the last step.
+        learning_rate: the highest; it rises over 100 steps and falls as a cosine until the last
+            step.
         ratio_weight: weight of the heuristic ratio's squared error.
         detour_weight: how much more cells count where the heuristic is more than 2 % too low.
     """
@@ -150,7 +166,8 @@ class PathPredictor(pl.LightningModule):
         nn.init.zeros_(self.network.head.weight)
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        """Return scores of the moves, (B, moves, H, W), and predicted heuristic ratios, (B, H, W) in [0, 1].
+        """Return scores of the moves, (B, moves, H, W), and predicted heuristic ratios, (B, H, W)
+        in [0, 1].
 
         Args:
             occupied: (B, 1, H, W), 0 free and anything else occupied; any H and W.
@@ -168,20 +185,32 @@ class PathPredictor(pl.LightningModule):
         self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
         return values["loss"]
 
-    def validation_step(self, batch: Sample | Sequence[Sample], batch_idx: int, dataloader_idx: int = 0) -> None:
+    def validation_step(
+        self, batch: Sample | Sequence[Sample], batch_idx: int, dataloader_idx: int = 0
+    ) -> None:
         """Log the losses."""
         values = {f"val_{name}": value for name, value in self.losses(batch).items()}
         self.log_dict(values, batch_size=1 if isinstance(batch, list) else len(batch[0]))
 
     def losses(self, batch: Sample | Sequence[Sample]) -> dict[str, Tensor]:
-        """Return the loss, that of the moves alone, and the share of cells whose most probable move is optimal."""
-        sums = [self._sums(each) for each in _by_size([batch] if isinstance(batch, Sample) else batch)]
+        """Return the loss, that of the moves alone, and the share of cells whose most probable move
+        is optimal.
+        """
+        sums = [
+            self._sums(each) for each in _by_size([batch] if isinstance(batch, Sample) else batch)
+        ]
         loss, weight, error, right, cells = torch.stack(sums).sum(dim=0)
         moves = loss / weight
-        return {"loss": moves + self.hparams["ratio_weight"] * error / cells, "moves": moves, "accuracy": right / cells}
+        return {
+            "loss": moves + self.hparams["ratio_weight"] * error / cells,
+            "moves": moves,
+            "accuracy": right / cells,
+        }
 
     def _sums(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return sums over the cells with an optimal move: loss, its weight, squared error, right answers, cells."""
+        """Return sums over the cells with an optimal move: loss, its weight, squared error, right
+        answers, cells.
+        """
         scores, ratios = self(batch["map"], batch["goal"])
         optimal = batch["optimal_moves"][:, 0]  # (B, H, W), bit sets
         cells = optimal.nonzero(as_tuple=True)  # n of them
@@ -191,14 +220,18 @@ class PathPredictor(pl.LightningModule):
         bits = 2 ** torch.arange(scores.shape[1], device=scores.device)
         good = (optimal[:, None] & bits) != 0
         scores = scores.masked_fill(~legal, -math.inf)
-        loss = scores.logsumexp(1) - scores.masked_fill(~good, -math.inf).logsumexp(1)  # -log P(any optimal move)
+        loss = scores.logsumexp(1) - scores.masked_fill(~good, -math.inf).logsumexp(
+            1
+        )  # -log P(any optimal move)
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)
         error = (ratios[cells] - ratio) ** 2
         right = good.gather(1, scores.argmax(1, keepdim=True))
         count = torch.tensor(float(len(ratio)), device=scores.device)
-        return torch.stack([(loss * weight).sum(), weight.sum(), error.sum(), right.float().sum(), count])
+        return torch.stack(
+            [(loss * weight).sum(), weight.sum(), error.sum(), right.float().sum(), count]
+        )
 
-    def configure_optimizers(self) -> Any:  # noqa: ANN401  (Lightning's signature)
+    def configure_optimizers(self) -> Any:
         """Return Muon with a rate that rises, then falls as a cosine."""
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
         return scheduled(optimizer, float(self.trainer.estimated_stepping_batches))
@@ -218,7 +251,8 @@ class PathPredictor(pl.LightningModule):
         return load_model(file, PathPredictor)
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios (B, H, W).
+        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios
+        (B, H, W).
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
@@ -229,8 +263,9 @@ class PathPredictor(pl.LightningModule):
             scores, ratios = self(occupied, torch.as_tensor(np.array(goals, np.int64)))
         return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
 
-    def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:  # noqa: A002
-        """Return the predicted path, (k, 2) cells from start to goal; (0, 2) where the moves do not lead there.
+    def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
+        """Return the predicted path, (k, 2) cells from start to goal; (0, 2) where the moves do not
+        lead there.
 
         Args:
             map: (H, W) or (1, H, W), 0 free and 1 occupied.
@@ -239,12 +274,16 @@ class PathPredictor(pl.LightningModule):
         """
         grid = np.asarray(map, np.uint8).reshape(np.shape(map)[-2:])
         ends = np.array([start, goal], np.int64)
-        plan = LearnedPlanner("walk", self, fallback=False).plan_batch(grid[None], ends[:1], ends[1:])[0]
+        plan = LearnedPlanner("walk", self, fallback=False).plan_batch(
+            grid[None], ends[:1], ends[1:]
+        )[0]
         return np.asarray(plan.path, np.int64)
 
 
 class MixedBatches(pl.LightningDataModule):
-    """Several data modules at once: a training step gets a list with a batch of each; validation sees them in turn."""
+    """Several data modules at once: a training step gets a list with a batch of each; validation
+    sees them in turn.
+    """
 
     def __init__(self, parts: list[MapDataModule]) -> None:
         """Keep the parts."""
@@ -278,4 +317,7 @@ def _by_size(batches: Sequence[Sample]) -> list[dict[str, Tensor]]:
         fields = dict(zip(batch._fields, batch, strict=True))
         groups.setdefault(fields["map"].shape[2:], []).append(fields)
     names = ("map", "goal", "optimal_moves", "heuristic_ratio")
-    return [{name: torch.cat([each[name] for each in group]) for name in names} for group in groups.values()]
+    return [
+        {name: torch.cat([each[name] for each in group]) for name in names}
+        for group in groups.values()
+    ]

@@ -1,8 +1,10 @@
-"""Probabilistic roadmaps in the plane over a grid: where to sample, which samples see each other, the shortest way.
+"""Probabilistic roadmaps in the plane over a grid: where to sample, which samples see each other,
+the shortest way.
 
-A point is (row, column), fractions allowed; it lies in the cell of its floor, so that a cell's centre is its coordinate
-plus 0.5. Samplers are compared by the roadmap of their points: two vertices are joined within `radius` of each other
-where the segment between them meets no occupied cell. A path between cells is one between their centres.
+A point is (row, column), fractions allowed; it lies in the cell of its floor, so that a cell's
+centre is its coordinate plus 0.5. Samplers are compared by the roadmap of their points: two
+vertices are joined within `radius` of each other where the segment between them meets no occupied
+cell. A path between cells is one between their centres.
 
     from mapdata import MapSpec
     from mapdata.problems import Problems
@@ -35,16 +37,19 @@ REACH = 1.5
 """Vertices are joined within REACH * sqrt(log n / n) of the map's side."""
 
 
-# --- roadmaps -------------------------------------------------------------------------------------------------------
+# --- roadmaps -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Vertices, and for each its neighbours as in a compressed sparse row matrix; every edge is there both ways.
+    """Vertices, and for each its neighbours as in a compressed sparse row matrix; every edge is
+    there both ways.
 
     Attributes:
-        points: (n, 2) float64; of a roadmap between two cells, vertex 0 is the start and vertex 1 the goal.
-        offsets: (n + 1,) int64: the neighbours of vertex v are ``neighbours[offsets[v]:offsets[v + 1]]``.
+        points: (n, 2) float64; of a roadmap between two cells, vertex 0 is the start and vertex 1
+            the goal.
+        offsets: (n + 1,) int64: the neighbours of vertex v are ``neighbours[offsets[v]:offsets[v +
+            1]]``.
         neighbours: (2 m,) int64.
         lengths: (2 m,) float64, in cells.
     """
@@ -74,20 +79,25 @@ class Roadmap:
         return float(costs[target]), np.array(vertices[::-1])
 
     def priced_path(self, prices: Floats, source: int = 0, target: int = 1) -> tuple[float, Ints]:
-        """Return cost and vertices as `shortest_path` does, where an edge costs its length times the greater price.
+        """Return cost and vertices as `shortest_path` does, where an edge costs its length times
+        the greater price.
 
         Args:
             prices: (n,) at least 1; inf closes a vertex.
             source: its number.
             target: likewise.
         """
-        return _search(self.points, self.offsets, self.neighbours, self.lengths, prices, source, target)
+        return _search(
+            self.points, self.offsets, self.neighbours, self.lengths, prices, source, target
+        )
 
 
 def radius(vertices: int, shape: tuple[int, ...]) -> float:
-    """Return how far edges reach in a roadmap of ``vertices`` on a map of (rows, columns), in cells.
+    """Return how far edges reach in a roadmap of ``vertices`` on a map of (rows, columns), in
+    cells.
 
-    The side of a map that is not square is that of the square with its area; fewer than 3 vertices reach as 3 do.
+    The side of a map that is not square is that of the square with its area; fewer than 3 vertices
+    reach as 3 do.
     """
     n = max(vertices, 3)
     return REACH * math.sqrt(math.log(n) / n) * math.sqrt(shape[0] * shape[1])
@@ -110,12 +120,17 @@ def build_roadmap(grid: npt.ArrayLike, points: npt.ArrayLike, reach: float) -> R
         raise ValueError(f"reach: got {reach}, expected a positive number")
     if not (there := free_at(cells, places)).all():
         wrong = places[np.argmin(there)].tolist()
-        raise ValueError(f"points: got {wrong}, expected points in free cells of a map of {cells.shape}")
+        raise ValueError(
+            f"points: got {wrong}, expected points in free cells of a map of {cells.shape}"
+        )
     return Roadmap(places, *_join(cells, places, float(reach)))
 
 
-def between(grid: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike, samples: npt.ArrayLike) -> Roadmap:
-    """Return the roadmap of the centres of two cells and of ``samples``, (n, 2), which reaches as n vertices do.
+def between(
+    grid: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike, samples: npt.ArrayLike
+) -> Roadmap:
+    """Return the roadmap of the centres of two cells and of ``samples``, (n, 2), which reaches as n
+    vertices do.
 
     Raises:
         ValueError: a cell or sample outside the map or occupied.
@@ -127,7 +142,8 @@ def between(grid: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike, samp
 
 
 def path_lengths(grids: Bytes, starts: Ints, goals: Ints, samples: Floats) -> Floats:
-    """Return (B,) lengths of the shortest paths on B roadmaps as `between` makes them, inf without one.
+    """Return (B,) lengths of the shortest paths on B roadmaps as `between` makes them, inf without
+    one.
 
     Args:
         grids: (B, H, W).
@@ -139,7 +155,9 @@ def path_lengths(grids: Bytes, starts: Ints, goals: Ints, samples: Floats) -> Fl
         ValueError: as `between`.
     """
     found = np.empty(len(grids))
-    for k, (grid, start, goal, points) in enumerate(zip(grids, starts, goals, samples, strict=True)):
+    for k, (grid, start, goal, points) in enumerate(
+        zip(grids, starts, goals, samples, strict=True)
+    ):
         roadmap = between(grid, start, goal, points)
         found[k] = roadmap.priced_path(np.ones(len(roadmap.points)))[0]
     return found
@@ -154,7 +172,8 @@ def free_at(grid: npt.ArrayLike, points: npt.ArrayLike) -> Flags:
 
 
 def sees(grid: npt.ArrayLike, first: npt.ArrayLike, second: npt.ArrayLike) -> Flags:
-    """Return (n,) bool: which segments from ``first`` to ``second``, (n, 2) each, meet no occupied cell.
+    """Return (n,) bool: which segments from ``first`` to ``second``, (n, 2) each, meet no occupied
+    cell.
 
     A segment through the corner of a cell meets it, too. The ends must lie in the map.
     """
@@ -169,12 +188,14 @@ def _grid(grid: npt.ArrayLike) -> Bytes:
     return cells
 
 
-# --- kernels --------------------------------------------------------------------------------------------------------
+# --- kernels ------------------------------------------------------------------------------------
 
 
 @kernel
 def _sees(grid: Bytes, x0: float, y0: float, x1: float, y1: float) -> bool:
-    """Walk over all cells from (x0, y0) to (x1, y1). No distance is summed up, so that corners are met exactly."""
+    """Walk over all cells from (x0, y0) to (x1, y1). No distance is summed up, so that corners are
+    met exactly.
+    """
     i, j, last_i, last_j = math.floor(x0), math.floor(y0), math.floor(x1), math.floor(y1)
     high, wide = abs(x1 - x0), abs(y1 - y0)
     down, right = (1 if x1 > x0 else -1), (1 if y1 > y0 else -1)
@@ -207,7 +228,9 @@ def _all_see(grid: Bytes, first: Floats, second: Floats) -> Flags:
 
 @kernel
 def _join(grid: Bytes, points: Floats, reach: float) -> tuple[Ints, Ints, Floats]:
-    """Return offsets, neighbours and lengths of a `Roadmap`; points are looked up in buckets as wide as the reach."""
+    """Return offsets, neighbours and lengths of a `Roadmap`; points are looked up in buckets as
+    wide as the reach.
+    """
     n = len(points)
     tall, broad = int(grid.shape[0] / reach) + 1, int(grid.shape[1] / reach) + 1
     bucket, first = np.empty(n, np.int64), np.zeros(tall * broad + 1, np.int64)
@@ -228,7 +251,11 @@ def _join(grid: Bytes, points: Floats, reach: float) -> tuple[Ints, Ints, Floats
                 for k in range(first[i * broad + j], first[i * broad + j + 1]):
                     u = members[k]
                     square = (points[u, 0] - x) ** 2 + (points[u, 1] - y) ** 2
-                    if u <= v or square > reach * reach or not _sees(grid, x, y, points[u, 0], points[u, 1]):
+                    if (
+                        u <= v
+                        or square > reach * reach
+                        or not _sees(grid, x, y, points[u, 0], points[u, 1])
+                    ):
                         continue
                     if count == len(spans):
                         pairs = np.concatenate((pairs, np.empty_like(pairs)))
@@ -249,9 +276,17 @@ def _join(grid: Bytes, points: Floats, reach: float) -> tuple[Ints, Ints, Floats
 
 @kernel
 def _search(
-    points: Floats, offsets: Ints, neighbours: Ints, lengths: Floats, prices: Floats, source: Int, target: Int
+    points: Floats,
+    offsets: Ints,
+    neighbours: Ints,
+    lengths: Floats,
+    prices: Floats,
+    source: Int,
+    target: Int,
 ) -> tuple[float, Ints]:
-    """Return cost and vertices of a cheapest path, by A* with the distance to the target: prices are at least 1."""
+    """Return cost and vertices of a cheapest path, by A* with the distance to the target: prices
+    are at least 1.
+    """
     n, x, y = len(points), points[target, 0], points[target, 1]
     best, before, done = np.full(n, np.inf), np.full(n, -1), np.zeros(n, np.bool_)
     best[source] = 0.0
@@ -279,11 +314,12 @@ def _search(
     return float(best[target]), path
 
 
-# --- samplers -------------------------------------------------------------------------------------------------------
+# --- samplers -----------------------------------------------------------------------------------
 
 
 def halton(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
-    """Return (n, 2): the first points of the Halton sequence that are free, after a random shift of the torus.
+    """Return (n, 2): the first points of the Halton sequence that are free, after a random shift of
+    the torus.
 
     Raises:
         ValueError: no free cell, or n below 1; so do all samplers.
@@ -308,8 +344,8 @@ def uniform(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
 def gaussian(grid: npt.ArrayLike, n: int, seed: int = 0, spread: float = 3.0) -> Floats:
     """Return (n, 2) points near obstacles: free ones of pairs of which the other is not free.
 
-    Boor, Overmars, van der Stappen, ICRA 1999. ``spread`` is the pair's standard deviation in cells; the border of the
-    map is an obstacle. What 100 rounds do not find is uniform.
+    Boor, Overmars, van der Stappen, ICRA 1999. ``spread`` is the pair's standard deviation in
+    cells; the border of the map is an obstacle. What 100 rounds do not find is uniform.
     """
     cells = _free(grid, n)
 
@@ -347,7 +383,9 @@ SAMPLERS: dict[str, Callable[[npt.ArrayLike, int, int], Floats]] = {
 """Samplers that learn nothing, by name."""
 
 
-def _rounds(cells: Bytes, n: int, seed: int, draw: Callable[[np.random.Generator, int], Floats]) -> Floats:
+def _rounds(
+    cells: Bytes, n: int, seed: int, draw: Callable[[np.random.Generator, int], Floats]
+) -> Floats:
     source, found = np.random.default_rng(seed), np.empty((0, 2))
     for _ in range(100):
         found = np.concatenate([found, draw(source, 16 * n + 256)])
@@ -361,7 +399,9 @@ def _free(grid: npt.ArrayLike, n: int) -> Bytes:
     if n < 1:
         raise ValueError(f"n: got {n}, expected at least 1 sample")
     if cells.all():
-        raise ValueError(f"grid: got a map of {cells.shape} without a free cell, expected one to sample in")
+        raise ValueError(
+            f"grid: got a map of {cells.shape} without a free cell, expected one to sample in"
+        )
     return cells
 
 

@@ -1,12 +1,12 @@
-"""Samplers of roadmaps in one table: how often a roadmap of n vertices has a path, and how long the paths are.
+"""Samplers of roadmaps in one table: how often a roadmap of n vertices has a path, and how long the
+paths are.
 
-from mapdata import MapSpec
-from mapdata.problems import Problems
-from models.lego_sampler import load
-from models.sampler_table import compare, contenders, to_text
+from mapdata import MapSpec from mapdata.problems import Problems from models.lego_sampler import
+load from models.sampler_table import compare, contenders, to_text
 
 problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
-print(to_text(compare(contenders({"lego_heatmap": load("models/weights/lego_heatmap.pt")}), problems)))
+print(to_text(compare(contenders({"lego_heatmap": load("models/weights/lego_heatmap.pt")}),
+problems)))
 """
 
 from __future__ import annotations
@@ -45,30 +45,40 @@ _BATCH = 50
 class Contender(Protocol):
     """What gives all vertices of roadmaps."""
 
-    def __call__(self, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+    def __call__(
+        self, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+    ) -> Floats:
         """Return (B, n, 2) points in free cells: grids (B, H, W), starts and goals (B, 2)."""
 
 
 class Learned(Protocol):
     """What `models.lego_sampler.Sampler` is."""
 
-    def sample_batch(self, grids: Bytes, starts: Ints, goals: Ints, n: int, seed: int = 0) -> Floats:
+    def sample_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, n: int, seed: int = 0
+    ) -> Floats:
         """Return (B, n, 2) points."""
 
 
 def contenders(learned: Mapping[str, Learned]) -> dict[str, Contender]:
-    """Return the rows of the table: Halton and uniform points; half Halton and half Gaussian, bridge or learned."""
+    """Return the rows of the table: Halton and uniform points; half Halton and half Gaussian,
+    bridge or learned.
+    """
     rows: dict[str, Contender] = {name: partial(_classical, name) for name in SAMPLERS}
     return rows | {name: partial(_learned, model) for name, model in learned.items()}
 
 
-def _classical(name: str, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+def _classical(
+    name: str, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+) -> Floats:
     first = 0 if name in ("halton", "uniform") else n - n // 2
     rest = [SAMPLERS[name](grid, n - first, seed) for grid, seed in zip(grids, seeds, strict=True)]
     return np.concatenate([_halton(grids, first, seeds), np.stack(rest)], axis=1)
 
 
-def _learned(model: Learned, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+def _learned(
+    model: Learned, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+) -> Floats:
     found = model.sample_batch(grids, starts, goals, n // 2, seeds[0])
     return np.concatenate([_halton(grids, n - n // 2, seeds), found], axis=1)
 
@@ -89,11 +99,13 @@ def compare(
 ) -> pd.DataFrame:
     """Return the table: for each size two rows a sampler, all problems and the hard ones.
 
-    Columns: ``sampler``; ``subset``, "all" or "hard" (hardness of the grid problem at least ``HARD``); ``n``, vertices
-    of the roadmap; ``problems``, how many are in the subset; ``success``, the share whose roadmap joins start and goal;
-    ``length_ratio``, the mean over those of the path's length to that on a Halton roadmap of ``DENSE`` vertices (a
-    problem that has none there is left out), NaN where there is none; of both ``<name>_low``, ``<name>_high``, a 95 %
-    percentile interval over resampled problems, the same resamples for all; ``ms``, milliseconds a problem to sample.
+    Columns: ``sampler``; ``subset``, "all" or "hard" (hardness of the grid problem at least
+    ``HARD``); ``n``, vertices
+    of the roadmap; ``problems``, how many are in the subset; ``success``, the share whose roadmap
+    joins start and goal; ``length_ratio``, the mean over those of the path's length to that on a
+    Halton roadmap of ``DENSE`` vertices (a problem that has none there is left out), NaN where
+    there is none; of both ``<name>_low``, ``<name>_high``, a 95 % percentile interval over
+    resampled problems, the same resamples for all; ``ms``, milliseconds a problem to sample.
 
     Args:
         rows: the samplers, by name.
@@ -106,7 +118,9 @@ def compare(
         ValueError: no sampler, problem, size or resample, or a size below 2.
     """
     if not rows or not len(problems) or not sizes or min(sizes) < 2 or bootstrap < 1:
-        raise ValueError("expected at least one sampler, problem and resample, and sizes of 2 or more")
+        raise ValueError(
+            "expected at least one sampler, problem and resample, and sizes of 2 or more"
+        )
     dense = _lengths(_classical_halton, problems, DENSE)[0]
     table: list[dict[str, object]] = []
     outcomes: list[Floats] = []
@@ -114,7 +128,15 @@ def compare(
         for name, contender in rows.items():
             lengths, ms = _lengths(contender, problems, n)
             for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
-                table.append({"sampler": name, "subset": subset, "n": n, "problems": int(mask.sum()), "ms": ms})
+                table.append(
+                    {
+                        "sampler": name,
+                        "subset": subset,
+                        "n": n,
+                        "problems": int(mask.sum()),
+                        "ms": ms,
+                    }
+                )
                 outcomes.append(_outcomes(lengths, dense, mask))
     found = confidence_intervals(np.stack(outcomes, axis=1), _metrics, bootstrap, seed)
     for ending, values in zip(("", "_low", "_high"), found, strict=True):
@@ -123,12 +145,16 @@ def compare(
     return pd.DataFrame(table)
 
 
-def _classical_halton(grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]) -> Floats:
+def _classical_halton(
+    grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+) -> Floats:
     return _halton(grids, n, [seed + 10_000_019 for seed in seeds])
 
 
 def _lengths(contender: Contender, problems: Problems, n: int) -> tuple[Floats, float]:
-    """Return path lengths (N,), inf without a path, and the milliseconds a problem took to sample."""
+    """Return path lengths (N,), inf without a path, and the milliseconds a problem took to
+    sample.
+    """
     found, seconds = [], 0.0
     for k in range(0, len(problems), _BATCH):
         part = slice(k, k + _BATCH)
@@ -144,7 +170,9 @@ def _lengths(contender: Contender, problems: Problems, n: int) -> tuple[Floats, 
 
 
 def _outcomes(lengths: Floats, dense: Floats, subset: Flags) -> Floats:
-    """Return (N, 4): in the subset; solved; solved on both roadmaps; the ratio of the two lengths, else 0."""
+    """Return (N, 4): in the subset; solved; solved on both roadmaps; the ratio of the two lengths,
+    else 0.
+    """
     solved = subset & np.isfinite(lengths)
     both = solved & np.isfinite(dense)
     ratios = np.divide(lengths, dense, out=np.zeros_like(lengths), where=both)
@@ -159,7 +187,9 @@ def _metrics(means: Floats) -> Floats:
 
 
 def to_text(table: pd.DataFrame) -> str:
-    """Return the table for a terminal: a block a subset, a line a sampler, success and length ratio for each size."""
+    """Return the table for a terminal: a block a subset, a line a sampler, success and length ratio
+    for each size.
+    """
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame(index=pd.Index(rows["sampler"].unique(), name="sampler"))
@@ -167,7 +197,10 @@ def to_text(table: pd.DataFrame) -> str:
             of = part.set_index("sampler")
             for metric in METRICS:
                 half = (of[f"{metric}_high"] - of[f"{metric}_low"]) / 2
-                values = [f"{value:.3f} ±{width:.3f}" for value, width in zip(of[metric], half, strict=True)]
+                values = [
+                    f"{value:.3f} ±{width:.3f}"
+                    for value, width in zip(of[metric], half, strict=True)
+                ]
                 text[f"{metric} n={n}"] = pd.Series(values, of.index)
         which = f", hardness at least {HARD}" if subset == "hard" else ""
         blocks.append(f"{subset}: {rows['problems'].iloc[0]} problems{which}\n{text.to_string()}")
@@ -181,8 +214,20 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
         style = "-" if k >= len(SAMPLERS) else ":"
         colour, marker = PALETTE[k % len(PALETTE)], MARKERS[k % len(MARKERS)]
         axes.plot(part["n"], part["success"], style, marker=marker, color=colour, label=str(name))
-        axes.fill_between(part["n"], part["success_low"], part["success_high"], color=colour, alpha=0.12, linewidth=0)
-    axes.set(xlabel="vertices of the roadmap", ylabel="problems solved", title=f"{subset} problems", ylim=(None, 1.01))
+        axes.fill_between(
+            part["n"],
+            part["success_low"],
+            part["success_high"],
+            color=colour,
+            alpha=0.12,
+            linewidth=0,
+        )
+    axes.set(
+        xlabel="vertices of the roadmap",
+        ylabel="problems solved",
+        title=f"{subset} problems",
+        ylim=(None, 1.01),
+    )
     axes.set_xscale("log", base=2)
     axes.set_xticks(sorted(rows["n"].unique()), [str(n) for n in sorted(rows["n"].unique())])
     axes.minorticks_off()
@@ -191,8 +236,12 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
     return axes
 
 
-def plot_roadmaps(rows: Mapping[str, Contender], problems: Problems, n: int, figure: Figure, maps: int = 3) -> None:
-    """Draw the roadmaps of every sampler on the first hard problems, a line a problem, with the path found."""
+def plot_roadmaps(
+    rows: Mapping[str, Contender], problems: Problems, n: int, figure: Figure, maps: int = 3
+) -> None:
+    """Draw the roadmaps of every sampler on the first hard problems, a line a problem, with the
+    path found.
+    """
     chosen = [*np.flatnonzero(problems.hard), *np.flatnonzero(~problems.hard)][:maps]
     grid_of_axes = figure.subplots(len(chosen), len(rows), squeeze=False)
     for line, k in zip(grid_of_axes, chosen, strict=True):
@@ -202,8 +251,12 @@ def plot_roadmaps(rows: Mapping[str, Contender], problems: Problems, n: int, fig
             roadmap = between(grid, start, goal, points)
             length, path = roadmap.shortest_path()
             # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
-            plot_roadmap(grid, roadmap.points - 0.5, roadmap.edges, axes, path=roadmap.points[path] - 0.5)
-            axes.plot(*(roadmap.points[:2, ::-1] - 0.5).T, "*", color="#009E73", markersize=12, zorder=4)
+            plot_roadmap(
+                grid, roadmap.points - 0.5, roadmap.edges, axes, path=roadmap.points[path] - 0.5
+            )
+            axes.plot(
+                *(roadmap.points[:2, ::-1] - 0.5).T, "*", color="#009E73", markersize=12, zorder=4
+            )
             axes.set_title(f"{name}, {f'{length:.1f} cells' if len(path) else 'no path'}")
             if legend := axes.get_legend():
                 legend.remove()

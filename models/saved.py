@@ -19,9 +19,13 @@ MOST = 1024
 
 def save_model(model: pl.LightningModule, file: str | PathLike[str], dtype: torch.dtype) -> None:
     """Write a model's class, arguments and weights, as plain types and tensors of ``dtype``."""
-    known = {k: v for k, v in model.hparams.items() if not k.startswith("_")}  # LightningCLI adds one of its own
+    known = {
+        k: v for k, v in model.hparams.items() if not k.startswith("_")
+    }  # LightningCLI adds one of its own
     arguments = {name: list(v) if isinstance(v, tuple) else v for name, v in known.items()}
-    weights = {name: v.detach().to("cpu", dtype).contiguous() for name, v in model.state_dict().items()}
+    weights = {
+        name: v.detach().to("cpu", dtype).contiguous() for name, v in model.state_dict().items()
+    }
     torch.save({"class": type(model).__name__, "arguments": arguments, "weights": weights}, file)
 
 
@@ -30,7 +34,8 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: it holds no such model, or code, or less than it says; the message is one line and names the file.
+        ValueError: it holds no such model, or code, or less than it says; the message is one line
+            and names the file.
     """
     path = Path(file)
     if not path.exists():
@@ -40,30 +45,41 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
         saved = _read(path)
         kind = known[saved["class"]]
         with torch.device("meta"):  # its shapes alone take no memory
-            shapes = {name: value.shape for name, value in kind(**saved["arguments"]).state_dict().items()}
+            shapes = {
+                name: value.shape for name, value in kind(**saved["arguments"]).state_dict().items()
+            }
         if shapes != {name: value.shape for name, value in saved["weights"].items()}:
             raise ValueError("its weights have other names or shapes than its arguments say")
         model = kind(**saved["arguments"])
         model.load_state_dict(saved["weights"])
-    except Exception as error:  # what torch's readers and a model's own arguments raise is not documented
+    except Exception as error:
+        # what torch's readers and a model's own arguments raise is not documented
         reason = str(error).strip().split("\n")[0]
         expected = " or ".join(known)
-        raise ValueError(f"{file}: holds no saved {expected} ({type(error).__name__}: {reason})") from None
+        raise ValueError(
+            f"{file}: holds no saved {expected} ({type(error).__name__}: {reason})"
+        ) from None
     return model.eval()
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Return what the file holds, after checking that it takes no more memory than the file is long."""
+    """Return what the file holds, after checking that it takes no more memory than the file is
+    long.
+    """
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         unpacked = sum(info.file_size for info in archive.infolist())
     if unpacked > size:
         raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
     saved = torch.load(path, map_location="cpu", weights_only=True)
-    if not isinstance(saved, dict) or not all(isinstance(saved.get(name), dict) for name in ("arguments", "weights")):
+    if not isinstance(saved, dict) or not all(
+        isinstance(saved.get(name), dict) for name in ("arguments", "weights")
+    ):
         raise ValueError("expected arguments and weights")
     numbers = [
-        item for value in saved["arguments"].values() for item in (value if isinstance(value, list) else [value])
+        item
+        for value in saved["arguments"].values()
+        for item in (value if isinstance(value, list) else [value])
     ]
     if any(isinstance(number, (int, float)) and not abs(number) <= MOST for number in numbers):
         raise ValueError(f"its arguments hold a number beyond {MOST}")

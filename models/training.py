@@ -1,4 +1,6 @@
-"""What the training scripts share: a LightningCLI that writes the weights at the end, and says early if it cannot."""
+"""What the training scripts share: a LightningCLI that writes the weights at the end, and says
+early if it cannot.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,12 @@ class TrainingCli(LightningCLI):
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Add the flag."""
-        parser.add_argument("--weights", type=str | None, default=None, help="file for the weights after the last step")
+        parser.add_argument(
+            "--weights",
+            type=str | None,
+            default=None,
+            help="file for the weights after the last step",
+        )
 
     def before_instantiate_classes(self) -> None:
         """Refuse a file that could not be written after the training."""

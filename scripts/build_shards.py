@@ -1,4 +1,6 @@
-"""Build a dataset: python scripts/build_shards.py [ROOT] --maps N --seed S --preset NAME --shard-size K --workers W."""
+"""Build a dataset: python scripts/build_shards.py [ROOT] --maps N --seed S --preset NAME
+--shard-size K --workers W.
+"""
 
 from mapdata.cli import build_main
 

@@ -1,14 +1,22 @@
-"""Compare samplers of roadmaps in one table: python scripts/evaluate_sampler.py --preset dungeon --maps 1000 --seed 77.
+"""Compare samplers of roadmaps in one table: python scripts/evaluate_sampler.py --preset dungeon
+--maps 1000 --seed 77.
 
-The trained samplers in models/weights come along: lego_*.pt and shortest_path_*.pt. Roadmaps have n vertices in all;
-of Gaussian, bridge and learned ones half are Halton's.
+The trained samplers in models/weights come along: lego_*.pt and shortest_path_*.pt. Roadmaps have n
+vertices in all; of Gaussian, bridge and learned ones half are Halton's.
 """
 
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import Parser, add_problem_arguments, check_outputs, given_problems, run, write_table
+from mapdata.cli import (
+    Parser,
+    add_problem_arguments,
+    check_outputs,
+    given_problems,
+    run,
+    write_table,
+)
 from models.lego_sampler import load
 from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
 
@@ -28,16 +36,24 @@ def evaluate_command(
     pictures: str | None,
     weights: str | None,
 ) -> None:
-    """Compare samplers of roadmaps on one problem a map: maps made on the spot, or the test split of a dataset."""
+    """Compare samplers of roadmaps on one problem a map: maps made on the spot, or the test split
+    of a dataset.
+    """
     check_outputs(csv, json, figure, pictures)
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
-    files = [*Path(weights or WEIGHTS).glob("lego_*.pt"), *Path(weights or WEIGHTS).glob("shortest_path_*.pt")]
+    files = [
+        *Path(weights or WEIGHTS).glob("lego_*.pt"),
+        *Path(weights or WEIGHTS).glob("shortest_path_*.pt"),
+    ]
     rows = contenders({file.stem: load(file) for file in sorted(files)})
     maps = 1000 if not root and maps is None else maps
     problems = given_problems(root, preset, seed, maps)
     table = compare(rows, problems, sorted(set(sizes)))
-    print(f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by {problems.movement}\n")
+    print(
+        f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "
+        f"{problems.movement}\n"
+    )
     print(to_text(table))
     write_table(table, csv, json)
     if figure is not None:
@@ -56,11 +72,22 @@ def main(arguments: list[str] | None = None) -> None:
     parser = Parser(description=evaluate_command.__doc__)
     add_problem_arguments(parser, maps=1000)
     parser.add_argument(
-        "--sizes", metavar="N", type=int, nargs="+", default=list(SIZES), help="vertices (default: 24 50 100)"
+        "--sizes",
+        metavar="N",
+        type=int,
+        nargs="+",
+        default=list(SIZES),
+        help="vertices (default: 24 50 100)",
     )
-    parser.add_argument("--figure", metavar="FILE", help="draw success against the number of vertices")
-    parser.add_argument("--pictures", metavar="FILE", help="draw roadmaps of 50 vertices with their samples")
-    parser.add_argument("--weights", metavar="FOLDER", help="of the trained samplers (default: those that ship)")
+    parser.add_argument(
+        "--figure", metavar="FILE", help="draw success against the number of vertices"
+    )
+    parser.add_argument(
+        "--pictures", metavar="FILE", help="draw roadmaps of 50 vertices with their samples"
+    )
+    parser.add_argument(
+        "--weights", metavar="FOLDER", help="of the trained samplers (default: those that ship)"
+    )
     run(evaluate_command, **vars(parser.parse_args(arguments)))
 
 

@@ -1,6 +1,8 @@
-"""Neural A*: batches as its train.py has them; for Planner take NeuralAstar() of neural_astar.planner, and .histories.
+"""Neural A*: batches as its train.py has them.
 
-Its moves: 8 neighbours, any diagonal, each at cost 1. Source: https://github.com/omron-sinicx/neural-astar.
+For Planner take NeuralAstar() of neural_astar.planner, and .histories of what it returns.
+Its moves: 8 neighbours, any diagonal, each at cost 1.
+Source: https://github.com/omron-sinicx/neural-astar.
 """
 
 import torch
@@ -14,9 +16,11 @@ class Planner(torch.nn.Conv2d):
         return super().forward(torch.cat(inputs, dim=1)).sigmoid()
 
 
-planner, moves = Planner(3, 1, 5, padding=2), Movement(8, corner_cutting=True, diagonal_cost=1)
+planner = Planner(3, 1, 5, padding=2)
 fields = ("free", "start_mask", "goal_mask", "path_mask")
-dataset = MapDataset("data/maps", "train", fields, problems=Random(distance=(10, None)), movement=moves)
+problems = Random(distance=(10, None))
+movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+dataset = MapDataset("data/maps", "train", fields, problems=problems, movement=movement)
 optimizer = torch.optim.RMSprop(planner.parameters(), lr=0.001)
 for batch in DataLoader(dataset, 100, shuffle=True):
     map_designs, start_maps, goal_maps, opt_trajs = (field.float() for field in batch)

@@ -1,7 +1,9 @@
-"""Train the path predictor; python scripts/train_path_predictor.py fit --weights FILE writes its weights at the end.
+"""Train the path predictor; python scripts/train_path_predictor.py fit --weights FILE writes its
+weights at the end.
 
-All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help). Checkpoints, metrics.csv
-and figures of predictions each epoch lie under runs/path_predictor. More flags after fit:
+All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
+Checkpoints, metrics.csv and figures of predictions each epoch lie under runs/path_predictor. More
+flags after fit:
 
     --ckpt_path FILE             go on from a checkpoint
     --trainer.accelerator gpu    the same on a GPU
@@ -33,10 +35,16 @@ class Figures(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write ``predictions-<step>.png`` into the folder of the logs."""
-        if not isinstance(pl_module, PathPredictor) or trainer.log_dir is None or not trainer.is_global_zero:
+        if (
+            not isinstance(pl_module, PathPredictor)
+            or trainer.log_dir is None
+            or not trainer.is_global_zero
+        ):
             return
         loaders: Any = trainer.val_dataloaders
-        batches = [next(iter(loader)) for loader in (loaders if isinstance(loaders, list) else [loaders])]
+        batches = [
+            next(iter(loader)) for loader in (loaders if isinstance(loaders, list) else [loaders])
+        ]
         canvas = Figure(figsize=(16, 5 * len(batches)), layout="constrained")
         axes = canvas.subplots(len(batches), 4, squeeze=False)
         for batch, line in zip(batches, axes, strict=True):
@@ -53,7 +61,9 @@ class Figures(Callback):
 def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
     """Draw the predicted path over a shortest one; shades are predicted heuristic ratios."""
     fields = dict(zip(sample._fields, sample, strict=True))
-    grid, start, goal = (fields[name].cpu().numpy().astype("int64") for name in ("map", "start", "goal"))
+    grid, start, goal = (
+        fields[name].cpu().numpy().astype("int64") for name in ("map", "start", "goal")
+    )
     truth = astar(grid[0], start, goal, model.movement).path
     ratios = model.predict(grid, goal[None])[1][0]
     plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=ratios)
@@ -65,7 +75,9 @@ class Cli(TrainingCli):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Add the flags."""
         super().add_arguments_to_parser(parser)
-        parser.add_argument("--connectivity", type=int | None, default=None, help="short for --model.connectivity")
+        parser.add_argument(
+            "--connectivity", type=int | None, default=None, help="short for --model.connectivity"
+        )
 
     def before_instantiate_classes(self) -> None:
         """Let the data move as the model does, and refuse data that was told otherwise."""

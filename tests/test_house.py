@@ -1,4 +1,6 @@
-"""The house: which folder may import which, faces that say what is public, and a test for every module."""
+"""The house: which folder may import which, faces that say what is public, and a test for every
+module.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,17 @@ from helpers.pages import DOCS, ROOT, blocks
 import mapdata
 
 GROUND = ("_version", "arrays", "jit", "rng", "spec")
-FOLDERS = ("generators", "search", "shards", "problems", "formats", "datasets", "evaluation", "plotting", "cli")
+FOLDERS = (
+    "generators",
+    "search",
+    "shards",
+    "problems",
+    "formats",
+    "datasets",
+    "evaluation",
+    "plotting",
+    "cli",
+)
 """Each imports only from the ground files and from the folders before it."""
 
 NOT_FROM = {"evaluation": {"datasets"}}
@@ -41,12 +53,28 @@ TESTED_IN = {
     "mapdata/problems/symmetry.py": ("datasets/test_dataset.py",),
     "mapdata/search/kernels.py": ("search/test_api.py", "search/test_labels.py"),
     "mapdata/search/lattice.py": ("search/test_lattice.py", "problems/test_sampling.py"),
-    "mapdata/shards/builder.py": ("shards/test_builder.py", "shards/test_faults.py", "shards/test_manifest.py"),
+    "mapdata/shards/builder.py": (
+        "shards/test_builder.py",
+        "shards/test_faults.py",
+        "shards/test_manifest.py",
+    ),
     "mapdata/shards/corruption.py": ("shards/test_corruption.py", "shards/test_root.py"),
-    "mapdata/shards/manifest.py": ("shards/test_manifest.py", "shards/test_builder.py", "shards/test_faults.py"),
+    "mapdata/shards/manifest.py": (
+        "shards/test_manifest.py",
+        "shards/test_builder.py",
+        "shards/test_faults.py",
+    ),
     "mapdata/shards/recipe.py": ("shards/test_builder.py", "cli/test_app.py"),
-    "mapdata/shards/shard.py": ("shards/test_shard.py", "shards/test_faults.py", "datasets/test_batches.py"),
-    "mapdata/shards/table.py": ("datasets/test_dataset.py", "formats/test_huggingface.py", "formats/test_paper.py"),
+    "mapdata/shards/shard.py": (
+        "shards/test_shard.py",
+        "shards/test_faults.py",
+        "datasets/test_batches.py",
+    ),
+    "mapdata/shards/table.py": (
+        "datasets/test_dataset.py",
+        "formats/test_huggingface.py",
+        "formats/test_paper.py",
+    ),
     "models/cvae.py": ("models/test_lego_sampler.py",),
     "models/experience.py": ("models/test_lego_sampler.py",),
     "models/learned_planners.py": ("models/test_path_predictor.py",),
@@ -58,7 +86,11 @@ TESTED_IN = {
 """Modules without a test file of their name, and those that others reach into too."""
 
 PRIVATE = {
-    "tests/helpers/fuzzing.py": {"mapdata.datasets.dataset", "mapdata.formats.movingai", "mapdata.shards.shard"},
+    "tests/helpers/fuzzing.py": {
+        "mapdata.datasets.dataset",
+        "mapdata.formats.movingai",
+        "mapdata.shards.shard",
+    },
 }
 """What helpers need of the inside."""
 
@@ -70,7 +102,9 @@ class Import(NamedTuple):
     name: str
 
     def folder(self) -> str:
-        """Return the folder or ground file of mapdata that it comes from; nothing for other packages."""
+        """Return the folder or ground file of mapdata that it comes from; nothing for other
+        packages.
+        """
         parts = self.module.split(".")
         return parts[1] if parts[0] == "mapdata" and len(parts) > 1 else ""
 
@@ -81,7 +115,11 @@ class Import(NamedTuple):
             return None
         path = ROOT / "mapdata" / folder / f"{self.name}.py"
         return (
-            f"mapdata.{folder}.{self.name}" if path.is_file() else self.module if self.module.count(".") > 1 else None
+            f"mapdata.{folder}.{self.name}"
+            if path.is_file()
+            else self.module
+            if self.module.count(".") > 1
+            else None
         )
 
 
@@ -102,11 +140,15 @@ def imports_of(path: Path) -> tuple[Import, ...]:
 
 def python_files(*folders: str) -> list[str]:
     """Return all files of Python below these folders, as names from the checkout."""
-    return sorted(str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py"))
+    return sorted(
+        str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py")
+    )
 
 
 MODULES = [
-    name for name in python_files("mapdata", "models") if Path(name).stem not in ("__init__", "_version", "arrays")
+    name
+    for name in python_files("mapdata", "models")
+    if Path(name).stem not in ("__init__", "_version", "arrays")
 ]
 """All but those that have nothing to test: faces, the version, names of types."""
 
@@ -125,7 +167,9 @@ def test_folders_import_only_from_those_before_them(folder: str) -> None:
         for one in imports_of(path):
             where = f"{path.relative_to(ROOT)} imports {one.name} from {one.module}"
             assert one.module != "mapdata", f"{where}: name the folder"
-            assert one.module.split(".")[0] not in ("models", "scripts", "tests", "benchmarks"), where
+            assert one.module.split(".")[0] not in ("models", "scripts", "tests", "benchmarks"), (
+                where
+            )
             if one.folder():
                 assert one.folder() in allowed, where
 
@@ -139,9 +183,17 @@ def test_ground_files_import_only_one_another() -> None:
 
 def test_no_module_imports_itself_round_a_corner() -> None:
     """No circles."""
-    files = {name.removesuffix(".py").replace("/", "."): ROOT / name for name in python_files("mapdata", "models")}
+    files = {
+        name.removesuffix(".py").replace("/", "."): ROOT / name
+        for name in python_files("mapdata", "models")
+    }
     arrows = {
-        name: {target for one in imports_of(path) for target in (one.module, f"{one.module}.{one.name}")} & set(files)
+        name: {
+            target
+            for one in imports_of(path)
+            for target in (one.module, f"{one.module}.{one.name}")
+        }
+        & set(files)
         for name, path in files.items()
     }
     while leaves := [name for name, targets in arrows.items() if not targets & set(arrows)]:
@@ -158,15 +210,28 @@ def test_users_come_in_by_the_face() -> None:
         for module in MODULES:
             if file.removeprefix("tests/") in (mirror(module), *TESTED_IN.get(module, ())):
                 allowed.add(module.removesuffix(".py").replace("/", "."))
-        if reached := {inside for one in imports_of(ROOT / file) if (inside := one.inside())} - allowed:
+        if (
+            reached := {inside for one in imports_of(ROOT / file) if (inside := one.inside())}
+            - allowed
+        ):
             wrong[file] = reached
-    assert wrong == {}, "take it from mapdata.<folder>, or add the test to its module's line in TESTED_IN"
+    assert wrong == {}, (
+        "take it from mapdata.<folder>, or add the test to its module's line in TESTED_IN"
+    )
 
 
 def test_pages_come_in_by_the_face() -> None:
     """README, docs and the notebook."""
-    pages = {page: blocks(page) for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.rglob("*.md"))}
-    texts = [(page.name, block.text) for page, found in pages.items() for block in found if block.language == "python"]
+    pages = {
+        page: blocks(page)
+        for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.rglob("*.md"))
+    }
+    texts = [
+        (page.name, block.text)
+        for page, found in pages.items()
+        for block in found
+        if block.language == "python"
+    ]
     for cell in json.loads((DOCS / "first_look.ipynb").read_text(encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             texts.append(("first_look.ipynb", "".join(cell["source"])))
@@ -179,13 +244,17 @@ def test_pages_come_in_by_the_face() -> None:
 def test_no_test_imports_another() -> None:
     """What they share is in tests/helpers."""
     for file in python_files("tests"):
-        found = {part for one in imports_of(ROOT / file) for part in (*one.module.split("."), one.name)}
+        found = {
+            part for one in imports_of(ROOT / file) for part in (*one.module.split("."), one.name)
+        }
         assert not [part for part in found if part.startswith("test_")], file
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_a_face_names_what_is_there(folder: str) -> None:
-    """``__all__`` in order, each name there, none that of a module: ``mapdata.shards.repair`` is the function."""
+    """``__all__`` in order, each name there, none that of a module: ``mapdata.shards.repair`` is
+    the function.
+    """
     face = import_module(f"mapdata.{folder}")
     assert len(face.__all__) == len(set(face.__all__))
     modules = {path.stem for path in (ROOT / "mapdata" / folder).glob("*.py")}
@@ -200,11 +269,15 @@ def test_the_top_face_agrees_with_the_folders() -> None:
     tree = ast.parse((ROOT / "mapdata" / "__init__.py").read_text(encoding="utf-8"))
     (block,) = (node for node in tree.body if isinstance(node, ast.If))
     seen = {one.name: one.module for one in imports(ast.unparse(block))}
-    assert seen == {name: f"mapdata.{folder}" for folder, names in mapdata._FACES.items() for name in names}
+    assert seen == {
+        name: f"mapdata.{folder}" for folder, names in mapdata._FACES.items() for name in names
+    }
     assert set(mapdata.__all__) == {*seen, "__version__"}
     for name, module in seen.items():
         assert getattr(mapdata, name) is getattr(import_module(module), name)
-        assert module == "mapdata.spec" or name in import_module(module).__all__, f"{name} is not in {module}.__all__"
+        assert module == "mapdata.spec" or name in import_module(module).__all__, (
+            f"{name} is not in {module}.__all__"
+        )
 
 
 def test_every_module_has_a_test() -> None:
@@ -212,12 +285,16 @@ def test_every_module_has_a_test() -> None:
     for module in MODULES:
         files = TESTED_IN.get(module) or (mirror(module),)
         missing = [file for file in files if not (ROOT / "tests" / file).is_file()]
-        assert not missing, f"{module}: no tests/{missing[0]}, and no line in TESTED_IN that names another"
+        assert not missing, (
+            f"{module}: no tests/{missing[0]}, and no line in TESTED_IN that names another"
+        )
     assert set(TESTED_IN) <= set(MODULES)
 
 
 def test_test_files_say_what_they_test() -> None:
-    """A file in the folder of a module bears its name, or is one of these, which test something else."""
+    """A file in the folder of a module bears its name, or is one of these, which test something
+    else.
+    """
     others = {
         "shards/test_faults.py": "kills and full disks",
         "shards/test_format.py": "docs/format.md",
@@ -230,4 +307,6 @@ def test_test_files_say_what_they_test() -> None:
     }
     known = {mirror(module) for module in MODULES} | set(others)
     files = {str(path.relative_to(ROOT / "tests")) for path in (ROOT / "tests").rglob("test_*.py")}
-    assert {file for file in files if not file.startswith(("docs/", "benchmarks/"))} - known == set()
+    assert {
+        file for file in files if not file.startswith(("docs/", "benchmarks/"))
+    } - known == set()

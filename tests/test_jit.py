@@ -1,4 +1,6 @@
-"""The kernel cache: never stale, whichever source file was edited, and no need for a cache at all."""
+"""The kernel cache: never stale, whichever source file was edited, and no need for a cache at
+all.
+"""
 
 from __future__ import annotations
 
@@ -56,11 +58,20 @@ class Copy:
 
     def run(self, code: str) -> subprocess.CompletedProcess[str]:
         """Run ``code`` with the copy in place of the package."""
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+        environment = {
+            name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")
+        }
         environment |= {"PYTHONPATH": str(self.home), "XDG_CACHE_HOME": str(self.cache)}
         environment |= {"HOME": str(self.home), "LOCALAPPDATA": str(self.cache)}
-        command = [sys.executable, "-B", "-c", f"import mapdata\nassert {str(self.home)!r} in mapdata.__file__\n{code}"]
-        return subprocess.run(command, env=environment, cwd=self.home, capture_output=True, text=True, check=True)
+        command = [
+            sys.executable,
+            "-B",
+            "-c",
+            f"import mapdata\nassert {str(self.home)!r} in mapdata.__file__\n{code}",
+        ]
+        return subprocess.run(
+            command, env=environment, cwd=self.home, capture_output=True, text=True, check=True
+        )
 
     def cached(self) -> dict[str, int]:
         """Return the files of the cache and when they were written."""
@@ -74,13 +85,17 @@ def copy(tmp_path: Path) -> Copy:
 
 
 def test_a_stale_kernel_is_never_served(copy: Copy) -> None:
-    """An edit of rng.py changes what a cached kernel of another file gives; with numba's own cache it would not."""
+    """An edit of rng.py changes what a cached kernel of another file gives; with numba's own cache
+    it would not.
+    """
     (copy.home / "mapdata" / "caller.py").write_text(CALLER, encoding="utf-8")
     true = "digest.hexdigest()[:16]"
     copy.edit("jit.py", true, '"same"')  # numba alone: the folder does not know the sources
     before = copy.run(DRAW).stdout
     copy.edit("rng.py", "0x9E3779B9", "0x9E3779BB")
-    assert copy.run(DRAW).stdout == before, "numba sees such edits itself: mapdata.jit may become simpler"
+    assert copy.run(DRAW).stdout == before, (
+        "numba sees such edits itself: mapdata.jit may become simpler"
+    )
     copy.edit("jit.py", '"same"', true)
     after = copy.run(DRAW).stdout
     assert after != before
@@ -100,7 +115,7 @@ def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
     assert copy.cached() == {}
 
 
-# --- which sources count ----------------------------------------------------------------------------------------------
+# --- which sources count ------------------------------------------------------------------------
 
 
 def package_of(folder: Path, **sources: str) -> Path:
@@ -112,8 +127,14 @@ def package_of(folder: Path, **sources: str) -> Path:
 
 
 def test_the_hash_covers_all_kernels(tmp_path: Path) -> None:
-    """Any edit of a file with kernels, its name included, gives another folder; other files do not."""
-    sources = {"one": "@kernel\ndef f(): ...", "two": "K = 1\n@kernel\ndef g(): ...", "plain": "x = 1"}
+    """Any edit of a file with kernels, its name included, gives another folder; other files do
+    not.
+    """
+    sources = {
+        "one": "@kernel\ndef f(): ...",
+        "two": "K = 1\n@kernel\ndef g(): ...",
+        "plain": "x = 1",
+    }
     known = source_hash(package_of(tmp_path / "a", **sources))
     assert source_hash(package_of(tmp_path / "b", **sources)) == known
     assert source_hash(package_of(tmp_path / "c", **(sources | {"plain": "x = 2"}))) == known
@@ -123,7 +144,10 @@ def test_the_hash_covers_all_kernels(tmp_path: Path) -> None:
         {"plain": "@kernel\ndef h(): ..."},
         {"one": sources["two"], "two": sources["one"]},
     ]
-    hashes = {source_hash(package_of(tmp_path / f"d{k}", **(sources | change))) for k, change in enumerate(changes)}
+    hashes = {
+        source_hash(package_of(tmp_path / f"d{k}", **(sources | change)))
+        for k, change in enumerate(changes)
+    }
     assert len(hashes | {known}) == 1 + len(changes)
 
 
@@ -143,8 +167,13 @@ def kernels_of(tree: ast.Module) -> Iterator[ast.FunctionDef]:
 
 
 def test_kernels_use_nothing_that_the_hash_does_not_cover() -> None:
-    """Every file with compiled code is hashed, and so is every file that compiled code takes names from."""
-    files = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
+    """Every file with compiled code is hashed, and so is every file that compiled code takes names
+    from.
+    """
+    files = {
+        ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
+        for path in PACKAGE.rglob("*.py")
+    }
     covered = {name for name, path in files.items() if b"@kernel" in path.read_bytes()}
     assert {"rng", "generators.rooms", "search.labels", "shards.content"} <= covered
     for name, path in files.items():
@@ -156,7 +185,9 @@ def test_kernels_use_nothing_that_the_hash_does_not_cover() -> None:
         taken = {
             alias.asname or alias.name: node.module.removeprefix("mapdata.")
             for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("mapdata.")
+            if isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.startswith("mapdata.")
             for alias in node.names
         }
         for function in compiled:

@@ -1,4 +1,6 @@
-"""The generator: published vectors, the layout of key and counter, and draws that are what they claim to be."""
+"""The generator: published vectors, the layout of key and counter, and draws that are what they
+claim to be.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,13 @@ def philox(counter: tuple[int, ...], key: tuple[int, ...]) -> tuple[int, ...]:
 
 def block(seed: int, index: int, epoch: int, stream: int, number: int) -> tuple[int, ...]:
     """Call the kernel with plain integers."""
-    kernel: Callable[..., Iterable[SupportsInt]] = rng.block  # whatever its annotations, numba takes unsigned integers
-    return tuple(int(word) for word in kernel(*(np.uint64(value) for value in (seed, index, epoch, stream, number))))
+    kernel: Callable[..., Iterable[SupportsInt]] = (
+        rng.block
+    )  # whatever its annotations, numba takes unsigned integers
+    return tuple(
+        int(word)
+        for word in kernel(*(np.uint64(value) for value in (seed, index, epoch, stream, number)))
+    )
 
 
 def bounded(word: int, low: int, high: int) -> int:
@@ -40,9 +47,21 @@ def bounded(word: int, low: int, high: int) -> int:
 
 # Random123, examples/kat_vectors, philox4x32 with 10 rounds.
 KNOWN_ANSWERS = [
-    ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
-    ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
-    ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
+    (
+        "00000000 00000000 00000000 00000000",
+        "00000000 00000000",
+        "6627e8d5 e169c58d bc57ac4c 9b00dbd8",
+    ),
+    (
+        "ffffffff ffffffff ffffffff ffffffff",
+        "ffffffff ffffffff",
+        "408f276d 41c83b0e a20bc7c6 6d5451fd",
+    ),
+    (
+        "243f6a88 85a308d3 13198a2e 03707344",
+        "a4093822 299f31d0",
+        "d16cfe09 94fdcceb 5001e420 24126ea1",
+    ),
 ]
 
 
@@ -53,7 +72,9 @@ def numbers(text: str) -> tuple[int, ...]:
 
 @pytest.mark.parametrize(("counter", "key", "expected"), KNOWN_ANSWERS, ids=["zeros", "ones", "pi"])
 def test_philox_gives_the_published_answers(counter: str, key: str, expected: str) -> None:
-    """Random123's known-answer vectors hold, for the kernel and for the reference that the other tests trust."""
+    """Random123's known-answer vectors hold, for the kernel and for the reference that the other
+    tests trust.
+    """
     assert philox(numbers(counter), numbers(key)) == numbers(expected)
     assert reference.philox4x32(numbers(counter), numbers(key)) == numbers(expected)
 
@@ -66,10 +87,20 @@ def test_philox_equals_the_reference(counter: tuple[int, ...], key: tuple[int, .
 
 
 @SETTINGS
-@given(st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1), words, st.integers(0, 4), st.integers(0, 2**24 - 1))
-def test_block_lays_out_key_and_counter(seed: int, index: int, epoch: int, stream: int, number: int) -> None:
+@given(
+    st.integers(0, 2**64 - 1),
+    st.integers(0, 2**63 - 1),
+    words,
+    st.integers(0, 4),
+    st.integers(0, 2**24 - 1),
+)
+def test_block_lays_out_key_and_counter(
+    seed: int, index: int, epoch: int, stream: int, number: int
+) -> None:
     """Key = the seed's halves, counter = (index low, index high, epoch, stream and number)."""
-    assert block(seed, index, epoch, stream, number) == reference.block(seed, index, epoch, stream, number)
+    assert block(seed, index, epoch, stream, number) == reference.block(
+        seed, index, epoch, stream, number
+    )
 
 
 def test_streams_are_numbered_as_the_format_says() -> None:
@@ -78,7 +109,9 @@ def test_streams_are_numbered_as_the_format_says() -> None:
 
 
 def test_every_coordinate_gives_other_words() -> None:
-    """Seeds, indices (low and high half of each), epochs, streams and numbers never share a block, nor even a word."""
+    """Seeds, indices (low and high half of each), epochs, streams and numbers never share a block,
+    nor even a word.
+    """
     halves = [0, 1, 2**31, 2**32 - 1, 2**32, 2**63 - 1]
     small = [0, 1, 255]
     places = list(itertools.product([*halves, 2**64 - 1], halves, [0, 1, WORD], range(5), small))
@@ -87,7 +120,9 @@ def test_every_coordinate_gives_other_words() -> None:
     assert all(len({words[column] for words in drawn}) > 0.999 * len(places) for column in range(4))
 
 
-@pytest.mark.parametrize(("low", "high"), [(0, 0), (0, 1), (2, 9), (14, 33), (7, 15), (0, 63), (5, 5), (0, WORD)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(0, 0), (0, 1), (2, 9), (14, 33), (7, 15), (0, 63), (5, 5), (0, WORD)]
+)
 def test_bounded_reaches_both_ends(low: int, high: int) -> None:
     """The least and the greatest word give the ends of the range."""
     assert (bounded(0, low, high), bounded(WORD, low, high)) == (low, high)
@@ -104,7 +139,9 @@ def test_bounded_equals_multiply_high(word: int, low: int, span: int) -> None:
 
 def test_bounded_draws_are_uniform() -> None:
     """Chi-square over the twenty room sides of Table 1, for each of a block's four words."""
-    draws = np.array([[bounded(word, 14, 33) for word in block(7, index, 0, 0, 1)] for index in range(10_000)])
+    draws = np.array(
+        [[bounded(word, 14, 33) for word in block(7, index, 0, 0, 1)] for index in range(10_000)]
+    )
     for column in draws.T:
         counts = np.bincount(column - 14, minlength=20)
         assert len(counts) == 20
@@ -113,7 +150,9 @@ def test_bounded_draws_are_uniform() -> None:
 
 @pytest.mark.parametrize("place", range(5), ids=["seed", "index", "epoch", "stream", "number"])
 def test_bytes_are_uniform_along_every_coordinate(place: int) -> None:
-    """Counting one coordinate up gives uniform bytes, so that neighbouring maps, rooms and epochs look unrelated."""
+    """Counting one coordinate up gives uniform bytes, so that neighbouring maps, rooms and epochs
+    look unrelated.
+    """
     coordinates = np.zeros((4096 if place != 3 else 256, 5), dtype=np.int64)
     coordinates[:, place] = np.arange(len(coordinates))
     drawn = np.array([block(*map(int, row)) for row in coordinates], dtype="<u4")

@@ -20,7 +20,7 @@ from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement
 SETTINGS = settings(max_examples=200)
 
 
-# --- defaults and presets ---------------------------------------------------------------------------------------------
+# --- defaults and presets -----------------------------------------------------------------------
 
 
 def test_defaults_are_table_1() -> None:
@@ -41,9 +41,15 @@ def test_defaults_are_table_1() -> None:
 PRESETS = {
     "paper": MapSpec(),
     "narrow": MapSpec(passage_width=(1, 3)),
-    "dungeon": MapSpec(rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3)),
+    "dungeon": MapSpec(
+        rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3)
+    ),
     "dungeon128": MapSpec(
-        map_size=(128, 128), rooms=(16, 40), room_rows=(8, 20), room_columns=(8, 20), passage_width=(2, 4)
+        map_size=(128, 128),
+        rooms=(16, 40),
+        room_rows=(8, 20),
+        room_columns=(8, 20),
+        passage_width=(2, 4),
     ),
 }
 
@@ -66,10 +72,12 @@ def test_limits_themselves_are_allowed() -> None:
     assert MAX_SIDE == 1024
     assert MAX_ROOMS == 255
     MapSpec(map_size=(MAX_SIDE, MAX_SIDE), rooms=(2, MAX_ROOMS))
-    MapSpec(map_size=(1, 1), rooms=(2, 2), room_rows=(1, 1), room_columns=(1, 1), passage_width=(1, 1))
+    MapSpec(
+        map_size=(1, 1), rooms=(2, 2), room_rows=(1, 1), room_columns=(1, 1), passage_width=(1, 1)
+    )
 
 
-# --- JSON and identity ------------------------------------------------------------------------------------------------
+# --- JSON and identity --------------------------------------------------------------------------
 
 
 @SETTINGS
@@ -107,7 +115,10 @@ def test_key_order_does_not_matter(spec: MapSpec, random: Random) -> None:
         (MapSpec(skip_probability=0), MapSpec(skip_probability=0.0)),
         (MapSpec(resolution=1), MapSpec(resolution=1.0)),
         (MapSpec(splits=(1, 0, 0)), MapSpec(splits=(1.0, 0.0, 0.0))),
-        (MapSpec(movement=Movement(8, diagonal_cost=1)), MapSpec(movement=Movement(8, diagonal_cost=1.0))),
+        (
+            MapSpec(movement=Movement(8, diagonal_cost=1)),
+            MapSpec(movement=Movement(8, diagonal_cost=1.0)),
+        ),
         (MapSpec(), MapSpec.preset("paper")),
     ],
     ids=["probability", "resolution", "splits", "diagonal", "preset"],
@@ -136,7 +147,9 @@ def test_identity_differs_by_seed_and_by_every_field() -> None:
         *(dataclasses.replace(table, movement=movement) for movement in MOVEMENTS[1:]),
     ]
     seed_points = [0, 1, 2**32, 2**64 - 1]
-    found = [identity(table, seed) for seed in seed_points] + [identity(spec, 0) for spec in changed]
+    found = [identity(table, seed) for seed in seed_points] + [
+        identity(spec, 0) for spec in changed
+    ]
     assert len(set(found)) == len(found)
     assert all(re.fullmatch("[0-9a-f]{64}", text) for text in found)
 
@@ -171,21 +184,45 @@ def test_json_that_is_no_object_is_refused(text: str) -> None:
         MapSpec.from_json(text)
 
 
-# --- nonsense ---------------------------------------------------------------------------------------------------------
+# --- nonsense -----------------------------------------------------------------------------------
 
 NAN = math.nan
 BAD: list[tuple[str, object]] = [
-    *(("map_size", value) for value in [(0, 64), (64, 0), (-64, 64), (MAX_SIDE + 1, 64), (64, MAX_SIDE + 1)]),
-    *(("map_size", value) for value in [(64,), (64, 64, 64), 64, None, (64.5, 64), (True, True), ("64", "64")]),
-    *(("rooms", value) for value in [(1, 9), (0, 9), (-2, 9), (9, 2), (2, MAX_ROOMS + 1), (2,), (2, 3, 4), 5, None]),
+    *(
+        ("map_size", value)
+        for value in [(0, 64), (64, 0), (-64, 64), (MAX_SIDE + 1, 64), (64, MAX_SIDE + 1)]
+    ),
+    *(
+        ("map_size", value)
+        for value in [(64,), (64, 64, 64), 64, None, (64.5, 64), (True, True), ("64", "64")]
+    ),
+    *(
+        ("rooms", value)
+        for value in [(1, 9), (0, 9), (-2, 9), (9, 2), (2, MAX_ROOMS + 1), (2,), (2, 3, 4), 5, None]
+    ),
     *(("rooms", value) for value in [(2.5, 9), (True, 9), (2, True), (NAN, 9), ("2", "9")]),
-    *(("room_rows", value) for value in [(0, 33), (-1, 33), (33, 14), (14, 65), (14, 33.5), (True, 33)]),
-    *(("room_columns", value) for value in [(0, 33), (-1, 33), (33, 14), (14, 65), (14, 33.5), (True, 33)]),
-    *(("passage_width", value) for value in [(0, 15), (-1, 15), (15, 7), (7, 65), (7.5, 15), (True, 15)]),
+    *(
+        ("room_rows", value)
+        for value in [(0, 33), (-1, 33), (33, 14), (14, 65), (14, 33.5), (True, 33)]
+    ),
+    *(
+        ("room_columns", value)
+        for value in [(0, 33), (-1, 33), (33, 14), (14, 65), (14, 33.5), (True, 33)]
+    ),
+    *(
+        ("passage_width", value)
+        for value in [(0, 15), (-1, 15), (15, 7), (7, 65), (7.5, 15), (True, 15)]
+    ),
     *(("skip_probability", value) for value in [-0.1, 1.1, NAN, math.inf, "0.1", None, True]),
     *(("resolution", value) for value in [0.0, -0.1, NAN, math.inf, "0.1", None, True]),
-    *(("splits", value) for value in [(0.8, 0.1, 0.2), (0.5, 0.1, 0.1), (1.2, -0.1, -0.1), (NAN, 0.5, 0.5)]),
-    *(("splits", value) for value in [(0.9, 0.1), (0.7, 0.1, 0.1, 0.1), 1.0, None, (True, False, False)]),
+    *(
+        ("splits", value)
+        for value in [(0.8, 0.1, 0.2), (0.5, 0.1, 0.1), (1.2, -0.1, -0.1), (NAN, 0.5, 0.5)]
+    ),
+    *(
+        ("splits", value)
+        for value in [(0.9, 0.1), (0.7, 0.1, 0.1, 0.1), 1.0, None, (True, False, False)]
+    ),
     *(("movement", value) for value in [4, None, "4"]),
 ]
 
@@ -230,7 +267,9 @@ def test_what_is_larger_than_the_map_is_refused(field: str, sizes: dict[str, Any
     ],
 )
 def test_movement_refuses_nonsense_by_name(culprit: str, arguments: dict[str, Any]) -> None:
-    """A Movement that cannot be, or an argument that would do nothing, is a ValueError that names it."""
+    """A Movement that cannot be, or an argument that would do nothing, is a ValueError that names
+    it.
+    """
     with pytest.raises(ValueError, match=culprit):
         Movement(**arguments)
 

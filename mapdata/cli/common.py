@@ -27,6 +27,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     shards = "1 shard" if len(manifest.shards) == 1 else f"{len(manifest.shards)} shards"
     unfinished = "" if manifest.complete else f" (of {manifest.maps:,}: not finished)"
     drawn = manifest.total("drawn")  # none where maps have no rooms: mazes, imports
+    shown = min(7, max(done - 1, 0))
     lines = {
         "maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}",
         "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
@@ -36,13 +37,15 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
         "identity": manifest.identity or "none (imported)",
         "content hash": manifest.content_hash,
-        "look": f"mapdata show {shlex.quote(str(root))} --index {min(7, max(done - 1, 0))} -o map.png",
+        "look": f"mapdata show {shlex.quote(str(root))} --index {shown} -o map.png",
     }
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
 def run(command: Callable[..., None], **values: object) -> None:
-    """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a user can put right."""
+    """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a
+    user can put right.
+    """
     from mapdata.shards import ShardError
     from mapdata.shards.workers import THREADS
 
@@ -58,7 +61,9 @@ def run(command: Callable[..., None], **values: object) -> None:
         code = _complain("stopped; run the same command again to go on", 130)
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
             sys.stdout.flush()
-            os._exit(code)  # a plain exit would wait for the shards under way, however long they take
+            os._exit(
+                code
+            )  # a plain exit would wait for the shards under way, however long they take
         sys.exit(code)
     except (ValueError, OSError) as error:
         sys.exit(_complain(error, 2))
@@ -73,7 +78,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def path_name(text: str) -> str:
-    """Return the name of a file or folder, which is not empty: else it would be the working folder."""
+    """Return the name of a file or folder, which is not empty: else it would be the working
+    folder.
+    """
     if not text:
         raise argparse.ArgumentTypeError("got an empty name")
     return text

@@ -1,6 +1,7 @@
 """The verbs ``mapdata import``, ``mapdata export`` and ``mapdata check-scen``.
 
-The options of the formats are the keyword-only parameters of their functions, spelled ``--<format>.<option>``.
+The options of the formats are the keyword-only parameters of their functions, spelled
+``--<format>.<option>``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def import_command(
     corner_cutting: bool,
     diagonal_cost: float | None,
     max_pixels: int | None,
-    **options: Any,  # noqa: ANN401  (those of `import_maps`, and those of formats with a dot in their names)
+    **options: Any,
 ) -> None:
     """Make a dataset of maps in a foreign format, with drawn seed points and all labels."""
     from mapdata.formats import Limits, import_maps, read_any, recognise
@@ -73,7 +74,9 @@ def _own_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
     return {key.removeprefix(f"{name}."): value for key, value in options.items()}
 
 
-def _movement(connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None) -> Movement | None:
+def _movement(
+    connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None
+) -> Movement | None:
     """Return the movement that the flags say, None if they say nothing."""
     from mapdata.spec import Movement
 
@@ -82,10 +85,12 @@ def _movement(connectivity: int | None, corner_cutting: bool, diagonal_cost: flo
             raise ValueError("--corner-cutting and --diagonal-cost: say --connectivity 8 too")
         return None
     movement = Movement(connectivity, corner_cutting)
-    return movement if diagonal_cost is None else Movement(connectivity, corner_cutting, diagonal_cost)
+    return (
+        movement if diagonal_cost is None else Movement(connectivity, corner_cutting, diagonal_cost)
+    )
 
 
-def export_command(root: list[str], target: str, kind: str, **options: Any) -> None:  # noqa: ANN401  (those of formats)
+def export_command(root: list[str], target: str, kind: str, **options: Any) -> None:
     """Write a dataset in a foreign format."""
     from mapdata.formats import export
 
@@ -95,7 +100,9 @@ def export_command(root: list[str], target: str, kind: str, **options: Any) -> N
 
 
 def check_scen_command(files: list[str], maps: str | None) -> None:
-    """Solve the problems of .scen files; exit code 1 unless every published optimal length is ours."""
+    """Solve the problems of .scen files; exit code 1 unless every published optimal length is
+    ours.
+    """
     from mapdata.formats.movingai import check_scen
 
     missed = 0
@@ -113,7 +120,7 @@ def check_scen_command(files: list[str], maps: str | None) -> None:
         raise DisagreeError(f"{missed} of {total} optimal lengths disagree")
 
 
-# --- flags ----------------------------------------------------------------------------------------------------------
+# --- flags --------------------------------------------------------------------------------------
 
 
 def add_import_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,10 +136,20 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     options = options_of(import_maps)
     for name in _OF_IMPORTS:
         _add_option(parser, name, options[name], default=options[name].default)
-    add("--connectivity", type=int, choices=(4, 8), help="how paths move (default: the format's rule, else 4)")
+    add(
+        "--connectivity",
+        type=int,
+        choices=(4, 8),
+        help="how paths move (default: the format's rule, else 4)",
+    )
     add("--corner-cutting", action="store_true", help="diagonal moves beside occupied cells too")
     add("--diagonal-cost", metavar="C", type=float, help="1 or 1.41421356")
-    add("--max-pixels", metavar="P", type=int, help="refuse larger pictures and maps (default: 16777216)")
+    add(
+        "--max-pixels",
+        metavar="P",
+        type=int,
+        help="refuse larger pictures and maps (default: 16777216)",
+    )
     _add_format_options(parser, "read")
 
 
@@ -140,34 +157,56 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``mapdata export``."""
     from mapdata.formats.registry import FORMATS, functions
 
-    files = [f"{name}: new {one.target_ending} file" for name, one in FORMATS.items() if one.target_ending]
+    files = [
+        f"{name}: new {one.target_ending} file"
+        for name, one in FORMATS.items()
+        if one.target_ending
+    ]
     parser.add_argument(
-        "root", metavar="ROOT", type=path_name, nargs="+", help="folder or URL of the dataset, or several"
+        "root",
+        metavar="ROOT",
+        type=path_name,
+        nargs="+",
+        help="folder or URL of the dataset, or several",
     )
-    parser.add_argument("target", metavar="DST", type=path_name, help=f"new folder ({', '.join(files)})")
-    parser.add_argument("--format", dest="kind", choices=functions("write"), required=True, help="what to write")
+    parser.add_argument(
+        "target", metavar="DST", type=path_name, help=f"new folder ({', '.join(files)})"
+    )
+    parser.add_argument(
+        "--format", dest="kind", choices=functions("write"), required=True, help="what to write"
+    )
     _add_format_options(parser, "write")
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``mapdata check-scen``."""
     parser.add_argument("files", metavar="FILE", nargs="+", help=".scen files")
-    parser.add_argument("--maps", metavar="DIR", help="folder of the maps (default: beside each .scen)")
+    parser.add_argument(
+        "--maps", metavar="DIR", help="folder of the maps (default: beside each .scen)"
+    )
 
 
 def _add_format_options(parser: argparse.ArgumentParser, what: Literal["read", "write"]) -> None:
-    """Add the options of what reads, or writes, each format, in a group under its name; not given, they are absent."""
+    """Add the options of what reads, or writes, each format, in a group under its name; not given,
+    they are absent.
+    """
     from mapdata.formats.registry import functions, options_of
 
     for name, function in functions(what).items():
-        options = {key: option for key, option in options_of(function).items() if key not in _OF_IMPORTS}
+        options = {
+            key: option for key, option in options_of(function).items() if key not in _OF_IMPORTS
+        }
         if options:
-            group = parser.add_argument_group(name, (function.__doc__ or "").partition("\n")[0].replace("``", ""))
+            group = parser.add_argument_group(
+                name, (function.__doc__ or "").partition("\n")[0].replace("``", "")
+            )
             for key, option in options.items():
                 _add_option(group, f"{name}.{key}", option, default=argparse.SUPPRESS)
 
 
-def _add_option(parser: argparse._ActionsContainer, name: str, option: Option, default: object) -> None:
+def _add_option(
+    parser: argparse._ActionsContainer, name: str, option: Option, default: object
+) -> None:
     """Add the flag of a keyword-only parameter."""
     how: dict[str, Any] = {"type": option.kind, "metavar": name.rpartition(".")[2].upper()}
     if option.kind is bool:

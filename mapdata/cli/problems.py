@@ -1,4 +1,6 @@
-"""What scripts that compare planners or samplers share: which problems, and where their table goes."""
+"""What scripts that compare planners or samplers share: which problems, and where their table
+goes.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,21 @@ if TYPE_CHECKING:
 
 
 def add_problem_arguments(parser: argparse.ArgumentParser, maps: int) -> None:
-    """Add ROOT, --preset, --seed and --maps, of which there are ``maps`` by default; --csv and --json."""
+    """Add ROOT, --preset, --seed and --maps, of which there are ``maps`` by default; --csv and
+    --json.
+    """
     from mapdata.generators import PRESETS
 
-    parser.add_argument("root", metavar="ROOT", nargs="*", help="datasets, in place of --preset and --seed")
+    parser.add_argument(
+        "root", metavar="ROOT", nargs="*", help="datasets, in place of --preset and --seed"
+    )
     parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
-    parser.add_argument("--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)")
-    parser.add_argument("--maps", metavar="N", type=int, help=f"how many maps (default {maps}; of a dataset, all)")
+    parser.add_argument(
+        "--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)"
+    )
+    parser.add_argument(
+        "--maps", metavar="N", type=int, help=f"how many maps (default {maps}; of a dataset, all)"
+    )
     parser.add_argument("--csv", metavar="FILE", help="write the table")
     parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
 
@@ -29,19 +39,23 @@ def given_problems(
     preset: str | None,
     seed: int | None,
     maps: int | None,
-    **how: Any,  # noqa: ANN401  (those of Problems.sample and Problems.read)
+    **how: Any,
 ) -> Problems:
-    """Return one problem a map: of maps made on the spot, or of the test split of the dataset under ``root``.
+    """Return one problem a map: of maps made on the spot, or of the test split of the dataset under
+    ``root``.
 
     Raises:
-        ValueError: a preset or seed beside a root; what `Problems.sample` and `Problems.read` refuse.
+        ValueError: a preset or seed beside a root; what `Problems.sample` and `Problems.read`
+            refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     from mapdata.generators import Generator
     from mapdata.problems import Problems
 
     if not root:
-        return Problems.sample(Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how)
+        return Problems.sample(
+            Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how
+        )
     if preset is not None or seed is not None:
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
     return Problems.read(root, maps, **how)

@@ -1,4 +1,6 @@
-"""Serving maps to torch: `MapDataset`, `OnlineMapDataset`, `MapDataModule`, and the fields of a sample."""
+"""Serving maps to torch: `MapDataset`, `OnlineMapDataset`, `MapDataModule`, and the fields of a
+sample.
+"""
 
 from mapdata.datasets.datamodule import MapDataModule
 from mapdata.datasets.dataset import MapDataset

@@ -42,7 +42,10 @@ class Serving:
             rule_of(self.movement)  # refuses what is no movement
         object.__setattr__(self, "sampling_seed", check_seed(self.sampling_seed))
         if self.max_length is not None and ("path" not in self.fields or self.max_length < 1):
-            raise ValueError(f"max_length: got {self.max_length!r}, expected at least 1 and 'path' among the fields")
+            raise ValueError(
+                f"max_length: got {self.max_length!r}, expected at least 1 and 'path' among the "
+                "fields"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,7 +53,8 @@ class Serving:
         return tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
 
     def plain(self) -> dict[str, Any]:
-        """Return the arguments as plain values: a checkpoint with others could not be loaded safely.
+        """Return the arguments as plain values: a checkpoint with others could not be loaded
+        safely.
 
         Functions among the fields cannot be kept; then ``fields`` is left out.
         """
@@ -63,13 +67,19 @@ class Serving:
 
     def _check_fields(self) -> None:
         if isinstance(self.fields, str) or not self.fields:
-            raise ValueError(f"fields: got {self.fields!r}, expected a sequence of names or functions")
+            raise ValueError(
+                f"fields: got {self.fields!r}, expected a sequence of names or functions"
+            )
         for field in self.fields:
             if isinstance(field, str) and field not in FIELDS:
-                raise ValueError(f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}")
+                raise ValueError(
+                    f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}"
+                )
             if not isinstance(field, str) and not callable(field):
                 raise ValueError(f"fields: got {field!r}, expected a name or a function")
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"fields: got {self.names}, expected each name once")
         if not all(name.isidentifier() for name in self.names):
-            raise ValueError("fields: a function gives its name to the sample; use 'def', not 'lambda'")
+            raise ValueError(
+                "fields: a function gives its name to the sample; use 'def', not 'lambda'"
+            )

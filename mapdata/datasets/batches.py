@@ -1,7 +1,8 @@
-"""The shards behind a dataset: opened at first touch, read by one kernel a batch through a table of addresses.
+"""The shards behind a dataset: opened at first touch, read by one kernel a batch through a table of
+addresses.
 
-A kernel call for each shard would cost more than the work, so the kernels get the addresses of the arrays of all open
-shards.
+A kernel call for each shard would cost more than the work, so the kernels get the addresses of the
+arrays of all open shards.
 """
 
 from __future__ import annotations
@@ -47,28 +48,30 @@ _MAPS, _ROOMS, _PAIRS, _SEEDS, _DIAGONAL = 0, 1, 2, 3, 12
 
 
 @intrinsic
-def _pointer(_context: Any, address: Any) -> Any:  # noqa: ANN401  (numba's own signature)
+def _pointer(_context: Any, address: Any) -> Any:
     """Turn an address into a pointer."""
 
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:  # noqa: ANN401
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], llvmlite.ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), generate
 
 
 _LONG = 2**40
-"""The length of each view that kernels take: who opened the shard has checked where its arrays end."""
+"""The length of each view that kernels take: who opened the shard has checked where its arrays
+end.
+"""
 
 
 @inlined
-def _array(address: Int, dtype: Any) -> Any:  # noqa: ANN401  (any dtype)
+def _array(address: Int, dtype: Any) -> Any:
     """Return the array at an address, as a view."""
     pointer: Any = _pointer
     return numba.carray(pointer(address), _LONG, dtype)  # type: ignore[attr-defined]
 
 
 @inlined
-def _cells(address: Int) -> Any:  # noqa: ANN401  (as above)
+def _cells(address: Int) -> Any:
     """Return the seed points at an address, as a view (_, 2)."""
     pointer: Any = _pointer
     return numba.carray(pointer(address), (_LONG, 2), np.int16)  # type: ignore[attr-defined]
@@ -84,7 +87,9 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
 
 @kernel
 def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
-    """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no such room."""
+    """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no
+    such room.
+    """
     for b in range(len(shards)):
         offsets = _array(table[shards[b], _ROOMS], np.int64)
         room = offsets[maps[b]] + rooms[b]
@@ -95,17 +100,31 @@ def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: In
 
 @kernel
 def read_paths(
-    table: Ints, shards: Ints, maps: Ints, rooms: Ints, search: Int, bits: Int, size: tuple[Int, Int]
+    table: Ints,
+    shards: Ints,
+    maps: Ints,
+    rooms: Ints,
+    search: Int,
+    bits: Int,
+    size: tuple[Int, Int],
 ) -> tuple[Ints, Ints, Ints, Int]:
     """Return the stored path from room ``rooms[b]`` to the next one of each map.
 
     Returns:
-        cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the first damaged path
-        or -1. A path that does not arrive has no cells; one that leaves the map is damaged.
+        cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the
+        first damaged path or -1. A path that does not arrive has no cells; one that leaves the map
+        is damaged.
     """
     count, two_bits = len(shards), bits == 2
-    places, within = np.uint64(2 if two_bits else 1), np.uint64(3 if two_bits else 1)  # moves of a byte: 4 or 2
-    offsets, iterations, first = np.zeros(count + 1, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    places, within = (
+        np.uint64(2 if two_bits else 1),
+        np.uint64(3 if two_bits else 1),
+    )  # moves of a byte: 4 or 2
+    offsets, iterations, first = (
+        np.zeros(count + 1, np.int64),
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+    )
     for b in range(count):
         segment = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
         moves = _array(table[shards[b], search], np.int64)
@@ -127,7 +146,10 @@ def read_paths(
         cells[at, 0], cells[at, 1] = row, column
         for k in range(first[b], first[b] + length):
             place = np.uint64(k)
-            move = np.uint64(packed[place >> places] >> np.uint8((place & within) * np.uint64(bits))) & mask
+            move = (
+                np.uint64(packed[place >> places] >> np.uint8((place & within) * np.uint64(bits)))
+                & mask
+            )
             if move > 7:
                 return cells, offsets, iterations, b
             row, column = row + STEPS[move, 0], column + STEPS[move, 1]
@@ -199,7 +221,8 @@ class BatchReader:
         self.most_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
         if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
             raise ShardError(
-                f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected up to {MAX_ROOMS}"
+                f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected "
+                f"up to {MAX_ROOMS}"
             )
         self._split, self._problems = split, problems
         self.offsets = np.concatenate(
@@ -207,12 +230,14 @@ class BatchReader:
         )
         self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._open: dict[int, Shard] = {}
-        # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when it is opened.
+        # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when
+        # it is opened.
         try:
             self._rows = np.empty((self.offsets[-1], 3), np.int32)
         except (MemoryError, ValueError):
             raise ShardError(
-                f"{self.root}: the manifest says {self.offsets[-1]} problems, more than memory holds"
+                f"{self.root}: the manifest says {self.offsets[-1]} problems, more than memory "
+                "holds"
             ) from None
 
     def __len__(self) -> int:
@@ -220,7 +245,9 @@ class BatchReader:
         return int(self.offsets[-1])
 
     def find(self, indices: Ints) -> tuple[Ints, Ints, Ints, Ints]:
-        """Return (shard, map in the shard, room, room) of each problem; the shards are open afterwards."""
+        """Return (shard, map in the shard, room, room) of each problem; the shards are open
+        afterwards.
+        """
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
         unopened = shards[self._table[shards, 0] == 0]
         for k in set(unopened.tolist()):
@@ -241,22 +268,30 @@ class BatchReader:
         try:
             shard = self.root.open_shard(k)
         except (FileNotFoundError, ShardError):
-            # It may have been replaced since the manifest was read, as by a larger one when the dataset grew.
+            # It may have been replaced since the manifest was read, as by a larger one when the
+            # dataset grew.
             now = Root.open(self.root.places[place])
             successor = _successor(self.manifests[place], now.manifests[0], entry)
             if successor is None:
                 raise
             shard = head(now.open_shard(successor), entry.stop - entry.start)
-        if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points:  # kernels rely on it
+        if (
+            np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points
+        ):  # kernels rely on it
             raise ShardError(
-                f"{shard.path}: holds a map of more rooms than the manifest says ({self.most_seed_points})"
+                f"{shard.path}: holds a map of more rooms than the manifest says "
+                f"({self.most_seed_points})"
             )
         rows = problem_rows(shard, self._split, self._problems)
         first, last = self.offsets[k : k + 2].tolist()
         if len(rows) != last - first:
-            raise ShardError(f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}")
+            raise ShardError(
+                f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}"
+            )
         self._rows[first:last] = rows
-        shard = self._open.setdefault(k, shard)  # of two threads, the first one's: its addresses may be in use
+        shard = self._open.setdefault(
+            k, shard
+        )  # of two threads, the first one's: its addresses may be in use
         self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
         return shard
 
@@ -267,7 +302,9 @@ class BatchReader:
         splits = [self._split] if self._split else SPLITS
         count = sum(int(entry.counts[split][name]) for split in splits for name in names)
         if count > entry.bytes:  # room is made for all, and each takes more than a byte
-            raise ShardError(f"{entry.name}: the manifest says {count} problems in {entry.bytes} bytes")
+            raise ShardError(
+                f"{entry.name}: the manifest says {count} problems in {entry.bytes} bytes"
+            )
         return count
 
     def grids(self, shards: Ints, maps: Ints) -> Bytes:
@@ -289,15 +326,21 @@ class BatchReader:
             ShardError: a stored path leaves the map or does not end at its goal.
         """
         bits, column = bits_of(self.movement), ARRAYS.index(f"{search}_offsets")
-        cells, offsets, iterations, bad = read_paths(self._table, shards, maps, rooms, column, bits, self.map_size)
+        cells, offsets, iterations, bad = read_paths(
+            self._table, shards, maps, rooms, column, bits, self.map_size
+        )
         if bad >= 0:
             raise self.damage(shards[bad], maps[bad], "a stored path of map {} is damaged")
         return cells, offsets, iterations
 
     def damage(self, shard: Int, number: Int, what: str) -> ShardError:
-        """Return the error that says what is wrong with a map of a shard; {} in it becomes the map's number."""
+        """Return the error that says what is wrong with a map of a shard; {} in it becomes the
+        map's number.
+        """
         place, _, entry = self.shards[int(shard)]
-        return ShardError(f"{self.root.places[place]}/{entry.name}: {what.format(entry.start + int(number))}")
+        return ShardError(
+            f"{self.root.places[place]}/{entry.name}: {what.format(entry.start + int(number))}"
+        )
 
     def rooms(self, shards: Ints, maps: Ints, search: str) -> tuple[Float32s, Ints]:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
@@ -317,7 +360,9 @@ class BatchReader:
 
 
 def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
-    """Return which shard holds the maps of ``entry`` now; None where it is the same, or they are others."""
+    """Return which shard holds the maps of ``entry`` now; None where it is the same, or they are
+    others.
+    """
     drawn = before.identity is not None and before.identity == now.identity
     for k, other in enumerate(now.shards):
         same = drawn or (other.stop, other.content_hash) == (entry.stop, entry.content_hash)

@@ -40,7 +40,9 @@ else:
     _Base = pl.LightningDataModule
 
 FLOATS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
-"""The uint8 fields that become float32 on the device; ``optimal_moves`` is a bit set and stays what it is."""
+"""The uint8 fields that become float32 on the device; ``optimal_moves`` is a bit set and stays what
+it is.
+"""
 
 Dataset = MapDataset | OnlineMapDataset
 
@@ -48,22 +50,27 @@ Dataset = MapDataset | OnlineMapDataset
 class MapDataModule(_Base):
     """Loaders for training, validation, test and prediction.
 
-    ``prepare_data`` only builds what is missing, ``setup`` only opens; without a Trainer the loaders call both
-    themselves. Loaders deliver uint8 fields; under a Trainer they become float32 on the device. ``num_workers=0`` is
-    the fast way: whole batches come from one kernel call, and workers only add the cost of sending them.
+    ``prepare_data`` only builds what is missing, ``setup`` only opens; without a Trainer the
+    loaders call both themselves. Loaders deliver uint8 fields; under a Trainer they become float32
+    on the device. ``num_workers=0`` is
+    the fast way: whole batches come from one kernel call, and workers only add the cost of sending
+    them.
 
-    Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left out of an epoch),
-    and validation, test and prediction see every sample exactly once. So metrics of torchmetrics have the value of a
-    single process; Lightning's own ``self.log(..., sync_dist=True)`` averages over ranks, which may hold unequal
-    numbers of samples.
+    Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left
+    out of an epoch), and validation, test and prediction see every sample exactly once. So metrics
+    of torchmetrics have the value of a single process; Lightning's own ``self.log(...,
+    sync_dist=True)`` averages over ranks, which may hold unequal numbers of samples.
 
     Args:
-        root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without any disk.
-        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file, its JSON text, or
-            what that says as a dict.
+        root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without
+            any disk.
+        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file,
+            its JSON text, or what that says as a dict.
         batch_size: samples a batch (a rank).
-        num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of torch's DataLoader.
-        fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training split only.
+        num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of
+        torch's DataLoader.
+        fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training
+            split only.
         movement: a `Movement`, or (connectivity, corner_cutting, diagonal_cost).
 
     Raises:
@@ -93,7 +100,9 @@ class MapDataModule(_Base):
         super().__init__()
         self.roots = () if root is None else places(root)
         if not self.roots and build is None:
-            raise ValueError("root: got None, expected a dataset; or say with build= which maps to make online")
+            raise ValueError(
+                "root: got None, expected a dataset; or say with build= which maps to make online"
+            )
         if build is not None and (len(self.roots) > 1 or any(is_url(each) for each in self.roots)):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
         if batch_size < 1:
@@ -116,19 +125,35 @@ class MapDataModule(_Base):
         self.save_hyperparameters(plain, logger=False)
 
     def prepare_data(self) -> None:
-        """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many processes at once."""
+        """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many
+        processes at once.
+        """
         if self.build is None or not self.roots:
             return
         recipe = Recipe.load(self.build)
         root = Path(self.roots[0])
         shard_size = read_manifest(root).shard_size if (root / MANIFEST).exists() else 1000
-        build(root, recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=shard_size, progress=True)
+        build(
+            root,
+            recipe.spec,
+            maps=recipe.maps,
+            seed=recipe.seed,
+            shard_size=shard_size,
+            progress=True,
+        )
 
     def setup(self, stage: str | None = None) -> None:
-        """Open the datasets of ``stage`` ("fit", "validate", "test", "predict" or None for all); again does nothing."""
+        """Open the datasets of ``stage`` ("fit", "validate", "test", "predict" or None for all);
+        again does nothing.
+        """
         if self.trainer is None:
             self.prepare_data()
-        stages = {"fit": ("train", "val"), "validate": ("val",), "test": ("test",), "predict": ("test",)}
+        stages = {
+            "fit": ("train", "val"),
+            "validate": ("val",),
+            "test": ("test",),
+            "predict": ("test",),
+        }
         for split in SPLITS if stage is None else stages[stage]:
             if split not in self.datasets:
                 self.datasets[split] = self._open(split)
@@ -166,7 +191,7 @@ class MapDataModule(_Base):
         sampler = EpochSampler(dataset, self.batch_size, sampling_seed, self)
         return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
 
-    def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:  # noqa: ANN401  (Lightning's signature)
+    def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
         """Cast maps and masks to float32, on whatever device the batch is."""
         if not isinstance(batch, Sample):
             return batch

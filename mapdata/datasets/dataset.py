@@ -1,4 +1,6 @@
-"""`MapDataset`, the problems of built datasets as torch samples, and what all such datasets share."""
+"""`MapDataset`, the problems of built datasets as torch samples, and what all such datasets
+share.
+"""
 
 from __future__ import annotations
 
@@ -40,9 +42,10 @@ SUBSTITUTES = 100
 class ProblemDataset(Dataset[Sample], ABC):
     """What both datasets share: indexing, fields, epochs, symmetries.
 
-    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader gets whole
-    batches made at once. A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a
-    function of (sampling_seed, epoch, index), never of worker state. A plain ``dataset[i]`` is epoch 0.
+    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader
+    gets whole batches made at once. A sampler may yield ``index + epoch * len(dataset)``: what is
+    drawn anew each epoch is a function of (sampling_seed, epoch, index), never of worker state. A
+    plain ``dataset[i]`` is epoch 0.
     """
 
     movement: Movement
@@ -53,7 +56,9 @@ class ProblemDataset(Dataset[Sample], ABC):
         if split is not None:
             check_choice("split", split, SPLITS)
         if serving.augment and split in ("val", "test"):
-            raise ValueError(f"augment: would change the split {split!r}, expected the training split")
+            raise ValueError(
+                f"augment: would change the split {split!r}, expected the training split"
+            )
         self.split = split
         self.serving = serving
         _keep_freed_memory()
@@ -68,7 +73,7 @@ class ProblemDataset(Dataset[Sample], ABC):
     def _batch(self, indices: Ints, epoch: int) -> Batch:
         """Return problems ``indices`` of an epoch, before fields are made of them."""
 
-    def __getitem__(self, index: Any) -> Sample:  # noqa: ANN401  (int, slice or sequence of int, as of an array)
+    def __getitem__(self, index: Any) -> Sample:
         if isinstance(index, slice):
             return self._make(np.arange(*index.indices(len(self))), 0)
         if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)) and np.ndim(index):
@@ -89,7 +94,9 @@ class ProblemDataset(Dataset[Sample], ABC):
         epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
         if len(wanted) == 0 or (epochs == epochs[0]).all():
             return Rows(self._make(indices, int(epochs[0]) if len(wanted) else 0), len(wanted))
-        rows = [row(self._make(indices[k : k + 1], epoch), 0) for k, epoch in enumerate(epochs.tolist())]
+        rows = [
+            row(self._make(indices[k : k + 1], epoch), 0) for k, epoch in enumerate(epochs.tolist())
+        ]
         return Rows(stack(rows), len(rows))
 
     def __iter__(self) -> Iterator[Sample]:
@@ -112,7 +119,9 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @abstractmethod
     def _grids(self, places: Ints) -> Bytes:
-        """Return the maps at some places, (B, H, W): place i is that of sample i, others are substitutes."""
+        """Return the maps at some places, (B, H, W): place i is that of sample i, others are
+        substitutes.
+        """
 
     @abstractmethod
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
@@ -120,10 +129,14 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @abstractmethod
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return the places of the maps that are tried where those of samples ``indices`` have no problem."""
+        """Return the places of the maps that are tried where those of samples ``indices`` have no
+        problem.
+        """
 
     def _sampled_batch(self, indices: Ints, epoch: int) -> Batch:
-        """Return a problem for each index, sampled on its own map or, where that has none, on a substitute."""
+        """Return a problem for each index, sampled on its own map or, where that has none, on a
+        substitute.
+        """
         places = indices.copy()
         grids, ends, pieces = self._sample(places, indices, epoch)
         for attempt in range(SUBSTITUTES):
@@ -131,10 +144,14 @@ class ProblemDataset(Dataset[Sample], ABC):
             if len(missing) == 0:
                 break
             places[missing] = self._substitutes(indices[missing], attempt)
-            grids[missing], ends[missing], more = self._sample(places[missing], indices[missing], epoch)
+            grids[missing], ends[missing], more = self._sample(
+                places[missing], indices[missing], epoch
+            )
             pieces += [(missing[rows], paths) for rows, paths in more]
         else:
-            raise ValueError(f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row")
+            raise ValueError(
+                f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row"
+            )
         starts = np.ascontiguousarray(ends[:, :2])
         goals = np.ascontiguousarray(ends[:, 2:])
 
@@ -143,9 +160,11 @@ class ProblemDataset(Dataset[Sample], ABC):
 
         return self._as_batch(indices, places, grids, starts, goals, paths)
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
-        """Return the maps at some places, start and goal on each, (B, 4), -1 where it has none, and paths found:
-        pieces for `Paths.join`, none where the paths have not been searched.
+    def _sample(
+        self, places: Ints, indices: Ints, epoch: int
+    ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
+        """Return the maps at some places, start and goal on each, (B, 4), -1 where it has none, and
+        paths found: pieces for `Paths.join`, none where the paths have not been searched.
         """
         assert isinstance(self.serving.problems, Random)
         grids = self._grids(places)
@@ -186,14 +205,17 @@ class MapDataset(ProblemDataset):
     Args:
         root: folder or fsspec URL of a dataset, or a list of them with one map size and movement.
         split: "train", "val", "test" or None for all.
-        fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order of the sample.
-        problems: what is asked of the maps: a `Route`, `Pairs` or `Random`, or its name, "route" (the stored segments
-            between consecutive rooms), "pairs" (all pairs of rooms i < j) or "random" (one problem a map, sampled
-            anew each epoch); or plain JSON, ``{"random": {"distance": [10, null]}}``. Problems of length 0 are left
-            out, those without a path too unless it is ``Route(unsolvable=True)`` or ``Pairs(unsolvable=True)``.
+        fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order
+            of the sample.
+        problems: what is asked of the maps: a `Route`, `Pairs` or `Random`, or its name, "route"
+            (the stored segments between consecutive rooms), "pairs" (all pairs of rooms i < j) or
+            "random" (one problem a map, sampled anew each epoch); or plain JSON, ``{"random":
+            {"distance": [10, null]}}``. Problems of length 0 are left out, those without a path too
+            unless it is ``Route(unsolvable=True)`` or ``Pairs(unsolvable=True)``.
         search: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
         movement: None for the stored one; under another, problems are solved on the fly.
-        augment: one of the 8 symmetries (4 when not square) a sample, drawn anew each epoch; not for val and test.
+        augment: one of the 8 symmetries (4 when not square) a sample, drawn anew each epoch; not
+            for val and test.
         sampling_seed: seed of all that is drawn while loading; the maps have a seed of their own.
         max_length: fixed number of rows of ``path``; a longer path is an error.
 
@@ -218,7 +240,9 @@ class MapDataset(ProblemDataset):
     ) -> None:
         """Read the manifests; shards are opened at their first touch."""
         source = problem_source(problems)
-        super().__init__(split, Serving(fields, source, search, movement, augment, sampling_seed, max_length))
+        super().__init__(
+            split, Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        )
         self.reader = BatchReader(root, split, source)
         self.roots = self.reader.root.places
         self.movement = movement or self.reader.movement
@@ -230,7 +254,9 @@ class MapDataset(ProblemDataset):
         return len(self.reader) if self._kept is None else len(self._kept)
 
     def __repr__(self) -> str:
-        filters = "".join(f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters)
+        filters = "".join(
+            f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters
+        )
         where = self.roots[0] if len(self.roots) == 1 else self.roots
         arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
         return f"MapDataset({arguments}){filters}: {len(self)} problems"
@@ -254,20 +280,25 @@ class MapDataset(ProblemDataset):
         all_connected: bool | None = None,
         hardness: tuple[float, float] | None = None,
     ) -> MapDataset:
-        """Return a view on the stored problems that meet all conditions; ranges are (lowest, highest), both included.
+        """Return a view on the stored problems that meet all conditions; ranges are (lowest,
+        highest), both included.
 
         Args:
             rooms: number of rooms of the map.
             path_length: number of cells of the path.
-            reachable: whether the problem has a path (problems without one need ``Route(unsolvable=True)``).
+            reachable: whether the problem has a path (problems without one need
+                ``Route(unsolvable=True)``).
             all_connected: whether all rooms of the map are connected.
             hardness: optimal cost over heuristic.
 
         Raises:
-            ValueError: random problems, which are not stored; no condition; a range that is not two numbers.
+            ValueError: random problems, which are not stored; no condition; a range that is not two
+                numbers.
         """
         if isinstance(self.serving.problems, Random):
-            raise ValueError("filter: random problems are not stored; give Random(...) the conditions")
+            raise ValueError(
+                "filter: random problems are not stored; give Random(...) the conditions"
+            )
         given = {
             "rooms": rooms,
             "path_length": path_length,
@@ -275,14 +306,18 @@ class MapDataset(ProblemDataset):
             "all_connected": all_connected,
             "hardness": hardness,
         }
-        conditions: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        conditions: dict[str, Any] = {
+            name: value for name, value in given.items() if value is not None
+        }
         if not conditions:
             raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
         for name in ("rooms", "path_length", "hardness"):
             if name in conditions and len(conditions[name]) != 2:
                 raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
         indices = np.arange(len(self.reader)) if self._kept is None else self._kept
-        keep = [self._meets(indices[k : k + 4096], conditions) for k in range(0, len(indices), 4096)]
+        keep = [
+            self._meets(indices[k : k + 4096], conditions) for k in range(0, len(indices), 4096)
+        ]
         view = copy.copy(self)
         view.filters = (*self.filters, conditions)
         view._kept = indices[np.concatenate([np.zeros(0, np.bool_), *keep])]
@@ -307,7 +342,9 @@ class MapDataset(ProblemDataset):
         return keep
 
     def table(self) -> pd.DataFrame:
-        """Return a row a map (of this split) with all items that the paper lists, under its names, and `split`."""
+        """Return a row a map (of this split) with all items that the paper lists, under its names,
+        and `split`.
+        """
         import pandas as pd
 
         from mapdata.shards.table import map_rows
@@ -334,7 +371,9 @@ class MapDataset(ProblemDataset):
                 return Paths(*self.reader.paths(shards, maps, first, self.serving.search))
             for cells in (starts, goals):
                 for k in np.flatnonzero(grids[np.arange(len(grids)), cells[:, 0], cells[:, 1]])[:1]:
-                    raise self.reader.damage(shards[k], maps[k], "a seed point of map {} is on an occupied cell")
+                    raise self.reader.damage(
+                        shards[k], maps[k], "a seed point of map {} is on an occupied cell"
+                    )
             return self._solve(grids, starts, goals)
 
         return self._as_batch(indices, indices, grids, starts, goals, paths)
@@ -361,9 +400,10 @@ class MapDataset(ProblemDataset):
 def _keep_freed_memory() -> None:
     """Make malloc keep the memory of past batches for the next ones.
 
-    glibc hands freed blocks back to the system above a threshold that grows with the largest block that was ever
-    freed. Batches are below that size but above the threshold, so each would fault all its pages in again, which
-    costs more than filling them. The block is never touched, so this takes no memory.
+    glibc hands freed blocks back to the system above a threshold that grows with the largest block
+    that was ever freed. Batches are below that size but above the threshold, so each would fault
+    all its pages in again, which costs more than filling them. The block is never touched, so this
+    takes no memory.
     """
     np.empty(31 << 20, np.uint8)
 
@@ -375,13 +415,20 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
 
     def paths() -> Paths:
         cells, offsets, iterations = batch.paths
-        return Paths(transform_cells(cells, np.repeat(codes, np.diff(offsets)), rows, columns), offsets, iterations)
+        return Paths(
+            transform_cells(cells, np.repeat(codes, np.diff(offsets)), rows, columns),
+            offsets,
+            iterations,
+        )
 
     def rooms() -> Rooms:
         matrix, seed_points = batch.rooms
         each = np.repeat(codes, seed_points.shape[1])
         return Rooms(
-            matrix, transform_cells(seed_points.reshape(-1, 2), each, rows, columns).reshape(seed_points.shape)
+            matrix,
+            transform_cells(seed_points.reshape(-1, 2), each, rows, columns).reshape(
+                seed_points.shape
+            ),
         )
 
     return replace(
@@ -401,11 +448,17 @@ def _reopen(
     filters: tuple[dict[str, Any], ...],
     content: list[str],
 ) -> MapDataset:
-    """Return the dataset that was pickled, if it still is: in another its problems would have other numbers."""
+    """Return the dataset that was pickled, if it still is: in another its problems would have other
+    numbers.
+    """
     dataset = MapDataset(roots, split, **vars(serving))
-    for root, manifest, expected in zip(dataset.roots, dataset.reader.manifests, content, strict=True):
+    for root, manifest, expected in zip(
+        dataset.roots, dataset.reader.manifests, content, strict=True
+    ):
         if manifest.content_hash != expected:
-            raise ValueError(f"root: {root} holds other maps than when this dataset was opened; open it again")
+            raise ValueError(
+                f"root: {root} holds other maps than when this dataset was opened; open it again"
+            )
     for conditions in filters:
         dataset = dataset.filter(**conditions)
     return dataset

@@ -78,7 +78,9 @@ def count_steps(cells: Ints, offsets: Ints) -> tuple[Ints, Ints]:
 
 
 @kernel
-def fill_goal_fields(grids: Bytes, starts: Ints, goals: Ints, rule: Rule, fields: GoalFields) -> None:
+def fill_goal_fields(
+    grids: Bytes, starts: Ints, goals: Ints, rule: Rule, fields: GoalFields
+) -> None:
     """Fill those of the fields that are not empty, from one search a problem."""
     cost_to_go, optimal_moves, heuristic_ratio, optimal_mask = fields
     _, rows, columns = grids.shape
@@ -101,7 +103,9 @@ def fill_goal_fields(grids: Bytes, starts: Ints, goals: Ints, rule: Rule, fields
                         cost_to_go[b, 0, row, column] = value
                     if len(heuristic_ratio):
                         least = in_cells(heuristic(row - goal_row, column - goal_column, lattice))
-                        heuristic_ratio[b, 0, row, column] = least / value if value > 0 else 1.0 + value
+                        heuristic_ratio[b, 0, row, column] = (
+                            least / value if value > 0 else 1.0 + value
+                        )
                 if len(optimal_moves):
                     moves = _moves_from(costs, came, cell, lattice) if cost != FAR else 0
                     optimal_moves[b, 0, row, column] = moves
@@ -114,7 +118,9 @@ def fill_goal_fields(grids: Bytes, starts: Ints, goals: Ints, rule: Rule, fields
 
 @inlined
 def _moves_from(costs: Ints, came: Bytes, cell: Int, lattice: Lattice) -> Int:
-    """Return the bit set of moves from ``cell`` that start a shortest path to where ``costs`` is 0."""
+    """Return the bit set of moves from ``cell`` that start a shortest path to where ``costs`` is
+    0.
+    """
     found = np.uint8(0)
     # Straight moves need no rule, since walls are FAR: without a branch, a tenth faster.
     for move in range(4):
@@ -128,7 +134,9 @@ def _moves_from(costs: Ints, came: Bytes, cell: Int, lattice: Lattice) -> Int:
 
 
 @kernel
-def _follow(start: Int, costs: Ints, came: Bytes, lattice: Lattice, stack: UInt32s, mask: Bytes) -> None:
+def _follow(
+    start: Int, costs: Ints, came: Bytes, lattice: Lattice, stack: UInt32s, mask: Bytes
+) -> None:
     """Mark all cells that optimal moves lead to from ``start``."""
     stack[0] = start
     mask[position(start, lattice)] = 1
@@ -147,8 +155,12 @@ def _follow(start: Int, costs: Ints, came: Bytes, lattice: Lattice, stack: UInt3
 
 
 @kernel
-def path_probabilities(grids: Bytes, starts: Ints, goals: Ints, cells: Ints, ends: Ints, rule: Rule) -> Float32s:
-    """Return (B, 1, H, W): L / (d(start, n) + d(n, goal) + d(n, path)) where it is at least 0.95, else 0."""
+def path_probabilities(
+    grids: Bytes, starts: Ints, goals: Ints, cells: Ints, ends: Ints, rule: Rule
+) -> Float32s:
+    """Return (B, 1, H, W): L / (d(start, n) + d(n, goal) + d(n, path)) where it is at least 0.95,
+    else 0.
+    """
     count, rows, columns = grids.shape
     lattice = lattice_of((rows, columns), rule)
     buffers = scratch(COSTS, lattice)

@@ -1,6 +1,7 @@
 """What a sample can hold: one function a field, each for a whole batch. All are listed in `FIELDS`.
 
-A new field is one function here: it takes a `Batch` and returns an array whose first axis is the batch.
+A new field is one function here: it takes a `Batch` and returns an array whose first axis is the
+batch.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ from mapdata.spec import Movement
 
 
 class Paths(NamedTuple):
-    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``, empty where there is none."""
+    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``, empty where there is
+    none.
+    """
 
     cells: Ints
     offsets: Ints
@@ -39,7 +42,9 @@ class Paths(NamedTuple):
 
     @staticmethod
     def join(pieces: Sequence[tuple[Ints, Paths]], count: int) -> Paths:
-        """Return ``count`` paths from pieces (rows, their paths); of several paths of a row the last one counts."""
+        """Return ``count`` paths from pieces (rows, their paths); of several paths of a row the
+        last one counts.
+        """
         if len(pieces) == 1:
             return pieces[0][1]
         first = np.zeros(count, np.int64)
@@ -60,7 +65,9 @@ class Paths(NamedTuple):
 
 
 class Rooms(NamedTuple):
-    """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 seed points."""
+    """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 seed
+    points.
+    """
 
     matrix: Float32s
     seed_points: Ints
@@ -68,7 +75,8 @@ class Rooms(NamedTuple):
 
 @dataclass
 class Batch:
-    """B problems, before any field is made of them. What only some fields need is found when it is first asked for.
+    """B problems, before any field is made of them. What only some fields need is found when it is
+    first asked for.
 
     Attributes:
         movement: how paths move.
@@ -117,11 +125,16 @@ class Batch:
 
     @cached_property
     def goal_fields(self) -> GoalFields:
-        """The fields that come from the search around the goal; those that were not asked for are empty."""
+        """The fields that come from the search around the goal; those that were not asked for are
+        empty.
+        """
         shape, none = (len(self), 1, *self.grids.shape[1:]), (0, 1, 1, 1)
         fields = GoalFields(
             *(
-                np.empty(shape if name in self.wanted else none, np.uint8 if name.startswith("optimal") else np.float32)
+                np.empty(
+                    shape if name in self.wanted else none,
+                    np.uint8 if name.startswith("optimal") else np.float32,
+                )
                 for name in GoalFields._fields
             )
         )
@@ -150,10 +163,14 @@ def goal(batch: Batch) -> Ints:
 
 
 def path(batch: Batch) -> Ints:
-    """``path``: (B, T, 2) int64, cells from start to goal, padded with -1; T a multiple of 16, or ``max_length``."""
+    """``path``: (B, T, 2) int64, cells from start to goal, padded with -1; T a multiple of 16, or
+    ``max_length``.
+    """
     cells, offsets, _ = batch.paths
     longest = int(np.diff(offsets).max(initial=0))
-    capacity = -(-longest // PATH_STEP) * PATH_STEP if batch.max_length is None else batch.max_length
+    capacity = (
+        -(-longest // PATH_STEP) * PATH_STEP if batch.max_length is None else batch.max_length
+    )
     if longest > capacity:
         raise ValueError(f"max_length: a path of {longest} cells does not fit into {capacity}")
     return pad_paths(cells, offsets, capacity)
@@ -170,9 +187,13 @@ def cost(batch: Batch) -> Float32s:
 
 
 def hardness(batch: Batch) -> Float32s:
-    """``hardness``: (B,) float32, optimal cost over heuristic; 1 when start = goal, -1 without a path."""
+    """``hardness``: (B,) float32, optimal cost over heuristic; 1 when start = goal, -1 without a
+    path.
+    """
     best = batch.costs
-    if batch.search == "bfs" and batch.movement.connectivity == 8:  # BFS counts moves, which are not its costs
+    if (
+        batch.search == "bfs" and batch.movement.connectivity == 8
+    ):  # BFS counts moves, which are not its costs
         best = search_batch("astar", batch.grids, batch.starts, batch.goals, batch.movement).cost
     return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
 
@@ -183,8 +204,12 @@ def iterations(batch: Batch) -> Ints:
 
 
 def path_mask(batch: Batch) -> Bytes:
-    """``path_mask``: (B, 1, H, W) uint8, 1 on the cells of the path (Neural A*'s ``opt_trajs``, but with the goal)."""
-    return mask_paths(batch.paths.cells, batch.paths.offsets, batch.grids.shape[1], batch.grids.shape[2])[:, None]
+    """``path_mask``: (B, 1, H, W) uint8, 1 on the cells of the path (Neural A*'s ``opt_trajs``, but
+    with the goal).
+    """
+    return mask_paths(
+        batch.paths.cells, batch.paths.offsets, batch.grids.shape[1], batch.grids.shape[2]
+    )[:, None]
 
 
 def start_mask(batch: Batch) -> Bytes:
@@ -198,25 +223,32 @@ def goal_mask(batch: Batch) -> Bytes:
 
 
 def optimal_mask(batch: Batch) -> Bytes:
-    """``optimal_mask``: (B, 1, H, W) uint8, 1 on all cells of all shortest paths; 0 everywhere without a path."""
+    """``optimal_mask``: (B, 1, H, W) uint8, 1 on all cells of all shortest paths; 0 everywhere
+    without a path.
+    """
     return batch.goal_fields.optimal_mask
 
 
 def cost_to_go(batch: Batch) -> Float32s:
-    """``cost_to_go``: (B, 1, H, W) float32, cost of the shortest path to the goal in cells, -1 unreachable."""
+    """``cost_to_go``: (B, 1, H, W) float32, cost of the shortest path to the goal in cells, -1
+    unreachable.
+    """
     return batch.goal_fields.cost_to_go
 
 
 def optimal_moves(batch: Batch) -> Bytes:
-    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k starts a shortest path to the goal.
+    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k starts a shortest path to the
+    goal.
 
-    Move k is `mapdata.search.STEPS[k]`. 0 at the goal, in walls and where the goal cannot be reached.
+    Move k is `mapdata.search.STEPS[k]`. 0 at the goal, in walls and where the goal cannot be
+    reached.
     """
     return batch.goal_fields.optimal_moves
 
 
 def heuristic_ratio(batch: Batch) -> Float32s:
-    """``heuristic_ratio``: (B, 1, H, W) float32, heuristic over cost to go: 1 at the goal, 0 where unreachable.
+    """``heuristic_ratio``: (B, 1, H, W) float32, heuristic over cost to go: 1 at the goal, 0 where
+    unreachable.
 
     TransPath's correction factor "CF" (Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730).
     """
@@ -224,16 +256,22 @@ def heuristic_ratio(batch: Batch) -> Float32s:
 
 
 def path_probability(batch: Batch) -> Float32s:
-    """``path_probability``: (B, 1, H, W) float32, L / (d(start, n) + d(n, goal) + d(n, path)), below 0.95 set to 0.
+    """``path_probability``: (B, 1, H, W) float32, L / (d(start, n) + d(n, goal) + d(n, path)),
+    below 0.95 set to 0.
 
-    TransPath's path probability map "PPM" (https://arxiv.org/abs/2212.11730); 0 everywhere without a path.
+    TransPath's path probability map "PPM" (https://arxiv.org/abs/2212.11730); 0 everywhere without
+    a path.
     """
     cells, offsets, _ = batch.paths
-    return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, rule_of(batch.movement))
+    return path_probabilities(
+        batch.grids, batch.starts, batch.goals, cells, offsets, rule_of(batch.movement)
+    )
 
 
 def connection_matrix(batch: Batch) -> Float32s:
-    """``connection_matrix``: (B, R, R) float32, costs between rooms; -1 no connection, -2 padding."""
+    """``connection_matrix``: (B, R, R) float32, costs between rooms; -1 no connection, -2
+    padding.
+    """
     return batch.rooms.matrix
 
 
@@ -284,7 +322,8 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
-    """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2), found by searching each grid.
+    """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2), found by
+    searching each grid.
 
     -1 no connection, -2 where a seed point is (-1, -1). "bfs" counts moves.
     """

@@ -1,4 +1,6 @@
-"""`OnlineMapDataset`: maps made and solved as they are asked for, with the interface of `MapDataset` and no disk."""
+"""`OnlineMapDataset`: maps made and solved as they are asked for, with the interface of
+`MapDataset` and no disk.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,12 @@ from mapdata.spec import Movement, check_seed
 
 
 class OnlineMapDataset(ProblemDataset):
-    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps as shards would
-    hold.
+    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps
+    as shards would hold.
 
-    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route and pairs
-    problems are one segment or pair of the map, drawn anew each epoch. A map without any problem of the kind is
-    replaced by one from beyond ``length``.
+    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route
+    and pairs problems are one segment or pair of the map, drawn anew each epoch. A map without any
+    problem of the kind is replaced by one from beyond ``length``.
 
     Args:
         spec: the distribution of maps.
@@ -56,7 +58,9 @@ class OnlineMapDataset(ProblemDataset):
     ) -> None:
         """Check the arguments; no map is made yet."""
         source = problem_source(problems)
-        super().__init__(split, Serving(fields, source, search, movement, augment, sampling_seed, max_length))
+        super().__init__(
+            split, Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        )
         if length < 1:
             raise ValueError(f"length: got {length}, expected at least 1")
         self.spec = spec
@@ -71,10 +75,14 @@ class OnlineMapDataset(ProblemDataset):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as arguments: no maps, no class made at run time."""
-        return partial(OnlineMapDataset, self.spec, self.seed, self.length, self.split, **vars(self.serving)), ()
+        return partial(
+            OnlineMapDataset, self.spec, self.seed, self.length, self.split, **vars(self.serving)
+        ), ()
 
     def __repr__(self) -> str:
-        arguments = f"{self.spec}, seed={self.seed}, split={self.split!r}, problems={self.serving.problems}"
+        arguments = (
+            f"{self.spec}, seed={self.seed}, split={self.split!r}, problems={self.serving.problems}"
+        )
         return f"OnlineMapDataset({arguments}): {self.length} problems"
 
     @property
@@ -86,19 +94,25 @@ class OnlineMapDataset(ProblemDataset):
         return self._sampled_batch(indices, epoch)
 
     def _maps(self, places: Ints) -> Maps:
-        return generate(self.spec, self.seed, places if self._numbers is None else self._numbers[places])
+        return generate(
+            self.spec, self.seed, places if self._numbers is None else self._numbers[places]
+        )
 
     def _grids(self, places: Ints) -> Bytes:
         return self._maps(places).occupancy
 
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         seed_points = self._maps(places).seed_points
-        return Rooms(room_matrices(self.serving.search, grids, seed_points, self.movement), seed_points)
+        return Rooms(
+            room_matrices(self.serving.search, grids, seed_points, self.movement), seed_points
+        )
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return self.length + (indices + attempt) % self.length
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
+    def _sample(
+        self, places: Ints, indices: Ints, epoch: int
+    ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
         problems = self.serving.problems
         if isinstance(problems, Random):
             return super()._sample(places, indices, epoch)

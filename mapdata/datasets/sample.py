@@ -1,4 +1,6 @@
-"""What a dataset yields: a NamedTuple of the fields asked for, and how samples become batches under any DataLoader."""
+"""What a dataset yields: a NamedTuple of the fields asked for, and how samples become batches under
+any DataLoader.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,11 @@ PATH_STEP = 16
 
 
 class Sample(tuple[Any, ...]):
-    """Base class of all samples and batches: a NamedTuple with exactly the fields asked for, in that order.
+    """Base class of all samples and batches: a NamedTuple with exactly the fields asked for, in
+    that order.
 
-    It is registered with torch's default collate function, so that a plain ``DataLoader(dataset, 256)`` gives padded
-    batches.
+    It is registered with torch's default collate function, so that a plain ``DataLoader(dataset,
+    256)`` gives padded batches.
     """
 
     __slots__ = ()
@@ -29,20 +32,24 @@ class Sample(tuple[Any, ...]):
 
     if TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        def __getattr__(self, name: str) -> Any:
             """Fields are tensors."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as field names and values: the class is made at run time, and loader workers must find it again."""
+        """Pickle as field names and values: the class is made at run time, and loader workers must
+        find it again.
+        """
         return _restore, (self._fields, self._capacity, tuple(self))
 
 
 @cache
 def sample_class(names: tuple[str, ...], capacity: int | None = None) -> type[Any]:
-    """Return the class of samples with these fields, whose ``path`` has room for so many cells (None: as many as it
-    needs).
+    """Return the class of samples with these fields, whose ``path`` has room for so many cells
+    (None: as many as it needs).
     """
-    return type("Sample", (Sample, namedtuple("Sample", names)), {"__slots__": (), "_capacity": capacity})
+    return type(
+        "Sample", (Sample, namedtuple("Sample", names)), {"__slots__": (), "_capacity": capacity}
+    )
 
 
 def _restore(names: tuple[str, ...], capacity: int | None, values: tuple[Any, ...]) -> Sample:
@@ -51,7 +58,9 @@ def _restore(names: tuple[str, ...], capacity: int | None, values: tuple[Any, ..
 
 
 class Rows(Sequence[Sample]):
-    """A batch that looks like a list of samples: collating it gives the batch itself, at no cost."""
+    """A batch that looks like a list of samples: collating it gives the batch itself, at no
+    cost.
+    """
 
     def __init__(self, batch: Sample, length: int) -> None:
         """Wrap ``batch`` of ``length`` samples."""
@@ -61,7 +70,7 @@ class Rows(Sequence[Sample]):
     def __len__(self) -> int:
         return self._length
 
-    def __getitem__(self, i: Any) -> Any:  # noqa: ANN401  (int or slice, as of a list)
+    def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):
             return [self[k] for k in range(*i.indices(len(self)))]
         if not -len(self) <= i < len(self):
@@ -73,7 +82,9 @@ class Rows(Sequence[Sample]):
 
 
 def row(batch: Sample, i: int) -> Sample:
-    """Return sample ``i`` of a batch; its path without padding, unless the dataset has a ``max_length``."""
+    """Return sample ``i`` of a batch; its path without padding, unless the dataset has a
+    ``max_length``.
+    """
     values = [value[i] for value in batch]
     if batch._capacity is None and "path" in batch._fields:
         k = batch._fields.index("path")
@@ -81,9 +92,9 @@ def row(batch: Sample, i: int) -> Sample:
     return type(batch)(*values)
 
 
-def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:  # noqa: ANN401
-    """Stack samples into a batch; paths are padded with -1 to a multiple of 16 cells, or to the dataset's
-    ``max_length``.
+def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:
+    """Stack samples into a batch; paths are padded with -1 to a multiple of 16 cells, or to the
+    dataset's ``max_length``.
     """
     kind = type(samples[0])
     columns = dict(zip(kind._fields, zip(*samples, strict=True), strict=True))
@@ -106,7 +117,7 @@ def _stack_paths(paths: Sequence[torch.Tensor], capacity: int | None) -> torch.T
     return stacked
 
 
-def _collate(samples: Any, *, collate_fn_map: Any = None) -> Sample:  # noqa: ANN401  (torch's own signature)
+def _collate(samples: Any, *, collate_fn_map: Any = None) -> Sample:
     return samples.batch if isinstance(samples, Rows) else stack(samples, collate_fn_map)
 
 

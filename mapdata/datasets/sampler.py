@@ -1,4 +1,6 @@
-"""The order of a data loader: a function of (sampling seed, epoch), which a resumed training takes up again."""
+"""The order of a data loader: a function of (sampling seed, epoch), which a resumed training takes
+up again.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from mapdata.rng import ORDER, block
 class LateLoader(DataLoader[Sample]):
     """A DataLoader that starts when its first batch is asked for, not when it is iterated over.
 
-    Lightning makes the iterator before it has restored where a checkpoint stopped, and workers fetch ahead at once.
+    Lightning makes the iterator before it has restored where a checkpoint stopped, and workers
+    fetch ahead at once.
     """
 
     def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
@@ -30,10 +33,12 @@ class LateLoader(DataLoader[Sample]):
 class EpochSampler(DistributedSampler[Any]):
     """Yields ``index + epoch * len(dataset)``, each rank its share, from where the Trainer is.
 
-    Training: a permutation that is a function of (sampling seed, epoch); all ranks get equally many, at most ranks - 1
-    samples are left out. Else: the order of the dataset, epoch 0, every sample on exactly one rank. It asks for
-    epoch, rank and position when it is first iterated over, so that a resumed epoch goes on where it stopped. Without
-    a Trainer each pass is the next epoch, unless `set_epoch` says which.
+    Training: a permutation that is a function of (sampling seed, epoch); all ranks get equally
+    many, at most ranks - 1
+    samples are left out. Else: the order of the dataset, epoch 0, every sample on exactly one rank.
+    It asks for epoch, rank and position when it is first iterated over, so that a resumed epoch
+    goes on where it stopped. Without a Trainer each pass is the next epoch, unless `set_epoch` says
+    which.
     """
 
     def __init__(
@@ -68,7 +73,9 @@ class EpochSampler(DistributedSampler[Any]):
             yield from range(rank, total, world)
             return
         epoch, done = self._position()
-        order = permutation(np.uint64(self.sampling_seed), epoch, total)[: total - total % world][rank::world]
+        order = permutation(np.uint64(self.sampling_seed), epoch, total)[: total - total % world][
+            rank::world
+        ]
         yield from (order[done * self.batch_size :] + epoch * total).tolist()
 
     def _share(self) -> tuple[int, int]:
@@ -84,7 +91,8 @@ class EpochSampler(DistributedSampler[Any]):
         """Return the epoch and how many of its batches are done."""
         trainer = None if self.module is None else self.module.trainer
         if trainer is not None and trainer.training:
-            # Not a public attribute, but the only place that knows: tests/datasets/test_datamodule.py watches it.
+            # Not a public attribute, but the only place that knows:
+            # tests/datasets/test_datamodule.py watches it.
             done = int(trainer.fit_loop.epoch_loop.batch_progress.current.ready)
             batches = -(-len(self) // self.batch_size)
             return trainer.current_epoch, done if done < batches else 0
@@ -96,7 +104,9 @@ class EpochSampler(DistributedSampler[Any]):
 
 @kernel
 def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
-    """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream ORDER."""
+    """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream
+    ORDER.
+    """
     order = np.arange(count)
     for k in range(count - 1, 0, -1):
         w0, w1, _w2, _w3 = block(seed, np.uint64(k), epoch, ORDER, 0)

@@ -1,6 +1,14 @@
 """Comparing planners: one table for anything that plans, and the classical rows."""
 
-from mapdata.evaluation.metrics import METRICS, BatchPlanner, Plan, Planner, confidence_intervals, evaluate, to_text
+from mapdata.evaluation.metrics import (
+    METRICS,
+    BatchPlanner,
+    Plan,
+    Planner,
+    confidence_intervals,
+    evaluate,
+    to_text,
+)
 from mapdata.evaluation.planners import Batched, BestFirst, Limit, Search, classical
 
 __all__ = [

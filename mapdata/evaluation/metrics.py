@@ -1,6 +1,7 @@
 """Compare planners: the metrics of Neural A* and TransPath for anything that plans, in one table.
 
-Neural A*: Yonetani et al., ICML 2021, https://arxiv.org/abs/2009.07476. TransPath: Kirilenko et al., AAAI 2023,
+Neural A*: Yonetani et al., ICML 2021, https://arxiv.org/abs/2009.07476. TransPath: Kirilenko et
+al., AAAI 2023,
 https://arxiv.org/abs/2212.11730.
 """
 
@@ -57,24 +58,30 @@ class BatchPlanner(Planner, Protocol):
         """Return a plan for each of the B problems: grids (B, H, W), starts and goals (B, 2)."""
 
 
-def evaluate(planners: Sequence[Planner], problems: Problems, *, bootstrap: int = 1000, seed: int = 0) -> pd.DataFrame:
-    """Return the table of ``planners`` on ``problems``: two rows a planner, all problems and the hard ones.
+def evaluate(
+    planners: Sequence[Planner], problems: Problems, *, bootstrap: int = 1000, seed: int = 0
+) -> pd.DataFrame:
+    """Return the table of ``planners`` on ``problems``: two rows a planner, all problems and the
+    hard ones.
 
-    L is the cost of a path, E the number of expansions, L* and E* are those of mapdata's A* (docs/format.md fixes its
-    order) under the same movement. A planner succeeds where its path starts and ends as asked and `check_path` accepts
-    it. Columns:
+    L is the cost of a path, E the number of expansions, L* and E* are those of mapdata's A*
+    (docs/format.md fixes its order) under the same movement. A planner succeeds where its path
+    starts and ends as asked and `check_path` accepts it. Columns:
 
-    - ``planner``; ``subset``, "all" or "hard" (hardness at least ``HARD``); ``n``, the number of problems in it.
+    - ``planner``; ``subset``, "all" or "hard" (hardness at least ``HARD``); ``n``, the number of
+      problems in it.
     - ``success``: share of problems solved.
     - ``opt``: share of problems solved with L = L* (Neural A*'s Opt).
     - ``cost_ratio``: mean L / L* over the problems solved (TransPath), NaN where none is.
-    - ``expansion_ratio``: mean E / E* (TransPath), over all problems: what a failure expanded counts.
+    - ``expansion_ratio``: mean E / E* (TransPath), over all problems: what a failure expanded
+      counts.
     - ``p_exp``: mean max(0, 1 - E / E*) (Neural A*'s Exp), likewise.
     - ``hmean``: harmonic mean of ``opt`` and ``p_exp`` (Neural A*'s Hmean), 0 where both are 0.
-    - ``<name>_low``, ``<name>_high`` of these six: 95 % percentile interval over resampled problems, the same
-      resamples for all planners.
-    - ``ms``: milliseconds a problem, one at a time; ``ms_batched``: in batches of 64 over all problems, for a planner
-      that has `plan_batch`, else NaN. The first call of each is not timed. All other columns are of `plan`.
+    - ``<name>_low``, ``<name>_high`` of these six: 95 % percentile interval over resampled
+      problems, the same resamples for all planners.
+    - ``ms``: milliseconds a problem, one at a time; ``ms_batched``: in batches of 64 over all
+      problems, for a planner that has `plan_batch`, else NaN. The first call of each is not timed.
+      All other columns are of `plan`.
 
     A subset without problems has n = 0 and NaN elsewhere.
 
@@ -85,14 +92,17 @@ def evaluate(planners: Sequence[Planner], problems: Problems, *, bootstrap: int 
         seed: of the resamples.
 
     Raises:
-        ValueError: no planner, two of one name, no problem, no resample, or a ``plan_batch`` with too few plans.
+        ValueError: no planner, two of one name, no problem, no resample, or a ``plan_batch`` with
+            too few plans.
         Exception: whatever a planner raises.
     """
     names = [planner.name for planner in planners]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"planners: got the names {names}, expected at least one and each once")
     if not len(problems) or bootstrap < 1:
-        raise ValueError(f"got {len(problems)} problems and {bootstrap} resamples, expected at least one of each")
+        raise ValueError(
+            f"got {len(problems)} problems and {bootstrap} resamples, expected at least one of each"
+        )
     runs = [_run(planner, problems) for planner in planners]
     outcomes = np.stack([run.outcomes for run in runs], axis=1)
     rows: list[dict[str, object]] = []
@@ -101,7 +111,10 @@ def evaluate(planners: Sequence[Planner], problems: Problems, *, bootstrap: int 
         for k, (run, name) in enumerate(zip(runs, names, strict=True)):
             row: dict[str, object] = {"planner": name, "subset": subset, "n": int(mask.sum())}
             row |= dict(zip(METRICS, values[k].tolist(), strict=True))
-            row |= {"ms": run.ms[mask].mean() if mask.any() else np.nan, "ms_batched": run.ms_batched}
+            row |= {
+                "ms": run.ms[mask].mean() if mask.any() else np.nan,
+                "ms_batched": run.ms_batched,
+            }
             for metric, low, high in zip(METRICS, lows[k].tolist(), highs[k].tolist(), strict=True):
                 row |= {f"{metric}_low": low, f"{metric}_high": high}
             rows.append(row)
@@ -136,22 +149,30 @@ def confidence_intervals(
 
 
 def to_text(table: pd.DataFrame) -> str:
-    """Return the table of `evaluate` for a terminal: a block a subset, each metric with half its interval's width."""
+    """Return the table of `evaluate` for a terminal: a block a subset, each metric with half its
+    interval's width.
+    """
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
         for metric in METRICS:
             half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
-            text[metric] = [f"{value:.3f} ±{width:.3f}" for value, width in zip(rows[metric], half, strict=True)]
+            text[metric] = [
+                f"{value:.3f} ±{width:.3f}" for value, width in zip(rows[metric], half, strict=True)
+            ]
         for name in ("ms", "ms_batched"):
             text[name] = [f"{value:.3f}" for value in rows[name]]
         which = f", hardness at least {HARD}" if subset == "hard" else ""
-        blocks.append(f"{subset}: {rows['n'].iloc[0]} problems{which}\n{text.to_string(index=False)}")
+        blocks.append(
+            f"{subset}: {rows['n'].iloc[0]} problems{which}\n{text.to_string(index=False)}"
+        )
     return "\n\n".join(blocks)
 
 
 class _Run(NamedTuple):
-    """A planner's outcomes (N, 5): success, opt, L / L* (0 in a failure), E / E*, max(0, 1 - E / E*); its times."""
+    """A planner's outcomes (N, 5): success, opt, L / L* (0 in a failure), E / E*, max(0, 1 - E /
+    E*); its times.
+    """
 
     outcomes: Floats
     ms: Floats
@@ -169,12 +190,17 @@ def _run(planner: Planner, problems: Problems) -> _Run:
         if cost is not None:
             outcomes[k, :3] = 1, cost == best[k], cost / best[k]
         outcomes[k, 3:] = expansions / effort[k], max(0.0, (effort[k] - expansions) / effort[k])
-    return _Run(outcomes, ms, _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan)
+    return _Run(
+        outcomes, ms, _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan
+    )
 
 
 def _timed(planner: Planner, problems: Problems, k: int) -> tuple[Plan, float]:
     """Return the plan for problem k and the milliseconds it took."""
-    (start_row, start_column), (goal_row, goal_column) = problems.starts[k].tolist(), problems.goals[k].tolist()
+    (start_row, start_column), (goal_row, goal_column) = (
+        problems.starts[k].tolist(),
+        problems.goals[k].tolist(),
+    )
     grid = problems.grids[k].copy()
     began = time.perf_counter()
     plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
@@ -190,12 +216,18 @@ def _batched(planner: BatchPlanner, problems: Problems) -> float:
 def _timed_batch(planner: BatchPlanner, problems: Problems, first: int) -> float:
     """Return the seconds for one batch."""
     batch = slice(first, first + _BATCH)
-    grids, starts, goals = problems.grids[batch].copy(), problems.starts[batch].copy(), problems.goals[batch].copy()
+    grids, starts, goals = (
+        problems.grids[batch].copy(),
+        problems.starts[batch].copy(),
+        problems.goals[batch].copy(),
+    )
     began = time.perf_counter()
     plans = planner.plan_batch(grids, starts, goals)
     seconds = time.perf_counter() - began
     if len(plans) != len(starts):
-        raise ValueError(f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems")
+        raise ValueError(
+            f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
+        )
     return seconds
 
 

@@ -18,7 +18,8 @@ MAX_ESTIMATE = 2**20
 def classical(movement: Movement = Movement(8)) -> list[BatchPlanner]:
     """Return the planners that every comparison should show, for one movement.
 
-    "limit" expands only the cells of an optimal path: no planner that walks from start to goal can do with less.
+    "limit" expands only the cells of an optimal path: no planner that walks from start to goal can
+    do with less.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.5)', 'weighted A* (2)', 'greedy best-first', 'limit']
@@ -73,9 +74,10 @@ class Limit(Batched):
 class BestFirst(Batched):
     """Best-first search by f = g + weight * h, or f = weight * h alone.
 
-    The order is that of mapdata's A* (docs/format.md) with another f: least f, among equal f the most recently pushed;
-    a cell is pushed again for a smaller g, and expanded once. The cost is at most ``max(weight, 1)`` times the optimal
-    one (Pohl 1970; without re-expansion: Likhachev et al. 2003), unless the way so far does not count.
+    The order is that of mapdata's A* (docs/format.md) with another f: least f, among equal f the
+    most recently pushed; a cell is pushed again for a smaller g, and expanded once. The cost is at
+    most ``max(weight, 1)`` times the optimal one (Pohl 1970; without re-expansion: Likhachev et al.
+    2003), unless the way so far does not count.
 
     Attributes:
         name: its name in the table.
@@ -98,8 +100,8 @@ class BestFirst(Batched):
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
 
         Raises:
-            ValueError: what `search_batch` refuses; a grid so large that with this weight f does not fit into 64 bits
-                (1024 x 1024 cells with a weight of 512 do).
+            ValueError: what `search_batch` refuses; a grid so large that with this weight f does
+                not fit into 64 bits (1024 x 1024 cells with a weight of 512 do).
         """
         if self.weight * sum(np.shape(grids)[1:]) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")

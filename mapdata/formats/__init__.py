@@ -1,7 +1,8 @@
-"""Foreign formats, one file each: `read_any` reads what somebody brings, `export` writes what somebody takes away.
+"""Foreign formats, one file each: `read_any` reads what somebody brings, `export` writes what
+somebody takes away.
 
-docs/formats.md describes each format. A new one is a file with a `Format` and its name in the list below; the command
-line takes its options from the keyword-only parameters of its functions.
+docs/formats.md describes each format. A new one is a file with a `Format` and its name in the list
+below; the command line takes its options from the keyword-only parameters of its functions.
 """
 
 from mapdata.formats import huggingface, images, movingai, paper, planning, ros

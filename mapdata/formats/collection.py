@@ -23,14 +23,15 @@ class ForeignMap:
         cells: (H, W) uint8, 0 free and 1 occupied; afterwards it is `grid`.
         split: 0 train, 1 val, 2 test; None to draw it.
         resolution: metres per cell; None if the source does not say.
-        number: its number in the source's own count; kept when the numbers of all maps are 0 to N - 1.
+        number: its number in the source's own count; kept when the numbers of all maps are 0 to N -
+            1.
         seed_points: (k, 2) int64, seed points that the source has; the others are drawn.
         rooms_known: ``seed_points`` are all there are: none is drawn.
         sizes: (k, 2) int64, rows and columns of the rooms, -1 unknown.
         directions: (k - 1, 2) int64, the legs of the passages, -1 none or unknown.
         passage_width: in cells, -1 unknown.
-        check: called with the labels and the number of this map in them; returns the names of what the source says
-            otherwise.
+        check: called with the labels and the number of this map in them; returns the names of what
+            the source says otherwise.
         shape: (H, W).
     """
 
@@ -56,7 +57,9 @@ class ForeignMap:
         """
         if cells.ndim != 2 or cells.max(initial=0) > 1:
             what = f"values up to {cells.max(initial=0)} in shape {cells.shape}"
-            raise ValueError(f"cells: {self.name}: got {what}, expected 0 free and 1 occupied in shape (H, W)")
+            raise ValueError(
+                f"cells: {self.name}: got {what}, expected 0 free and 1 occupied in shape (H, W)"
+            )
         object.__setattr__(self, "shape", cells.shape)
         object.__setattr__(self, "_bits", np.packbits(cells, axis=1))
 
@@ -84,7 +87,9 @@ class Collection:
 
     @contextmanager
     def leaving_out(self, name: object) -> Iterator[None]:
-        """Add ``name`` to ``left_out`` when a `FormatError` ends what is done inside, with its message."""
+        """Add ``name`` to ``left_out`` when a `FormatError` ends what is done inside, with its
+        message.
+        """
         try:
             yield
         except FormatError as error:

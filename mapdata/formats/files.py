@@ -1,4 +1,6 @@
-"""What all formats share: the error, the limits, folders, and arrays in .npy and .npz read without trust."""
+"""What all formats share: the error, the limits, folders, and arrays in .npy and .npz read without
+trust.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ Array = npt.NDArray[Any]
 
 
 class FormatError(ValueError):
-    """A foreign file that cannot be used; the message names the file and what is wrong with it, on one line."""
+    """A foreign file that cannot be used; the message names the file and what is wrong with it, on
+    one line.
+    """
 
     def __init__(self, message: str) -> None:
         """Keep ``message`` on one line, whatever a library put into it."""
@@ -64,7 +68,8 @@ def read_bytes(path: Path, limits: Limits = LIMITS) -> bytes:
 
 
 def read_text(path: Path, limits: Limits = LIMITS) -> str:
-    """Return the text of a file in UTF-8 (else Latin-1, as old benchmark files are), line ends as a line feed.
+    """Return the text of a file in UTF-8 (else Latin-1, as old benchmark files are), line ends as a
+    line feed.
 
     Raises:
         FormatError: as `read_bytes`; or it is no text.
@@ -86,9 +91,11 @@ LeftOut = list[tuple[str, str]]
 def walk(
     folder: Path, endings: tuple[str, ...], limits: Limits = LIMITS, left_out: LeftOut | None = None
 ) -> list[Path]:
-    """Return the files below ``folder`` with one of these endings (lower case), in natural order: map2 before map10.
+    """Return the files below ``folder`` with one of these endings (lower case), in natural order:
+    map2 before map10.
 
-    Hidden names and links to folders are passed over; links to files outside ``folder`` are added to ``left_out``.
+    Hidden names and links to folders are passed over; links to files outside ``folder`` are added
+    to ``left_out``.
 
     Raises:
         FormatError: more than ``limits.files`` files.
@@ -104,7 +111,9 @@ def walk(
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
             if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(inside):
-                (left_out if left_out is not None else []).append((str(path), "a link to outside the folder"))
+                (left_out if left_out is not None else []).append(
+                    (str(path), "a link to outside the folder")
+                )
             else:
                 found.append(path)
     return sorted(found, key=lambda path: natural(str(path.relative_to(folder))))
@@ -113,10 +122,22 @@ def walk(
 def natural(text: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers inside names by their value."""
     parts = re.findall(r"\d+|\D+", text)
-    return [(int(part), "") if part.isascii() and part.isdigit() and len(part) < 19 else (-1, part) for part in parts]
+    return [
+        (int(part), "") if part.isascii() and part.isdigit() and len(part) < 19 else (-1, part)
+        for part in parts
+    ]
 
 
-SPLIT_NAMES = {"train": 0, "training": 0, "val": 1, "valid": 1, "validation": 1, "dev": 1, "test": 2, "testing": 2}
+SPLIT_NAMES = {
+    "train": 0,
+    "training": 0,
+    "val": 1,
+    "valid": 1,
+    "validation": 1,
+    "dev": 1,
+    "test": 2,
+    "testing": 2,
+}
 """Names of folders that say a split, as codes."""
 
 
@@ -136,7 +157,7 @@ def empty_target(target: Path) -> None:
         raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
 
 
-# --- arrays ---------------------------------------------------------------------------------------------------------
+# --- arrays -------------------------------------------------------------------------------------
 
 
 class Npz:
@@ -165,10 +186,13 @@ class Npz:
                 name = info.filename[:-4]
                 if info.file_size > limits.unpacked:
                     raise FormatError(
-                        f"{path}: array {name!r} unpacks to {info.file_size} bytes, expected at most {limits.unpacked}"
+                        f"{path}: array {name!r} unpacks to {info.file_size} bytes, expected at "
+                        f"most {limits.unpacked}"
                     )
                 with archive.open(info) as member:
-                    self.shapes[name] = _header(member, info.file_size, f"{path}: array {name!r}")[0]  # type: ignore[arg-type]
+                    what = f"{path}: array {name!r}"
+                    header = _header(member, info.file_size, what)  # type: ignore[arg-type]
+                    self.shapes[name] = header[0]
 
     def __getitem__(self, name: str) -> Array:
         """Return one array.
@@ -178,7 +202,11 @@ class Npz:
         """
         if name not in self.shapes:
             raise FormatError(f"{self.path}: holds no array {name!r}, but {', '.join(self.shapes)}")
-        with _zip_errors(self.path), zipfile.ZipFile(self.path) as archive, archive.open(f"{name}.npy") as member:
+        with (
+            _zip_errors(self.path),
+            zipfile.ZipFile(self.path) as archive,
+            archive.open(f"{name}.npy") as member,
+        ):
             size = archive.getinfo(f"{name}.npy").file_size
             return _array(member, size, f"{self.path}: array {name!r}")  # type: ignore[arg-type]
 
@@ -190,8 +218,11 @@ def _zip_errors(path: Path) -> Iterator[None]:
         yield
     except FormatError:
         raise
-    except Exception as error:  # BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error and more
-        raise FormatError(f"{path}: not a sound .npz file ({type(error).__name__}: {error})") from None
+    except Exception as error:
+        # BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error and more
+        raise FormatError(
+            f"{path}: not a sound .npz file ({type(error).__name__}: {error})"
+        ) from None
 
 
 def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
@@ -205,17 +236,26 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
 
 
 def _header(file: BinaryIO, size: int, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return (shape, fortran order, type) of an array whose header and data have ``size`` bytes in all."""
+    """Return (shape, fortran order, type) of an array whose header and data have ``size`` bytes in
+    all.
+    """
     try:
         version = np.lib.format.read_magic(file)
         if version == (1, 0):
-            shape, fortran, dtype = np.lib.format.read_array_header_1_0(file, max_header_size=10_000)
+            shape, fortran, dtype = np.lib.format.read_array_header_1_0(
+                file, max_header_size=10_000
+            )
         else:
-            shape, fortran, dtype = np.lib.format.read_array_header_2_0(file, max_header_size=10_000)
-    except Exception as error:  # numpy parses the header as Python text: what it raises is not documented
+            shape, fortran, dtype = np.lib.format.read_array_header_2_0(
+                file, max_header_size=10_000
+            )
+    except Exception as error:
+        # numpy parses the header as Python text: what it raises is not documented
         raise FormatError(f"{what}: not an array ({type(error).__name__}: {error})") from None
     if dtype.hasobject or dtype.kind not in "biuf":
-        raise FormatError(f"{what}: holds {dtype}, expected numbers (pickled objects are never opened)")
+        raise FormatError(
+            f"{what}: holds {dtype}, expected numbers (pickled objects are never opened)"
+        )
     count = 1
     for side in shape:
         count *= side
@@ -257,8 +297,12 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> npt.N
     return occupied.view(np.uint8)
 
 
-def files_of(source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut) -> Iterator[Path]:
-    """Yield ``source`` itself if it is a file, else the files below it with one of these endings."""
+def files_of(
+    source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut
+) -> Iterator[Path]:
+    """Yield ``source`` itself if it is a file, else the files below it with one of these
+    endings.
+    """
     if source.is_dir():
         yield from walk(source, endings, limits, left_out)
     elif source.exists():

@@ -1,7 +1,8 @@
 """Hugging Face ``datasets``: a folder of Parquet files and a card, out only.
 
-``datasets.load_dataset(folder)`` opens it, and ``huggingface-cli upload`` puts it on the Hub as it is. Needs pyarrow:
-``pip install mapdata[hub]``. Source: https://huggingface.co/docs/datasets/repository_structure.
+``datasets.load_dataset(folder)`` opens it, and ``huggingface-cli upload`` puts it on the Hub as it
+is. Needs pyarrow: ``pip install mapdata[hub]``. Source:
+https://huggingface.co/docs/datasets/repository_structure.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ _NAMES = {"train": "train", "val": "validation", "test": "test"}
 def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write ``data/<split>-<shard>.parquet``, one file a shard and split, and ``README.md``.
 
-    A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, and the columns of the paper's CSV.
+    A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, and the columns of the
+    paper's CSV.
 
     Returns:
         Notes for the user.
@@ -54,10 +56,14 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             rows = [_row(labels, k, root.resolution) for k in indices]
             if rows:
                 name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
-                parquet.write_table(pa.Table.from_pylist(rows, schema), target / "data" / name, compression="zstd")
+                parquet.write_table(
+                    pa.Table.from_pylist(rows, schema), target / "data" / name, compression="zstd"
+                )
                 counts[split] += len(rows)
     files = {_NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if counts[split]}
-    (target / "README.md").write_text(card(root.places, files=files, extra=[_COLUMNS]), encoding="utf-8", newline="\n")
+    (target / "README.md").write_text(
+        card(root.places, files=files, extra=[_COLUMNS]), encoding="utf-8", newline="\n"
+    )
     return []
 
 
@@ -108,21 +114,41 @@ def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
     row = map_row(labels, k, resolution)
     picture = BytesIO()
     Image.fromarray(255 * (1 - grid)).convert("1").save(picture, "PNG")
-    return {"image": {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}, "map": grid.tolist(), **row}
+    return {
+        "image": {"bytes": picture.getvalue(), "path": f"{row['label']}.png"},
+        "map": grid.tolist(),
+        **row,
+    }
 
 
 _COLUMNS = Section(
     "Columns",
-    "A row is a map. Lists have a number a room (seed point), passage or segment between consecutive rooms.",
+    "A row is a map. Lists have a number a room (seed point), passage or segment between "
+    "consecutive rooms.",
     (
         ("column", "meaning"),
         ("map, image", "(H, W) of 1 occupied and 0 free; the picture shows free white"),
-        ("seed_rows, seed_columns, size_rows, size_columns", "seed point, rows and columns of each room, -1 unknown"),
-        ("direction_for_passages", "two a passage, its legs at either room: 1 horizontal, 0 vertical, -1 none"),
-        ("connected, reachable", "whether a passage was drawn to the next room; whether a path leads there"),
-        ("bfs_row_path, bfs_column_path and those of astar", "the cells of the route through all seed points"),
+        (
+            "seed_rows, seed_columns, size_rows, size_columns",
+            "seed point, rows and columns of each room, -1 unknown",
+        ),
+        (
+            "direction_for_passages",
+            "two a passage, its legs at either room: 1 horizontal, 0 vertical, -1 none",
+        ),
+        (
+            "connected, reachable",
+            "whether a passage was drawn to the next room; whether a path leads there",
+        ),
+        (
+            "bfs_row_path, bfs_column_path and those of astar",
+            "the cells of the route through all seed points",
+        ),
         ("bfs_iterations, astar_iterations", "cells expanded, one number a segment"),
-        ("bfs_connection_matrix, astar_connection_matrix", "path costs between all rooms, -1 no path"),
+        (
+            "bfs_connection_matrix, astar_connection_matrix",
+            "path costs between all rooms, -1 no path",
+        ),
     ),
 )
 

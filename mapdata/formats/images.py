@@ -1,6 +1,7 @@
 """Pictures read without trust, and a folder of them (or a stack of arrays) as maps.
 
-Pixels are counted before anything is decoded. PGM is read here: Pillow has no say in P2, comments and 16 bits.
+Pixels are counted before anything is decoded. PGM is read here: Pillow has no say in P2, comments
+and 16 bits.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ from mapdata.spec import MAX_SIDE
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 ARRAYS = (".npy", ".npz")
 
-_HEADER = re.compile(rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})")
+_HEADER = re.compile(
+    rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})"
+)
 
 
 class Pixels(NamedTuple):
@@ -61,7 +64,9 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
 def _picture(path: Path, limits: Limits) -> Pixels:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of decompression bombs: our own limit follows, before decoding
+            warnings.simplefilter(
+                "ignore"
+            )  # of decompression bombs: our own limit follows, before decoding
             image = Image.open(path, formats=("PNG", "JPEG", "BMP"))
         with image:
             columns, rows = image.size
@@ -80,13 +85,16 @@ def _picture(path: Path, limits: Limits) -> Pixels:
         raise FormatError(f"{path}: {error}") from None
     except FormatError:
         raise
-    except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
+    except Exception as error:
+        # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise FormatError(f"{path}: damaged picture ({type(error).__name__}: {error})") from None
 
 
 def _check_size(path: Path, rows: int, columns: int, limits: Limits) -> None:
     if not 1 <= rows * columns <= limits.pixels:
-        raise FormatError(f"{path}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all")
+        raise FormatError(
+            f"{path}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all"
+        )
 
 
 def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
@@ -113,18 +121,27 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
             raise FormatError(f"{path}: its PGM header is damaged")
         kind = np.dtype("u1" if maximum < 256 else ">u2")
         if len(data) - at - 1 < count * kind.itemsize:
-            raise FormatError(f"{path}: has {len(data) - at - 1} bytes of pixels, its header says {rows} x {columns}")
+            raise FormatError(
+                f"{path}: has {len(data) - at - 1} bytes of pixels, its header says {rows} x "
+                f"{columns}"
+            )
         values = np.frombuffer(data, kind, count, at + 1)
     if count and values.max() > maximum:
-        raise FormatError(f"{path}: holds the value {values.max()}, its header says at most {maximum}")
+        raise FormatError(
+            f"{path}: holds the value {values.max()}, its header says at most {maximum}"
+        )
     kept = values.astype(np.uint8 if maximum < 256 else np.uint16)
     return Pixels(kept.reshape(rows, columns, 1), maximum)
 
 
 def brightness(pixels: Pixels) -> Bytes:
-    """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels count as white."""
+    """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels count as
+    white.
+    """
     grey = np.empty(pixels.values.shape[:2], np.uint8)
-    for k in range(0, len(grey), 256):  # a strip at a time: all at once would take several times the picture
+    for k in range(
+        0, len(grey), 256
+    ):  # a strip at a time: all at once would take several times the picture
         grey[k : k + 256] = _mean(pixels.values[k : k + 256], pixels.maximum)
     return grey
 
@@ -135,7 +152,9 @@ def _mean(values: Array, maximum: int) -> Bytes:
         values = 255 - (255 - colour) * values[:, :, 3:].astype(np.uint16) // 255
     if values.shape[2] == 1 and maximum == 255:
         return np.asarray(values[:, :, 0], np.uint8)
-    return np.asarray(values.sum(axis=2, dtype=np.uint32) * np.uint32(255) // np.uint32(values.shape[2] * maximum))
+    return np.asarray(
+        values.sum(axis=2, dtype=np.uint32) * np.uint32(255) // np.uint32(values.shape[2] * maximum)
+    )
 
 
 def read(
@@ -149,18 +168,20 @@ def read(
 ) -> Collection:
     """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
 
-    Pictures: dark is occupied, as in ROS and most sets of floor plans; a pixel is occupied when its brightness is not
-    above ``threshold``. Arrays: (H, W), (N, H, W) or (N, 1, H, W); 1 is occupied, probabilities are occupied above
-    ``threshold``.
+    Pictures: dark is occupied, as in ROS and most sets of floor plans; a pixel is occupied when its
+    brightness is not
+    above ``threshold``. Arrays: (H, W), (N, H, W) or (N, 1, H, W); 1 is occupied, probabilities are
+    occupied above ``threshold``.
 
     Args:
         source: folder or file.
         limits: of what is read.
-        threshold: in [0, 1]: brightness above which a cell is free, probability above which it is occupied.
+        threshold: in [0, 1]: brightness above which a cell is free, probability above which it is
+            occupied.
         invert: the other way round.
         size: (rows, columns) that every map is brought to.
-        fit: how: resize scales (the mean brightness of the pixels in a cell decides), crop takes the middle; default
-            resize.
+        fit: how: resize scales (the mean brightness of the pixels in a cell decides), crop takes
+            the middle; default resize.
 
     Raises:
         FormatError: nothing there. A bad file among others is left out, with the reason.
@@ -171,7 +192,9 @@ def read(
     if fit is not None and size is None:
         raise ValueError("fit: does nothing without size")
     if size is not None and not all(1 <= side <= MAX_SIDE for side in size):
-        raise ValueError(f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns")
+        raise ValueError(
+            f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns"
+        )
     found = Collection()
     folder = source if source.is_dir() else source.parent
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
@@ -184,7 +207,9 @@ def read(
     return found
 
 
-def _grids(path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, crop: bool) -> Bytes:
+def _grids(
+    path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, crop: bool
+) -> Bytes:
     """Return the grids of a file, (N, H, W): one of a picture."""
     if path.suffix.lower() in ARRAYS:
         grids = _stack(path, limits, threshold)
@@ -208,12 +233,16 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
         archive = Npz(path, limits)
         names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
         if len(names) != 1:
-            raise FormatError(f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)")
+            raise FormatError(
+                f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
+            )
         values = archive[names[0]]
     if values.ndim == 4 and values.shape[1] == 1:
         values = values[:, 0]
     if values.ndim not in (2, 3) or 0 in values.shape:
-        raise FormatError(f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)")
+        raise FormatError(
+            f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
+        )
     _check_size(path, values.shape[-2], values.shape[-1], limits)
     grids = occupancy(values, str(path), threshold)
     return grids if grids.ndim == 3 else grids[None]
@@ -225,7 +254,9 @@ def _fit(grey: Bytes, size: tuple[int, int], crop: bool) -> Bytes:
     if not crop:
         return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
     if grey.shape[0] < rows or grey.shape[1] < columns:
-        raise FormatError(f"has {grey.shape[0]} x {grey.shape[1]} cells, too small to crop {rows} x {columns}")
+        raise FormatError(
+            f"has {grey.shape[0]} x {grey.shape[1]} cells, too small to crop {rows} x {columns}"
+        )
     top, left = (grey.shape[0] - rows) // 2, (grey.shape[1] - columns) // 2
     return grey[top : top + rows, left : left + columns]
 

@@ -1,6 +1,8 @@
-"""Grids from elsewhere become a dataset: seed points are drawn, everything is labelled, shards are written.
+"""Grids from elsewhere become a dataset: seed points are drawn, everything is labelled, shards are
+written.
 
-The bytes are a function of (grids, seed, seed points a map, movement) alone: docs/format.md lists the draws of stream
+The bytes are a function of (grids, seed, seed points a map, movement) alone: docs/format.md lists
+the draws of stream
 5. An imported dataset has no recipe, so its identity is its content hash.
 """
 
@@ -91,19 +93,22 @@ def import_maps(
     shard_size: int | None = None,
     progress: bool = False,
 ) -> list[Imported]:
-    """Make datasets of the grids of ``source``: one under ``root``, or, when the grids differ in size or resolution,
-    one for each below it (``root/64x64``, ...). What cannot be used is added to ``source.left_out``.
+    """Make datasets of the grids of ``source``: one under ``root``, or, when the grids differ in
+    size or resolution, one for each below it (``root/64x64``, ...). What cannot be used is added to
+    ``source.left_out``.
 
     Args:
-        root: folder, made if missing; empty, or made by the same import before (then only what is missing is made).
+        root: folder, made if missing; empty, or made by the same import before (then only what is
+            missing is made).
         source: what a format read.
-        seed_points: how many each map has, drawn without repetition in its largest free component; less where that
-            has fewer cells.
+        seed_points: how many each map has, drawn without repetition in its largest free component;
+            less where that has fewer cells.
         seed: 64-bit seed of these draws and of the splits.
         movement: how the stored paths move; default the rule of the format, else 4-connected.
         resolution: metres per cell, whatever the source says; default the source's, else 0.1.
         splits: fractions of train, val and test, for maps whose split the source does not say.
-        tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the edges is dropped.
+        tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
+            edges is dropped.
         shard_size: maps a shard; default 1000, less for large maps.
         progress: show a progress bar.
 
@@ -114,7 +119,11 @@ def import_maps(
     root = Path(root)
     check_seed(seed)
     split_thresholds(splits)
-    if isinstance(seed_points, bool) or not isinstance(seed_points, int) or not 2 <= seed_points <= MAX_ROOMS:
+    if (
+        isinstance(seed_points, bool)
+        or not isinstance(seed_points, int)
+        or not 2 <= seed_points <= MAX_ROOMS
+    ):
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
     if shard_size is not None and shard_size < 1:
         raise ValueError(f"shard_size: got {shard_size}, expected at least 1")
@@ -162,7 +171,9 @@ def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[Foreign
     for one in source.maps:
         grid, (height, width) = one.grid, one.shape
         if height < rows or width < columns:
-            source.left_out.append((one.name, f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"))
+            source.left_out.append(
+                (one.name, f"{height} x {width} cells, smaller than a tile of {rows} x {columns}")
+            )
         for row in range(0, height - rows + 1, rows):
             for column in range(0, width - columns + 1, columns):
                 name = f"{one.name} rows {row}.. columns {column}.."
@@ -174,7 +185,9 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     """Return why a map cannot be in a dataset, or None."""
     grid, (rows, columns) = one.grid, one.shape
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
-        return f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
+        return (
+            f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
+        )
     for row, column in one.seed_points.tolist():
         if not (0 <= row < rows and 0 <= column < columns):
             return f"seed point {(row, column)} is outside the map of {rows} x {columns} cells"
@@ -188,28 +201,40 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     return None
 
 
-def _folders(root: Path, keys: Sequence[tuple[int, int, float]]) -> dict[tuple[int, int, float], Path]:
+def _folders(
+    root: Path, keys: Sequence[tuple[int, int, float]]
+) -> dict[tuple[int, int, float], Path]:
     """Return the folder of each dataset, after a look at what stands under ``root``."""
     folders = dict.fromkeys(keys, root)
     if len(keys) > 1:
         sizes = Counter(key[:2] for key in keys)
         for key in keys:
             rows, columns, metres = key
-            folders[key] = root / (f"{rows}x{columns}" + (f"-{metres:g}m" if sizes[rows, columns] > 1 else ""))
+            folders[key] = root / (
+                f"{rows}x{columns}" + (f"-{metres:g}m" if sizes[rows, columns] > 1 else "")
+            )
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
     expected = {folder.name for folder in folders.values() if folder != root}
     for folder in {root, *folders.values()}:
-        for path in folder.iterdir() if folder.is_dir() and not (folder / MANIFEST).exists() else ():
+        for path in (
+            folder.iterdir() if folder.is_dir() and not (folder / MANIFEST).exists() else ()
+        ):
             name = path.name
-            ours = is_shard_name(name) or name in (LOCK, MANIFEST, PROVENANCE) or name.endswith(".tmp")
+            ours = (
+                is_shard_name(name) or name in (LOCK, MANIFEST, PROVENANCE) or name.endswith(".tmp")
+            )
             if not (name in expected if folder == root and expected else ours):
-                raise ValueError(f"root: {folder} holds something else ({name!r}), expected an empty folder")
+                raise ValueError(
+                    f"root: {folder} holds something else ({name!r}), expected an empty folder"
+                )
     return folders
 
 
 def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
-    """Return the maps in the order of their own numbers if those are 0 to N - 1, else as they came."""
+    """Return the maps in the order of their own numbers if those are 0 to N - 1, else as they
+    came.
+    """
     numbers = [one.number for one in maps if one.number is not None]
     if sorted(numbers) == list(range(len(maps))):
         return sorted(maps, key=lambda one: one.number or 0)
@@ -253,11 +278,14 @@ def _write(
         advance(len(batch))
     origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}
     write_file(folder / PROVENANCE, provenance_text(origin).encode())
-    return Imported(folder, manifest, sum(one.check is not None for one in maps), dict(disagreements))
+    return Imported(
+        folder, manifest, sum(one.check is not None for one in maps), dict(disagreements)
+    )
 
 
 def to_maps(batch: Sequence[ForeignMap], header: Header, draws: Draws) -> Maps:
-    """Return foreign maps of one size as `Maps` with the numbers of ``header``; draw what they lack.
+    """Return foreign maps of one size as `Maps` with the numbers of ``header``; draw what they
+    lack.
 
     Args:
         batch: the maps ``header.start`` to ``header.stop`` - 1.

@@ -1,14 +1,16 @@
 """The paper's release: one PNG a map and one CSV with its columns, in and out.
 
-Source: Flores-Aquino et al., arXiv 2110.13242, section III-D: 10,000 maps as images plus one CSV. Its repository,
-https://github.com/gbriel21/map2D_dataSet, says no more; a script of its authors reads ``maps_parameters.csv`` and
-``map0.png``, ``map1.png``, ... beside it. Nobody here has seen the headers of that file. A reader takes ours and the
-words of section III-D ("Passages size", "Row path for A*"), whatever their case and what stands between the words;
-commas, semicolons or tabs between columns; lists as JSON, as numpy prints them, or with any separators. Other kinds of
-pictures do as well.
+Source: Flores-Aquino et al., arXiv 2110.13242, section III-D: 10,000 maps as images plus one CSV.
+Its repository,
+https://github.com/gbriel21/map2D_dataSet, says no more; a script of its authors reads
+``maps_parameters.csv`` and ``map0.png``, ``map1.png``, ... beside it. Nobody here has seen the
+headers of that file. A reader takes ours and the words of section III-D ("Passages size", "Row path
+for A*"), whatever their case and what stands between the words; commas, semicolons or tabs between
+columns; lists as JSON, as numpy prints them, or with any separators. Other kinds of pictures do as
+well.
 
-Pictures are black where free and white where occupied, as in the paper's Figure 2; 1 bit a pixel. Lists are written as
-JSON.
+Pictures are black where free and white where occupied, as in the paper's Figure 2; 1 bit a pixel.
+Lists are written as JSON.
 
 | column | a cell of it |
 |---|---|
@@ -20,11 +22,12 @@ JSON.
 | passage_size | width of the passages, in cells |
 | seed_rows, seed_columns | a number a room |
 | size_rows, size_columns | a number a room |
-| direction_for_passages | two a passage, its legs at either room: 1 horizontal, 0 vertical, -1 none |
+| direction_for_passages | two a passage, its legs: 1 horizontal, 0 vertical, -1 none |
 | connected | one a passage: whether it was drawn |
-| reachable | one a segment: whether a path leads to the next room; files of mapdata 0.1 say path_exists |
+| reachable | one a segment: whether it has a path (path_exists in files of mapdata 0.1) |
 | all_connected | whether paths join all rooms (ours) |
-| bfs_row_path, bfs_column_path, astar_row_path, astar_column_path | the cells of the route in one line, joints once |
+| bfs_row_path, bfs_column_path | the cells of the route in one line, joints once |
+| astar_row_path, astar_column_path | likewise |
 | bfs_iterations, astar_iterations | one a segment |
 | bfs_connection_matrix, astar_connection_matrix | n lists of n costs, -1 no connection |
 | movement | how paths move, as JSON (ours; 4-connected if missing) |
@@ -59,7 +62,12 @@ NEEDED = ("seed_rows", "seed_columns")
 
 _FOUND = ("row_path", "column_path", "iterations", "connection_matrix")
 
-LABELS = ("connected", "reachable", "all_connected", *(f"{search}_{name}" for search in SEARCHES for name in _FOUND))
+LABELS = (
+    "connected",
+    "reachable",
+    "all_connected",
+    *(f"{search}_{name}" for search in SEARCHES for name in _FOUND),
+)
 """Columns that are compared with what we find."""
 
 _OTHER_NAMES = {
@@ -89,16 +97,20 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
                 if not header:
                     header = [*row, "movement"]
                     table.writerow(header)
-                cells = [value if isinstance(value, str) else json.dumps(value) for value in row.values()]
+                cells = [
+                    value if isinstance(value, str) else json.dumps(value) for value in row.values()
+                ]
                 table.writerow([*cells, movement])
     return []
 
 
-# --- reading --------------------------------------------------------------------------------------------------------
+# --- reading ------------------------------------------------------------------------------------
 
 
 def is_release(path: Path) -> bool:
-    """Return whether a CSV has columns for the seed points, or lies beside ``map0.png`` as the authors' does."""
+    """Return whether a CSV has columns for the seed points, or lies beside ``map0.png`` as the
+    authors' does.
+    """
     try:
         header = _header(path)
     except OSError:
@@ -110,7 +122,11 @@ def is_release(path: Path) -> bool:
 def _csv(source: Path) -> Path:
     if source.is_file() and source.suffix.lower() == ".csv":
         return source
-    found = [path for path in source.iterdir() if path.suffix.lower() == ".csv"] if source.is_dir() else []
+    found = (
+        [path for path in source.iterdir() if path.suffix.lower() == ".csv"]
+        if source.is_dir()
+        else []
+    )
     if len(found) != 1:
         raise FormatError(f"{source}: holds {len(found)} .csv files, expected a folder with one")
     return found[0]
@@ -122,7 +138,9 @@ def _header(path: Path) -> str:
 
 
 def _separator(header: str) -> str:
-    """Return what separates the columns: commas, semicolons as where a comma is in numbers, or tabs."""
+    """Return what separates the columns: commas, semicolons as where a comma is in numbers, or
+    tabs.
+    """
     return max(",;\t", key=header.count)
 
 
@@ -136,15 +154,21 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     """Read a release: a folder with one CSV and its PNGs anywhere below, or the CSV beside them.
 
     Raises:
-        FormatError: no CSV, or one that cannot be read. A map whose picture or rooms are damaged is left out.
+        FormatError: no CSV, or one that cannot be read. A map whose picture or rooms are damaged is
+            left out.
     """
     import pandas as pd
 
     path = _csv(source)
     if path.stat().st_size > limits.unpacked:
-        raise FormatError(f"{path}: has {path.stat().st_size} bytes, expected at most {limits.unpacked}")
+        raise FormatError(
+            f"{path}: has {path.stat().st_size} bytes, expected at most {limits.unpacked}"
+        )
     found = Collection()
-    pictures = {picture.stem.lower(): picture for picture in walk(path.parent, PICTURES, limits, found.left_out)}
+    pictures = {
+        picture.stem.lower(): picture
+        for picture in walk(path.parent, PICTURES, limits, found.left_out)
+    }
     movements: set[str] = set()
     items: set[int] = set()
     try:
@@ -170,12 +194,15 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
                     advice = "--format images reads the pictures alone"
                     raise FormatError(f"{path}: no column {missing[0]!r} among {names}; {advice}")
                 for line in chunk.to_dict("split")["data"]:
-                    row = defaultdict(str, zip(columns, (str(cell).strip() for cell in line), strict=True))
+                    row = defaultdict(
+                        str, zip(columns, (str(cell).strip() for cell in line), strict=True)
+                    )
                     _add_map(found, row, pictures, limits, items)
                     movements.add(row["movement"])
     except FormatError:
         raise
-    except Exception as error:  # pandas raises many kinds: ParserError, UnicodeDecodeError, EmptyDataError, ...
+    except Exception as error:
+        # pandas raises many kinds: ParserError, UnicodeDecodeError, EmptyDataError, ...
         raise FormatError(f"{path}: not a sound CSV ({type(error).__name__}: {error})") from None
     found.movement = _movement(path, movements - {""})
     return found
@@ -192,7 +219,11 @@ def _movement(path: Path, texts: set[str]) -> Movement:
 
 
 def _add_map(
-    found: Collection, row: dict[str, str], pictures: dict[str, Path], limits: Limits, items: set[int]
+    found: Collection,
+    row: dict[str, str],
+    pictures: dict[str, Path],
+    limits: Limits,
+    items: set[int],
 ) -> None:
     """Add one line of the CSV to ``found``, as a map or as left out."""
     name = row["label"].replace("\\", "/").rsplit("/", 1)[-1] or f"map{row['item']}"
@@ -221,7 +252,9 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
     directions = np.array(numbers(row["direction_for_passages"]), np.int64)
     rooms = len(seed_points)
     if rooms == 0 or len(sizes) not in (0, rooms) or len(directions) not in (0, 2 * (rooms - 1)):
-        raise FormatError(f"{rooms} seed points, {len(sizes)} sizes and {len(directions)} directions do not fit")
+        raise FormatError(
+            f"{rooms} seed points, {len(sizes)} sizes and {len(directions)} directions do not fit"
+        )
     if (sizes < -1).any() or (sizes >= 2**15).any() or not np.isin(directions, (-1, 0, 1)).all():
         raise FormatError("its sizes or directions are out of range")
     width = next(iter(numbers(row["passage_size"])), -1)
@@ -294,7 +327,9 @@ def _same(text: str, ours: object) -> bool:
     except FormatError:
         return False
     expected = np.ravel(np.array(ours, float)).tolist()
-    return len(stated) == len(expected) and bool(np.allclose(stated, expected, rtol=1e-6, atol=1e-6))
+    return len(stated) == len(expected) and bool(
+        np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
+    )
 
 
 FORMAT = Format("paper", (".csv",), read, write, is_mine=is_release, beside=PICTURES)

@@ -1,19 +1,22 @@
 """Problems of planning-datasets and Neural A*: an .npz with arr_0 to arr_11, in and out.
 
-Source: https://github.com/omron-sinicx/planning-datasets (generate_spp_instances.py) and the loader in
+Source: https://github.com/omron-sinicx/planning-datasets (generate_spp_instances.py) and the loader
+in
 https://github.com/omron-sinicx/neural-astar (src/neural_astar/utils/data.py).
 
-arr_0 to arr_3 are the training split, arr_4 to arr_7 validation, arr_8 to arr_11 test. For N maps of one size:
+arr_0 to arr_3 are the training split, arr_4 to arr_7 validation, arr_8 to arr_11 test. For N maps
+of one size:
 
 | array | shape | values |
 |---|---|---|
 | first | (N, H, W) | the map: 1 free, 0 occupied (the other way round than here) |
 | second | (N, 1, H, W) | the goal: 1 in one cell |
 | third | (N, 8, 1, H, W) | an optimal action in each cell, 1 in one of N E W S NE NW SE SW |
-| fourth | (N, 1, H, W) | minus the moves to the goal; the least value, -H W, is blocked or unreachable |
+| fourth | (N, 1, H, W) | minus the moves to the goal; the least, -H W, is blocked or unreachable |
 
-A move to any of the 8 neighbours counts 1, corners may be cut. The loader draws a start between the percentiles of the
-distances; where no cell lies there it fails, so such maps are left out of an export.
+A move to any of the 8 neighbours counts 1, corners may be cut. The loader draws a start between the
+percentiles of the distances; where no cell lies there it fails, so such maps are left out of an
+export.
 """
 
 from __future__ import annotations
@@ -58,10 +61,12 @@ def is_planning(path: Path) -> bool:
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
-    """Read an .npz, or all below a folder: maps, goals (the first seed point of each map) and splits; check distances.
+    """Read an .npz, or all below a folder: maps, goals (the first seed point of each map) and
+    splits; check distances.
 
     Raises:
-        FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad goal.
+        FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad
+            goal.
     """
     found = Collection(movement=MOVEMENT)
     same = 0
@@ -77,9 +82,15 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
 def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
     """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``."""
     archive = Npz(path, limits)
-    splits = [code for code in range(len(SPLITS)) if any(f"arr_{4 * code + k}" in archive.shapes for k in range(4))]
+    splits = [
+        code
+        for code in range(len(SPLITS))
+        if any(f"arr_{4 * code + k}" in archive.shapes for k in range(4))
+    ]
     if not splits:
-        raise FormatError(f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11")
+        raise FormatError(
+            f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11"
+        )
     for code in splits:
         names = [f"arr_{4 * code + k}" for k in range(4)]
         free = archive[names[0]]
@@ -103,7 +114,9 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
 
 
 def hops(grid: Bytes, goal: object) -> npt.NDArray[np.float32]:
-    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W where there is no way."""
+    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W where there is no
+    way.
+    """
     distance = distance_field(grid, goal, MOVEMENT)
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
@@ -112,13 +125,18 @@ def policy(values: npt.NDArray[np.float32]) -> Bytes:
     """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=-np.inf)
-    neighbours = [padded[1 + down : 1 + down + rows, 1 + right : 1 + right + columns] for down, right in ACTIONS]
+    neighbours = [
+        padded[1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
+        for down, right in ACTIONS
+    ]
     best = np.argmax(np.stack(neighbours), axis=0)
     return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
 
 
 def has_starts(values: npt.NDArray[np.float32]) -> bool:
-    """Return whether neural-astar's loader can draw a start: some cell lies in each of its three intervals."""
+    """Return whether neural-astar's loader can draw a start: some cell lies in each of its three
+    intervals.
+    """
     cells = values[values > values.min()]
     if len(cells) < 2:  # only the goal itself
         return False
@@ -127,9 +145,11 @@ def has_starts(values: npt.NDArray[np.float32]) -> bool:
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
-    """Write an .npz that neural-astar's ``create_dataloader`` reads; the goal is the first seed point of each map.
+    """Write an .npz that neural-astar's ``create_dataloader`` reads; the goal is the first seed
+    point of each map.
 
-    The arrays go to disk a shard at a time; maps and actions are uint8, distances float32 (the loader converts).
+    The arrays go to disk a shard at a time; maps and actions are uint8, distances float32 (the
+    loader converts).
 
     Args:
         target: file.
@@ -146,20 +166,26 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
     if 0 in counts:
         missing = SPLITS[counts.index(0)]
-        raise FormatError(f"the split {missing!r} has no usable map, neural-astar's loader needs one")
+        raise FormatError(
+            f"the split {missing!r} has no usable map, neural-astar's loader needs one"
+        )
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
         for number in tqdm(range(12), unit=" arrays", leave=False, disable=not progress):
             code, k = divmod(number, len(_ARRAYS))
             lead, dtype, make = _ARRAYS[k]
             shape = (counts[code], *lead, *root.map_size)
             header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
-            info = zipfile.ZipInfo(f"arr_{number}.npy")  # its date is fixed: equal content, equal bytes
+            info = zipfile.ZipInfo(
+                f"arr_{number}.npy"
+            )  # its date is fixed: equal content, equal bytes
             info.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(info, "w", force_zip64=True) as member:
                 np.lib.format.write_array_header_1_0(member, header)
                 for (grids, goals, _), split in zip(_batches(root), splits, strict=True):
                     for i in np.flatnonzero(split == code):
-                        member.write(np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes())
+                        member.write(
+                            np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes()
+                        )
     left = root.maps - sum(counts)
     return [f"{left} maps are left out: the loader finds no start on them"] if left else []
 
@@ -176,7 +202,9 @@ _ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...
     ((8, 1), "u1", lambda grid, goal: policy(hops(grid, goal))),
     ((1,), "<f4", hops),
 )
-"""The four arrays of a split: the axes between N and H, the type, and what one is of a grid and its goal."""
+"""The four arrays of a split: the axes between N and H, the type, and what one is of a grid and its
+goal.
+"""
 
 
 def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
@@ -187,7 +215,11 @@ def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
 
 def _usable(grids: Bytes, goals: Array) -> npt.NDArray[np.bool_]:
     """Return which maps have starts."""
-    return np.array([has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)], np.bool_)
+    return np.array(
+        [has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)], np.bool_
+    )
 
 
-FORMAT = Format("planning-datasets", (".npz",), read, write, is_mine=is_planning, target_ending=".npz")
+FORMAT = Format(
+    "planning-datasets", (".npz",), read, write, is_mine=is_planning, target_ending=".npz"
+)

@@ -24,11 +24,13 @@ class Format:
     Attributes:
         name: as ``--format`` takes it.
         endings: of its files, in lower case.
-        read: called with a path and `Limits`, returns a `Collection`; None if it can only be written.
-        write: called with a target, a `Root` and whether to show a progress bar, returns notes for the user; None if
-            it can only be read.
+        read: called with a path and `Limits`, returns a `Collection`; None if it can only be
+            written.
+        write: called with a target, a `Root` and whether to show a progress bar, returns notes for
+            the user; None if it can only be read.
         is_mine: whether a file with one of the endings is of this format.
-        beside: endings of files that belong to it where they lie beside its own: the pictures of a ROS map.
+        beside: endings of files that belong to it where they lie beside its own: the pictures of a
+            ROS map.
         target_ending: the ending of the one file that it writes; empty if it writes a folder.
     """
 
@@ -71,11 +73,15 @@ def register(one: Format) -> None:
 
 def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
     """Return what reads, or what writes, by the name of the format."""
-    return {name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what) is not None}
+    return {
+        name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what) is not None
+    }
 
 
 def options_of(function: Callable[..., object]) -> dict[str, Option]:
-    """Return the keyword-only parameters of a function by name, with what its docstring's ``Args`` say."""
+    """Return the keyword-only parameters of a function by name, with what its docstring's ``Args``
+    say.
+    """
     documented = (inspect.getdoc(function) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
     texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", documented, re.MULTILINE))
     hints = get_type_hints(function)
@@ -92,7 +98,8 @@ def recognise(source: str | os.PathLike[str]) -> str:
     """Return the name of the format of a file or folder.
 
     Raises:
-        FormatError: nothing there, or no known format, or files of more than one; the message says what was found.
+        FormatError: nothing there, or no known format, or files of more than one; the message says
+            what was found.
     """
     source = Path(source)
     if not source.exists():
@@ -107,12 +114,17 @@ def recognise(source: str | os.PathLike[str]) -> str:
     found = {one.name for path, one in owners.items() if path.suffix.lower() not in beside}
     if len(found) != 1:
         what = f"files of {' and '.join(sorted(found))}" if found else "no file of a known format"
-        raise FormatError(f"{source}: holds {what}; --format says which to read ({', '.join(functions('read'))})")
+        raise FormatError(
+            f"{source}: holds {what}; --format says which to read ({', '.join(functions('read'))})"
+        )
     return found.pop()
 
 
 def read_any(
-    source: str | os.PathLike[str], kind: str | None = None, limits: Limits = Limits(), **options: object
+    source: str | os.PathLike[str],
+    kind: str | None = None,
+    limits: Limits = Limits(),
+    **options: object,
 ) -> Collection:
     """Read a file or folder of a foreign format.
 
@@ -182,7 +194,9 @@ def export(
     return notes
 
 
-def _checked(what: Literal["read", "write"], name: str, options: dict[str, object]) -> Callable[..., Any]:
+def _checked(
+    what: Literal["read", "write"], name: str, options: dict[str, object]
+) -> Callable[..., Any]:
     """Return what reads or writes a format, after a look at its options."""
     known = functions(what)
     if name not in known:
@@ -192,5 +206,7 @@ def _checked(what: Literal["read", "write"], name: str, options: dict[str, objec
         if key not in has:
             raise ValueError(f"{key}: does nothing for format {name}")
         if get_origin(has[key].kind) is Literal and value not in get_args(has[key].kind):
-            raise ValueError(f"{key}: got {value!r}, expected {' or '.join(get_args(has[key].kind))}")
+            raise ValueError(
+                f"{key}: got {value!r}, expected {' or '.join(get_args(has[key].kind))}"
+            )
     return known[name]

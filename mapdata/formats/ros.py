@@ -2,14 +2,16 @@
 
 Source: http://wiki.ros.org/map_server and nav2_map_server/src/map_io.cpp of https://github.com/ros-navigation/navigation2.
 
-The probability of a pixel p is (255 - p) / 255, or p / 255 with ``negate``; above ``occupied_thresh`` it is occupied,
-below ``free_thresh`` free, else unknown. p is the mean of the channels: under ``mode: trinary`` alpha is one of them,
-as in both servers. ``scale``: what is not opaque is unknown, and between the thresholds stands a value of 0 to 100;
-``raw``: p itself is the value up to 100, above it is unknown. Values between the thresholds are neither free nor
+The probability of a pixel p is (255 - p) / 255, or p / 255 with ``negate``; above
+``occupied_thresh`` it is occupied, below ``free_thresh`` free, else unknown. p is the mean of the
+channels: under ``mode: trinary`` alpha is one of them, as in both servers. ``scale``: what is not
+opaque is unknown, and between the
+thresholds stands a value of 0 to 100; ``raw``: p itself is the value up to 100, above it is
+unknown. Values between the thresholds are neither free nor
 occupied, so they go where unknown cells go.
 
-Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose (x, y, yaw) of the
-lower left corner of the picture, in metres and radians.
+Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose
+(x, y, yaw) of the lower left corner of the picture, in metres and radians.
 """
 
 from __future__ import annotations
@@ -55,15 +57,21 @@ class RosMap:
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
         """Return (x, y), in metres, of the middle of a cell (row, col)."""
         x0, y0, yaw = self.origin
-        across, up = (column + 0.5) * self.resolution, (len(self.cells) - row - 0.5) * self.resolution
-        return x0 + across * math.cos(yaw) - up * math.sin(yaw), y0 + across * math.sin(yaw) + up * math.cos(yaw)
+        across, up = (
+            (column + 0.5) * self.resolution,
+            (len(self.cells) - row - 0.5) * self.resolution,
+        )
+        return x0 + across * math.cos(yaw) - up * math.sin(yaw), y0 + across * math.sin(
+            yaw
+        ) + up * math.cos(yaw)
 
 
 def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
     """Return the map of a .yaml file.
 
     Raises:
-        FormatError: fields missing or out of range, a picture that is missing, damaged or outside the yaml's folder.
+        FormatError: fields missing or out of range, a picture that is missing, damaged or outside
+            the yaml's folder.
     """
     path = Path(path)
     fields = _fields(path)
@@ -72,7 +80,10 @@ def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
         raise FormatError(f"{path}: resolution is {resolution}, expected metres per cell above 0")
     low, high = _number(path, fields, "free_thresh"), _number(path, fields, "occupied_thresh")
     if not 0 <= low <= high <= 1:
-        raise FormatError(f"{path}: free_thresh {low} and occupied_thresh {high}, expected 0 <= free <= occupied <= 1")
+        raise FormatError(
+            f"{path}: free_thresh {low} and occupied_thresh {high}, expected 0 <= free <= "
+            "occupied <= 1"
+        )
     negate = fields.get("negate", 0)
     if negate not in (0, 1) or isinstance(negate, float):
         raise FormatError(f"{path}: negate is {negate!r}, expected 0 or 1")
@@ -80,7 +91,9 @@ def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
     if mode not in MODES:
         raise FormatError(f"{path}: mode is {str(mode)[:40]!r}, expected {', '.join(MODES)}")
     if mode == "raw" and negate:
-        raise FormatError(f"{path}: mode raw with negate: ROS 1 turns values round, Nav2 does not; say negate: 0")
+        raise FormatError(
+            f"{path}: mode raw with negate: ROS 1 turns values round, Nav2 does not; say negate: 0"
+        )
     origin = fields.get("origin", [0.0, 0.0, 0.0])
     if not isinstance(origin, list) or len(origin) != 3:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
@@ -94,7 +107,9 @@ def _fields(path: Path) -> dict[str, Any]:
     try:
         fields = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
-        raise FormatError(f"{path}: not plain YAML ({str(error).splitlines()[0] if str(error) else error!r})") from None
+        raise FormatError(
+            f"{path}: not plain YAML ({str(error).splitlines()[0] if str(error) else error!r})"
+        ) from None
     if not isinstance(fields, dict) or "image" not in fields:
         raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
     return {str(name): value for name, value in fields.items() if isinstance(name, str)}
@@ -106,7 +121,11 @@ def _number(path: Path, fields: dict[str, Any], name: str) -> float:
         raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
     value = fields[name]
     try:
-        number = math.nan if isinstance(value, bool) or not isinstance(value, (int, float, str)) else float(value)
+        number = (
+            math.nan
+            if isinstance(value, bool) or not isinstance(value, (int, float, str))
+            else float(value)
+        )
     except (ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
@@ -134,8 +153,12 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
     return image
 
 
-def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) -> npt.NDArray[np.int8]:
-    """Return map_server's value of each pixel: a look-up in a table over the sum of the channels."""
+def _classify(
+    pixels: Pixels, mode: str, negate: bool, low: float, high: float
+) -> npt.NDArray[np.int8]:
+    """Return map_server's value of each pixel: a look-up in a table over the sum of the
+    channels.
+    """
     values, white = pixels
     alpha = values[:, :, 3] if values.shape[2] == 4 else None
     colours = values if mode == "trinary" else values[:, :, :3]
@@ -181,12 +204,15 @@ def to_grid(cells: npt.NDArray[np.int8], unknown: str | None, what: str) -> npt.
     between = (cells != 0) & (cells != 100)
     if unknown is None and between.any():
         raise FormatError(
-            f"{what}: {between.mean():.1%} of its cells are unknown: say --ros.unknown occupied or --ros.unknown free"
+            f"{what}: {between.mean():.1%} of its cells are unknown: say --ros.unknown occupied "
+            "or --ros.unknown free"
         )
     return np.asarray((cells == 100) | (between & (unknown == "occupied")), np.uint8)
 
 
-def read(source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", "free"] | None = None) -> Collection:
+def read(
+    source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", "free"] | None = None
+) -> Collection:
     """Read the map of a .yaml file, or all below a folder.
 
     Args:
@@ -209,8 +235,11 @@ def read(source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", 
     return found
 
 
-def write(target: Path, root: Root, progress: bool, *, image: Literal["pgm", "png", "bmp"] = "pgm") -> list[str]:
-    """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, pixels as map_saver writes them.
+def write(
+    target: Path, root: Root, progress: bool, *, image: Literal["pgm", "png", "bmp"] = "pgm"
+) -> list[str]:
+    """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, pixels as map_saver
+    writes them.
 
     Args:
         target: folder.

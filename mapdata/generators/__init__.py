@@ -1,7 +1,16 @@
-"""Where maps come from: families of maps, each a `Generator` in a file of its own, and the `Maps` that they draw."""
+"""Where maps come from: families of maps, each a `Generator` in a file of its own, and the `Maps`
+that they draw.
+"""
 
 from mapdata.generators import mazes, rooms
-from mapdata.generators.generator import GENERATORS, PRESETS, Generator, generate, identity, register
+from mapdata.generators.generator import (
+    GENERATORS,
+    PRESETS,
+    Generator,
+    generate,
+    identity,
+    register,
+)
 from mapdata.generators.maps import WORD, Maps, pack
 from mapdata.generators.mazes import Maze
 from mapdata.generators.points import draw_points, largest_component, with_seed_points

@@ -1,4 +1,6 @@
-"""What a family of maps is: a `Generator`, known by its name, and the identity of a dataset that it draws."""
+"""What a family of maps is: a `Generator`, known by its name, and the identity of a dataset that it
+draws.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +37,8 @@ _FIRST = "rooms"
 class Generator(ABC):
     """A distribution of maps: a frozen dataclass of plain values that can be written as JSON.
 
-    A family of maps is a subclass in a file of its own, which `register` makes known; `mapdata/generators/mazes.py` is
-    the shortest example.
+    A family of maps is a subclass in a file of its own, which `register` makes known;
+    `mapdata/generators/mazes.py` is the shortest example.
 
     Attributes:
         name: what JSON calls the family.
@@ -57,7 +59,8 @@ class Generator(ABC):
     splits: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Check what all families share, and bring it to tuples of int and float, so that equal specs have equal JSON.
+        """Check what all families share, and bring it to tuples of int and float, so that equal
+        specs have equal JSON.
 
         Raises:
             ValueError: a value outside these limits.
@@ -69,7 +72,9 @@ class Generator(ABC):
             raise ValueError(f"movement: got {self.movement!r}, expected a Movement")
         rows, columns = self.map_size
         if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
-            raise ValueError(f"map_size: got {self.map_size}, expected 1 to {MAX_SIDE} rows and columns")
+            raise ValueError(
+                f"map_size: got {self.map_size}, expected 1 to {MAX_SIDE} rows and columns"
+            )
         if not (self.resolution > 0 and math.isfinite(self.resolution)):
             raise ValueError(f"resolution: got {self.resolution}, expected metres per cell above 0")
 
@@ -80,7 +85,9 @@ class Generator(ABC):
 
     @abstractmethod
     def draw(self, seed: int, indices: Ints) -> Maps:
-        """Return the maps ``indices``, (N,) int64 from 0; each is a function of (self, seed, index) alone."""
+        """Return the maps ``indices``, (N,) int64 from 0; each is a function of (self, seed, index)
+        alone.
+        """
 
     @property
     def format_version(self) -> int:
@@ -110,7 +117,8 @@ class Generator(ABC):
 
     @classmethod
     def from_dict(cls: type[G], values: object) -> G:
-        """Return the spec with these values, which `to_dict` gave; missing ones take their defaults.
+        """Return the spec with these values, which `to_dict` gave; missing ones take their
+        defaults.
 
         The name of a preset stands for its values.
 
@@ -153,7 +161,8 @@ PRESETS: dict[str, Generator] = {}
 
 
 def register(family: type[Generator], presets: Mapping[str, Generator] | None = None) -> None:
-    """Make a family known by its name, and its presets, so that recipes, manifests and shards can say them.
+    """Make a family known by its name, and its presets, so that recipes, manifests and shards can
+    say them.
 
     Raises:
         ValueError: it is no frozen dataclass, or a name is taken.
@@ -161,7 +170,9 @@ def register(family: type[Generator], presets: Mapping[str, Generator] | None = 
     if not (is_dataclass(family) and family.__dataclass_params__.frozen):
         raise ValueError(f"{family.__name__}: expected a frozen dataclass")
     if GENERATORS.setdefault(family.name, family).__qualname__ != family.__qualname__:
-        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {GENERATORS[family.name].__name__}")
+        raise ValueError(
+            f"{family.__name__}: {family.name!r} is the name of {GENERATORS[family.name].__name__}"
+        )
     for name, spec in (presets or {}).items():
         if PRESETS.setdefault(name, spec) != spec:
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
@@ -170,7 +181,8 @@ def register(family: type[Generator], presets: Mapping[str, Generator] | None = 
 def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     """Return the maps ``indices`` of (spec, seed).
 
-    Map i is a pure function of (format version, spec, seed, i): the batch, its order and the machine do not matter.
+    Map i is a pure function of (format version, spec, seed, i): the batch, its order and the
+    machine do not matter.
 
     Raises:
         ValueError: a seed or an index that is not a non-negative integer of 64 (63) bits.
@@ -182,15 +194,22 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     """
     listed = isinstance(indices, Iterable) and not isinstance(indices, np.ndarray)
     index = np.asarray(list(indices) if listed else indices)
-    if index.ndim != 1 or (index.size and not (index.dtype.kind in "iu" and index.min() >= 0 and index.max() < 2**63)):
+    if index.ndim != 1 or (
+        index.size and not (index.dtype.kind in "iu" and index.min() >= 0 and index.max() < 2**63)
+    ):
         raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
     return spec.draw(check_seed(seed), np.ascontiguousarray(index, np.int64))
 
 
 def identity(spec: Generator, seed: int) -> str:
-    """Return the identity of a dataset: SHA-256 (hex) of the canonical JSON of format version, spec and seed.
+    """Return the identity of a dataset: SHA-256 (hex) of the canonical JSON of format version, spec
+    and seed.
 
     The number of maps is not in it, so that a dataset can grow.
     """
-    recipe = {"format_version": spec.format_version, "spec": spec.to_dict(), "seed": check_seed(seed)}
+    recipe = {
+        "format_version": spec.format_version,
+        "spec": spec.to_dict(),
+        "seed": check_seed(seed),
+    }
     return hashlib.sha256(canonical_json(recipe).encode()).hexdigest()

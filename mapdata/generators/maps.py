@@ -27,13 +27,14 @@ class Maps:
         movement: how paths move on these maps.
         columns: W, columns of a map.
         index: (N,) int64, number of each map.
-        packed: (N, H, ceil(W / 64)) uint64, occupancy, one bit a cell: bit k of word j is column 64 j + k, 1 occupied.
+        packed: (N, H, ceil(W / 64)) uint64, occupancy, one bit a cell: bit k of word j is column 64
+            j + k, 1 occupied.
         rooms: (N,) int64, number of rooms n; of maps without rooms that of seed points.
         passage_width: (N,) int64, width of the passages, in cells; -1 unknown.
         seed_points: (N, R, 2) int64, seed point (row, col) of each room.
         sizes: (N, R, 2) int64, rows and columns of each room as drawn, before clipping; -1 unknown.
-        directions: (N, R - 1, 2) int64, per passage the leg at A and the leg at B: 1 horizontal, 0 vertical, -1 no
-            passage.
+        directions: (N, R - 1, 2) int64, per passage the leg at A and the leg at B: 1 horizontal, 0
+            vertical, -1 no passage.
         split: (N,) uint8, 0 train, 1 val, 2 test.
     """
 
@@ -50,7 +51,9 @@ class Maps:
 
     @staticmethod
     def empty(movement: Movement, map_size: tuple[int, int], index: Ints, most: int) -> Maps:
-        """Return maps to be filled in, each with room for ``most`` rooms; what is not filled in is -1, unknown."""
+        """Return maps to be filled in, each with room for ``most`` rooms; what is not filled in is
+        -1, unknown.
+        """
         rows, columns = map_size
         count = len(index)
         return Maps(
@@ -79,17 +82,23 @@ class Maps:
 
     @property
     def connected(self) -> Flags:
-        """(N, R - 1) bool: a passage was drawn between rooms q and q + 1 (the paper's word; see `Labels.reachable`)."""
+        """(N, R - 1) bool: a passage was drawn between rooms q and q + 1 (the paper's word; see
+        `Labels.reachable`).
+        """
         return self.directions[:, :, 0] >= 0
 
     @cached_property
     def segment_offsets(self) -> Ints:
-        """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map, all maps in order."""
+        """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map, all maps
+        in order.
+        """
         return np.concatenate(([0], np.cumsum(self.rooms - 1)))
 
     @cached_property
     def pair_offsets(self) -> Ints:
-        """(N + 1,) int64: number of the first pair of rooms i < j of each map, n (n - 1) / 2 pairs a map."""
+        """(N + 1,) int64: number of the first pair of rooms i < j of each map, n (n - 1) / 2 pairs
+        a map.
+        """
         return np.concatenate(([0], np.cumsum(self.rooms * (self.rooms - 1) // 2)))
 
 
@@ -98,16 +107,23 @@ def unpack(words: Words, first: Int, grid: Bytes) -> None:
     """Write the packed map at ``words[first:]`` into ``grid``, (H, W)."""
     rows, columns = grid.shape
     count = (columns + WORD - 1) // WORD
-    packed, out = words.view(np.uint8), grid.reshape(-1)  # bit k of a little-endian word is bit k % 8 of byte k // 8
+    packed, out = (
+        words.view(np.uint8),
+        grid.reshape(-1),
+    )  # bit k of a little-endian word is bit k % 8 of byte k // 8
     for row in range(rows if columns % WORD else 1):
         cells = np.uint64(columns if columns % WORD else rows * columns)
         byte, cell = np.uint64(8 * (first + row * count)), np.uint64(row * columns)
         for k in range(cells >> np.uint64(3)):
             value = packed[byte + np.uint64(k)]
             for bit in range(8):  # becomes vector instructions
-                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = (value >> np.uint8(bit)) & np.uint8(1)
+                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = (
+                    value >> np.uint8(bit)
+                ) & np.uint8(1)
         for k in range(cells & ~np.uint64(7), cells):
-            out[cell + np.uint64(k)] = (packed[byte + (np.uint64(k) >> np.uint64(3))] >> np.uint8(k & 7)) & np.uint8(1)
+            out[cell + np.uint64(k)] = (
+                packed[byte + (np.uint64(k) >> np.uint64(3))] >> np.uint8(k & 7)
+            ) & np.uint8(1)
 
 
 @kernel
@@ -119,7 +135,9 @@ def unpack_all(packed: Words, grids: Bytes) -> None:
 
 
 def pack(grids: Bytes) -> Words:
-    """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`: (N, H, ceil(W / 64)) uint64, column c in bit c % 64."""
+    """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`: (N, H, ceil(W / 64)) uint64, column c in
+    bit c % 64.
+    """
     count, rows, columns = grids.shape
     words = -(-columns // WORD)
     packed = np.zeros((count, rows, 8 * words), np.uint8)

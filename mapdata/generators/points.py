@@ -1,4 +1,6 @@
-"""Seed points of maps that have none of their own: cells drawn among free ones (stream 5 of docs/format.md)."""
+"""Seed points of maps that have none of their own: cells drawn among free ones (stream 5 of
+docs/format.md).
+"""
 
 from __future__ import annotations
 
@@ -16,15 +18,19 @@ _CANDIDATES = 8
 
 
 def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:
-    """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points that lie far apart.
+    """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points that lie far
+    apart.
 
-    They are free cells of the largest component, ``spec.most_seed_points`` of them, none twice, by `spread_points`.
+    They are free cells of the largest component, ``spec.most_seed_points`` of them, none twice, by
+    `spread_points`.
     """
     maps = Maps.empty(spec.movement, spec.map_size, indices, spec.most_seed_points)
     key = np.uint64(seed)
     for k, grid in enumerate(grids):
         cells = largest_component(grid, 0)
-        points = spread_points(cells, maps.columns, key, np.uint64(indices[k]), spec.most_seed_points)
+        points = spread_points(
+            cells, maps.columns, key, np.uint64(indices[k]), spec.most_seed_points
+        )
         maps.rooms[k] = len(points)
         maps.seed_points[k, : len(points)] = np.stack(np.divmod(points, maps.columns), axis=1)
     maps.packed[:] = pack(grids)
@@ -34,11 +40,11 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
 
 @kernel
 def largest_component(grid: Bytes, diagonals: Int) -> Ints:
-    """Return the free cells of the largest component of ``grid``, (H, W), as row * W + column in row-major order; of
-    equally large ones that which holds the first cell.
+    """Return the free cells of the largest component of ``grid``, (H, W), as row * W + column in
+    row-major order; of equally large ones that which holds the first cell.
 
-    ``diagonals`` is as in a `Lattice` of mapdata/search; diagonal steps beside two free cells join nothing that
-    straight ones do not.
+    ``diagonals`` is as in a `Lattice` of mapdata/search; diagonal steps beside two free cells join
+    nothing that straight ones do not.
     """
     rows, columns = grid.shape
     owner = np.zeros(rows * columns, np.int32)
@@ -59,7 +65,12 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
                     r, c = row + down, column + right
                     if down != 0 and right != 0 and diagonals != 2:
                         continue
-                    if 0 <= r < rows and 0 <= c < columns and grid[r, c] == 0 and owner[r * columns + c] == 0:
+                    if (
+                        0 <= r < rows
+                        and 0 <= c < columns
+                        and grid[r, c] == 0
+                        and owner[r * columns + c] == 0
+                    ):
                         owner[r * columns + c], stack[height] = number, r * columns + c
                         height += 1
         if size > most:
@@ -87,14 +98,18 @@ def draw_points(cells: Ints, seed: np.uint64, index: np.uint64, count: Int) -> I
 
 @kernel
 def spread_points(cells: Ints, columns: Int, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
-    """Return up to ``count`` of ``cells``, none twice, that lie far apart: best candidates, one after another.
+    """Return up to ``count`` of ``cells``, none twice, that lie far apart: best candidates, one
+    after another.
 
-    Each point is the one of 8 cells drawn uniformly whose nearest earlier point is farthest away (of equally far ones
-    the first drawn). Mitchell, "Spectrally optimal sampling for distribution ray tracing", SIGGRAPH 1991, section 4.
+    Each point is the one of 8 cells drawn uniformly whose nearest earlier point is farthest away
+    (of equally far ones the first drawn). Mitchell, "Spectrally optimal sampling for distribution
+    ray tracing", SIGGRAPH 1991, section 4.
     """
     count = min(count, len(cells))
     points = np.empty(count, np.int64)
-    gaps = np.full(len(cells), np.int64(2**62))  # squared distance of each cell to the nearest point so far
+    gaps = np.full(
+        len(cells), np.int64(2**62)
+    )  # squared distance of each cell to the nearest point so far
     for k in range(count):
         best = np.int64(-1)
         for j in range(_CANDIDATES // 4):

@@ -1,8 +1,9 @@
 """Algorithm 1 of the paper: draw rooms and passages, carve them out of an occupied grid.
 
-Source: Flores-Aquino et al., arXiv 2110.13242, Algorithm 1 and Table 1. Where the printed algorithm slips (mixed
-indices in lines 22-23, the open elbow), its intent and the authors' published sample decide; docs/format.md lists
-each draw.
+Source: Flores-Aquino et al., arXiv 2110.13242, Algorithm 1 and Table 1. Where the printed algorithm
+slips (mixed
+indices in lines 22-23, the open elbow), its intent and the authors' published sample decide;
+docs/format.md lists each draw.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 @dataclass(frozen=True)
 class MapSpec(Generator):
-    """The distribution that maps are drawn from: the parameters of Table 1 of the paper, which are the defaults.
+    """The distribution that maps are drawn from: the parameters of Table 1 of the paper, which are
+    the defaults.
 
     All ranges are (lowest, highest), both included. See arXiv 2110.13242, Algorithm 1 and Table 1.
 
@@ -63,7 +65,9 @@ class MapSpec(Generator):
         super().__post_init__()
         for name in ("rooms", "room_rows", "room_columns", "passage_width"):
             object.__setattr__(self, name, check_integers(name, getattr(self, name)))
-        object.__setattr__(self, "skip_probability", check_probability("skip_probability", self.skip_probability))
+        object.__setattr__(
+            self, "skip_probability", check_probability("skip_probability", self.skip_probability)
+        )
         rows, columns = self.map_size
         too_tall = f": rooms would be larger than the map of {rows} rows"
         too_wide = f": rooms would be larger than the map of {columns} columns"
@@ -81,7 +85,9 @@ class MapSpec(Generator):
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64: Algorithm 1."""
         maps = Maps.empty(self.movement, self.map_size, indices, self.most_seed_points)
-        limits = np.array([self.rooms, self.room_rows, self.room_columns, self.passage_width], np.int64)
+        limits = np.array(
+            [self.rooms, self.room_rows, self.room_columns, self.passage_width], np.int64
+        )
         key = np.uint64(seed)
         maps.split[:] = draw_splits(key, indices, split_thresholds(self.splits))
         _fill_maps(
@@ -103,9 +109,15 @@ class MapSpec(Generator):
 PRESETS: dict[str, Generator] = {
     "paper": MapSpec(),
     "narrow": MapSpec(passage_width=(1, 3)),
-    "dungeon": MapSpec(rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3)),
+    "dungeon": MapSpec(
+        rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3)
+    ),
     "dungeon128": MapSpec(
-        map_size=(128, 128), rooms=(16, 40), room_rows=(8, 20), room_columns=(8, 20), passage_width=(2, 4)
+        map_size=(128, 128),
+        rooms=(16, 40),
+        room_rows=(8, 20),
+        room_columns=(8, 20),
+        passage_width=(2, 4),
     ),
 }
 """The presets: "paper" is Table 1; in "dungeon" a planner has something to learn."""
@@ -127,7 +139,8 @@ def _fill_maps(
 ) -> None:
     """Draw and carve maps ``indices`` into the arrays of `Maps`.
 
-    ``limits`` is (4, 2): rooms, rows, columns, width. ``skip`` is the threshold of a passage that is not drawn.
+    ``limits`` is (4, 2): rooms, rows, columns, width. ``skip`` is the threshold of a passage that
+    is not drawn.
     """
     height = packed.shape[1]
     for m in range(len(indices)):
@@ -160,7 +173,9 @@ def _fill_maps(
             horizontal = bounded(w1, 0, 1)
             directions[m, q, 0] = horizontal
             directions[m, q, 1] = 1 - horizontal
-            _carve_passage(words, columns, seed_points[m, q], seed_points[m, q + 1], width, horizontal == 1)
+            _carve_passage(
+                words, columns, seed_points[m, q], seed_points[m, q + 1], width, horizontal == 1
+            )
 
 
 @kernel
@@ -177,8 +192,12 @@ def _carve(words: Words, columns: int, top: int, left: int, height: int, width: 
 
 
 @kernel
-def _carve_passage(words: Words, columns: int, a: Ints, b: Ints, width: int, horizontal_first: bool) -> None:
-    """Free the two legs between seed points ``a`` and ``b`` and the square at their corner (lines 12-25)."""
+def _carve_passage(
+    words: Words, columns: int, a: Ints, b: Ints, width: int, horizontal_first: bool
+) -> None:
+    """Free the two legs between seed points ``a`` and ``b`` and the square at their corner (lines
+    12-25).
+    """
     corner_row = a[0] if horizontal_first else b[0]
     corner_column = b[1] if horizontal_first else a[1]
     half = width // 2

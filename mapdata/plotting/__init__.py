@@ -1,8 +1,19 @@
-"""Looking at maps: one map, a whole dataset, what models do, the report page. matplotlib is imported when it draws."""
+"""Looking at maps: one map, a whole dataset, what models do, the report page. matplotlib is
+imported when it draws.
+"""
 
 from mapdata.plotting.figures import plot_distributions, plot_figure, plot_gallery
 from mapdata.plotting.html_report import report
-from mapdata.plotting.plot import COLOURS, MARKERS, PALETTE, plot_grid, plot_map, plot_matrix, plot_path, plot_planners
+from mapdata.plotting.plot import (
+    COLOURS,
+    MARKERS,
+    PALETTE,
+    plot_grid,
+    plot_map,
+    plot_matrix,
+    plot_path,
+    plot_planners,
+)
 from mapdata.plotting.plot_models import plot_prediction, plot_roadmap, plot_sample
 
 __all__ = [

@@ -1,4 +1,6 @@
-"""Figures of a whole dataset: the gallery of the paper's Figure 2, distributions, and what ``mapdata show`` draws."""
+"""Figures of a whole dataset: the gallery of the paper's Figure 2, distributions, and what
+``mapdata show`` draws.
+"""
 
 from __future__ import annotations
 
@@ -22,21 +24,40 @@ if TYPE_CHECKING:
 LOGARITHMIC = ("hardness of a segment",)
 """Distributions with a peak and a long tail: drawn with a logarithmic count."""
 
-_NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+_NUMBERS = (
+    "zero",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+)
 
 
 def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     """Return examples as the paper's Figure 2 has them: a caption and the number of a map each.
 
-    They are maps with few to many rooms, one that is not connected (some rooms do not reach each other), one that is
-    redundant (all rooms reach each other though a passage was not drawn: others or overlapping rooms stand in), one
-    with the most rooms (nine in the paper) and the one with the hardest segment. Each is the first such map of the
-    dataset that is not shown yet; a kind that does not occur is left out. Where all maps have equally many rooms, as
-    many imported ones, they go from easy to hard instead.
+    They are maps with few to many rooms, one that is not connected (some rooms do not reach each
+    other), one that is redundant (all rooms reach each other though a passage was not drawn: others
+    or overlapping rooms stand in), one with the most rooms (nine in the paper) and the one with the
+    hardest segment. Each is the first such map of the dataset that is not shown yet; a kind that
+    does not occur is left out. Where all maps have equally many rooms, as many imported ones, they
+    go from easy to hard instead.
     """
     kinds = np.unique(of.rooms)
     most = int(kinds[-1]) if len(kinds) else 0
-    few = kinds[:-1][np.unique(np.linspace(0, len(kinds) - 2, 4).round().astype(int))] if len(kinds) > 1 else []
+    few = (
+        kinds[:-1][np.unique(np.linspace(0, len(kinds) - 2, 4).round().astype(int))]
+        if len(kinds) > 1
+        else []
+    )
     wanted: list[tuple[str, npt.NDArray[np.bool_]]] = [
         *((_in_words(int(n), of.rooms_known), of.all_connected & (of.rooms == n)) for n in few),
         ("not connected", ~of.all_connected),
@@ -124,7 +145,10 @@ def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
     if len(values):
         mean = float(values.mean())
         ax.axvline(mean, color="black", linewidth=1, linestyle=(0, (4, 2)))
-        ax.set_title(f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}", fontsize="medium")
+        ax.set_title(
+            f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}",
+            fontsize="medium",
+        )
 
 
 def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:
@@ -154,7 +178,9 @@ def _figure_map(root: Root, index: int, paper_colours: bool) -> Figure:
 def _figure_path(root: Root, index: int, paper_colours: bool) -> Figure:
     labels, i = root.map(index)
     lines = min(int(labels.maps.rooms[i]) - 1, 16)
-    axes = new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2))))
+    axes = new_axes(
+        1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2)))
+    )
     for search, ax in zip(("bfs", "astar"), axes, strict=True):
         plot_path(labels, i, search, ax, paper_colours=paper_colours)
     return figure_of(axes[0])

@@ -1,7 +1,8 @@
 """The report: one page to look at a dataset, without a server and without a network.
 
-`report.html` is the template. The maps travel in it as one block: tables of numbers, compressed, in base64; its script
-lists them under ``data``. The page allows no script but its own, whatever text the dataset holds.
+`report.html` is the template. The maps travel in it as one block: tables of numbers, compressed, in
+base64; its script lists them under ``data``. The page allows no script but its own, whatever text
+the dataset holds.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ _TYPES = {"b": "u1", "u": "u1", "i": "i4", "f": "f8"}
 
 
 def report(root: Places, maps: int = MAPS) -> str:
-    """Return the report of a dataset as one HTML page: a browser of a sample of maps, the distributions and the card.
+    """Return the report of a dataset as one HTML page: a browser of a sample of maps, the
+    distributions and the card.
 
     Args:
         root: folder or URL of the dataset, or several.
@@ -57,8 +59,12 @@ def report(root: Places, maps: int = MAPS) -> str:
         "POLICY": _policy(template),
         "TITLE": escape(title(of)),
         "INTRODUCTION": f"<p>{escape(first.text)}</p>",
-        "SAMPLED": f"All {count:,} maps." if count == len(of) else f"{count:,} of {len(of):,} maps, evenly spaced.",
-        "CHARTS": "".join(_chart(name, column) for name, column in of.distributions().items() if len(column)),
+        "SAMPLED": f"All {count:,} maps."
+        if count == len(of)
+        else f"{count:,} of {len(of):,} maps, evenly spaced.",
+        "CHARTS": "".join(
+            _chart(name, column) for name, column in of.distributions().items() if len(column)
+        ),
         "CARD": "".join(map(_html, others)),
         "HEADER": escape(json.dumps(header)),
         "DATA": base64.b64encode(block).decode(),
@@ -72,9 +78,13 @@ def _policy(template: str) -> str:
     allowed = []
     for tag in ("script", "style"):
         found = re.findall(f"<{tag}>(.*?)</{tag}>", template, re.DOTALL)
-        hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in found]
+        hashes = [
+            base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in found
+        ]
         allowed.append(" ".join([f"{tag}-src", *(f"'sha256-{value}'" for value in hashes)]))
-    return "; ".join(["default-src 'none'", *allowed, "img-src data:", "base-uri 'none'", "form-action 'none'"])
+    return "; ".join(
+        ["default-src 'none'", *allowed, "img-src data:", "base-uri 'none'", "form-action 'none'"]
+    )
 
 
 def _sample(count: int, maps: int) -> Ints:
@@ -115,7 +125,9 @@ def _columns(of: DatasetStatistics, places: Ints) -> dict[str, npt.NDArray[Any]]
         if len(chosen):
             parts.append(_tables(of.root.shard_labels(k), chosen))
         first = last
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
+    columns = {
+        name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())
+    }
     for name in {"bfs_moves", "astar_moves"} & columns.keys():
         columns[name] = pack_moves(columns[name], bits_of(of.root.movement))
     columns["hardest"] = of.hardest[places]
@@ -165,11 +177,18 @@ def _html(section: Section) -> str:
         parts.append(f"<p>{escape(section.text)}</p>")
     if section.table:
         head, *rows = section.table
-        lines = ["".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)] if any(head) else []
+        lines = (
+            ["".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)] if any(head) else []
+        )
         for name, *cells in rows:
-            lines.append(f'<th scope="row">{escape(name)}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in cells))
+            lines.append(
+                f'<th scope="row">{escape(name)}</th>'
+                + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+            )
         body = "".join(f"<tr>{line}</tr>" for line in lines)
-        region = f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(section.title)}">'
+        region = (
+            f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(section.title)}">'
+        )
         parts.append(f"{region}<table>{body}</table></div>")
     if section.code:
         parts.append(f'<pre tabindex="0"><code>{escape(section.code)}</code></pre>')
@@ -183,13 +202,15 @@ def _chart(name: str, values: Floats) -> str:
     (ax,) = new_axes(1, 1, (4.6, 3))
     plot_distribution(name, values, ax)
     image = StringIO()
-    # Text stays text, so that the picture is small; the same salt and no date make it the same again.
+    # Text stays text, so that the picture is small; the same salt and no date make it the same
+    # again.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mapdata"}):
         figure_of(ax).savefig(image, format="svg", transparent=True, metadata={"Date": None})
     data = base64.b64encode(image.getvalue().encode()).decode()
     words = (
         f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, "
-        f"from {values.min():.4g} to {values.max():.4g}, {len(values):,} {ax.get_ylabel().split()[0]}"
+        f"from {values.min():.4g} to {values.max():.4g}, {len(values):,} "
+        f"{ax.get_ylabel().split()[0]}"
     )
     return (
         f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(words)}">'

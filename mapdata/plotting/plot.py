@@ -1,8 +1,9 @@
-"""Figures of one map: axes in, axes out. matplotlib is imported when one is drawn. What models do on a map is in
+"""Figures of one map: axes in, axes out. matplotlib is imported when one is drawn. What models do
+on a map is in
 `mapdata.plotting.plot_models`, figures of a dataset are in `mapdata.plotting.figures`.
 
-Axes that are made here sit in a figure with ``layout="constrained"``, which makes room for titles and legends; for your
-own axes beside others, make the figure that way, too.
+Axes that are made here sit in a figure with ``layout="constrained"``, which makes room for titles
+and legends; for your own axes beside others, make the figure that way, too.
 """
 
 from __future__ import annotations
@@ -30,8 +31,11 @@ _LISTED = 16
 _NUMBERED = 16
 
 
-def plot_grid(occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
-    """Draw a grid: free white and occupied black, or the other way round as the paper's Figure 2 does.
+def plot_grid(
+    occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
+) -> Axes:
+    """Draw a grid: free white and occupied black, or the other way round as the paper's Figure 2
+    does.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
@@ -39,14 +43,19 @@ def plot_grid(occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colou
         paper_colours: free black, occupied white.
     """
     axes = axes or _new_axes()
-    cmap, top = ("gray", 1.0) if paper_colours else ("gray_r", 1.25)  # a grey black, on which dark lines are seen
+    cmap, top = (
+        ("gray", 1.0) if paper_colours else ("gray_r", 1.25)
+    )  # a grey black, on which dark lines are seen
     axes.imshow(occupancy, cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     return axes
 
 
-def plot_map(labels: Labels, i: int, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
-    """Draw map ``i`` of a batch with the routes of both planners and its numbered seeds: the paper's Figure 1.
+def plot_map(
+    labels: Labels, i: int, axes: Axes | None = None, *, paper_colours: bool = False
+) -> Axes:
+    """Draw map ``i`` of a batch with the routes of both planners and its numbered seeds: the
+    paper's Figure 1.
 
     Args:
         labels: labelled maps.
@@ -69,10 +78,15 @@ def plot_map(labels: Labels, i: int, axes: Axes | None = None, *, paper_colours:
 
 
 def plot_path(
-    labels: Labels, i: int, search: str = "astar", axes: Axes | None = None, *, paper_colours: bool = False
+    labels: Labels,
+    i: int,
+    search: str = "astar",
+    axes: Axes | None = None,
+    *,
+    paper_colours: bool = False,
 ) -> Axes:
-    """Draw the route of one planner on map ``i`` of a batch, each segment with its moves and iterations: the paper's
-    Figure 3.
+    """Draw the route of one planner on map ``i`` of a batch, each segment with its moves and
+    iterations: the paper's Figure 3.
 
     Args:
         labels: labelled maps.
@@ -94,18 +108,22 @@ def plot_path(
             path[:, 0],
             color=PALETTE[q % 6],
             linestyle=styles[q // 6 % len(styles)],
-            linewidth=4.5 - 2.5 * q / max(len(route) - 1, 1),  # what lies below is wider, so that it is seen
+            linewidth=4.5
+            - 2.5 * q / max(len(route) - 1, 1),  # what lies below is wider, so that it is seen
             label=label if q < _LISTED else "_",
         )
     _plot_seed_points(axes, labels, i)
-    axes.set_title(f"map{labels.maps.index[i]}, {NAMES[search]}: {iterations.sum():,} iterations in all")
+    axes.set_title(
+        f"map{labels.maps.index[i]}, {NAMES[search]}: {iterations.sum():,} iterations in all"
+    )
     if route:
         _legend_below(axes, ncols=1 + (len(route) > 5))
     return axes
 
 
 def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None = None) -> Axes:
-    """Draw the connection matrix of map ``i`` of a batch, pairs without a path hatched: the paper's Figure 4.
+    """Draw the connection matrix of map ``i`` of a batch, pairs without a path hatched: the paper's
+    Figure 4.
 
     Args:
         labels: labelled maps.
@@ -119,15 +137,27 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     matrix = labels.matrix(search, i)
     n, top = len(matrix), max(float(matrix.max()), 1.0)
     image = axes.imshow(np.ma.masked_less(matrix, 0), cmap="cividis", vmin=0, vmax=top)
-    axes.figure.colorbar(image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8)
+    axes.figure.colorbar(
+        image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
+    )
     for row, column in np.argwhere(matrix < 0).tolist():
         corner = (column - 0.5, row - 0.5)
-        axes.add_patch(Rectangle(corner, 1, 1, facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0))
+        axes.add_patch(
+            Rectangle(corner, 1, 1, facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
+        )
     if n <= _NUMBERED:
         for row, column in np.argwhere(matrix >= 0).tolist():
             value = matrix[row, column]
             ink = "black" if value > 0.55 * top else "white"
-            axes.text(column, row, f"{value:.4g}", ha="center", va="center", color=ink, fontsize=9 if n <= 10 else 6)
+            axes.text(
+                column,
+                row,
+                f"{value:.4g}",
+                ha="center",
+                va="center",
+                color=ink,
+                fontsize=9 if n <= 10 else 6,
+            )
     step = 1 if n <= 20 else -(-n // 12)
     places = np.arange(0, n, step)
     word = _points(labels, i).removesuffix("s")
@@ -136,12 +166,18 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes.set_yticklabels([str(k + 1) for k in places])
     axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {NAMES[search]}")
     if (matrix < 0).any():
-        _legend_below(axes, handles=[Patch(facecolor="white", edgecolor="0.6", hatch="////", label="no connection")])
+        _legend_below(
+            axes,
+            handles=[
+                Patch(facecolor="white", edgecolor="0.6", hatch="////", label="no connection")
+            ],
+        )
     return axes
 
 
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
-    """Draw cost ratio against expansion ratio, a mark a planner with its 95 % intervals: left and low is good.
+    """Draw cost ratio against expansion ratio, a mark a planner with its 95 % intervals: left and
+    low is good.
 
     Args:
         table: what `evaluate` returns.
@@ -152,10 +188,26 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     rows = table[table["subset"] == subset]
     for k, row in enumerate(rows.to_dict("records")):
         colour, x, y = PALETTE[k % len(PALETTE)], row["expansion_ratio"], row["cost_ratio"]
-        axes.plot([row["expansion_ratio_low"], row["expansion_ratio_high"]], [y, y], color=colour, linewidth=1)
-        axes.plot([x, x], [row["cost_ratio_low"], row["cost_ratio_high"]], color=colour, linewidth=1)
+        axes.plot(
+            [row["expansion_ratio_low"], row["expansion_ratio_high"]],
+            [y, y],
+            color=colour,
+            linewidth=1,
+        )
+        axes.plot(
+            [x, x], [row["cost_ratio_low"], row["cost_ratio_high"]], color=colour, linewidth=1
+        )
         marker, label = MARKERS[k % len(MARKERS)], row["planner"]
-        axes.plot(x, y, marker, color=colour, markersize=9, markeredgewidth=2, markerfacecolor="none", label=label)
+        axes.plot(
+            x,
+            y,
+            marker,
+            color=colour,
+            markersize=9,
+            markeredgewidth=2,
+            markerfacecolor="none",
+            label=label,
+        )
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set(
@@ -177,12 +229,18 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
     """Put a disc with ``text`` on a cell of ``axes``."""
-    axes.scatter(column, row, s=110, clip_on=False, color=COLOURS["seed"], edgecolor="white", zorder=4)
-    axes.text(column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5)
+    axes.scatter(
+        column, row, s=110, clip_on=False, color=COLOURS["seed"], edgecolor="white", zorder=4
+    )
+    axes.text(
+        column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5
+    )
 
 
 def head(axes: Axes, title: str) -> None:
-    """Put the legend over the axes and the title over it: both stay inside a figure of any layout."""
+    """Put the legend over the axes and the title over it: both stay inside a figure of any
+    layout.
+    """
     if not axes.get_legend_handles_labels()[0]:  # a map with one seed point has no path
         axes.set_title(title)
         return
@@ -206,7 +264,9 @@ def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: in
         handles=axes.get_legend_handles_labels()[0] if handles is None else handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0),
-        bbox_transform=offset_copy(axes.transAxes, fig=axes.get_figure(root=True), y=-34, units="points"),
+        bbox_transform=offset_copy(
+            axes.transAxes, fig=axes.get_figure(root=True), y=-34, units="points"
+        ),
         borderaxespad=0.0,
         ncols=ncols,
         frameon=False,
@@ -215,7 +275,9 @@ def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: in
 
 
 def _points(labels: Labels, i: int) -> str:
-    """Return what the seeds of map ``i`` stand for: imported maps have seed points without rooms."""
+    """Return what the seeds of map ``i`` stand for: imported maps have seed points without
+    rooms.
+    """
     maps = labels.maps
     known = bool(maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any())
     return "rooms" if known else "seed points"

@@ -1,5 +1,5 @@
-"""Figures of what a model sees and does on a map: a sample, a prediction beside the truth, a roadmap. Axes in,
-axes out, as in `mapdata.plotting.plot`.
+"""Figures of what a model sees and does on a map: a sample, a prediction beside the truth, a
+roadmap. Axes in, axes out, as in `mapdata.plotting.plot`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 
 def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
-    """Draw one sample of a dataset: its map, start S and goal G, and its path, as far as it has these fields.
+    """Draw one sample of a dataset: its map, start S and goal G, and its path, as far as it has
+    these fields.
 
     Args:
         sample: what ``dataset[i]`` gives; with the field ``map`` or ``free``, (1, H, W).
@@ -32,14 +33,18 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
     grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
     if grid is None or grid.ndim != 3:
         found = f"fields {', '.join(values)}" if grid is None else f"a map of shape {grid.shape}"
-        raise ValueError(f"sample: got {found}, expected one sample with a map of shape (1, rows, columns)")
+        raise ValueError(
+            f"sample: got {found}, expected one sample with a map of shape (1, rows, columns)"
+        )
     axes = plot_grid(grid[0], axes, paper_colours=paper_colours)
     words = []
     if "path" in values:
         path = _cells(values["path"])
         axes.plot(path[:, 1], path[:, 0], color=COLOURS["astar"], linewidth=2.5)
         words.append(f"{len(path)} cells" if len(path) else "no path")
-    words += [f"{name} {float(values[name]):.4g}" for name in ("cost", "hardness") if name in values]
+    words += [
+        f"{name} {float(values[name]):.4g}" for name in ("cost", "hardness") if name in values
+    ]
     for name, letter in (("start", "S"), ("goal", "G")):
         if name in values:
             mark(axes, letter, *values[name].tolist())
@@ -75,13 +80,22 @@ def plot_prediction(
     for name, path in paths.items():
         colour, width, style = looks[name]
         label = f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
-        axes.plot(path[:, 1], path[:, 0], color=COLOURS[colour], linewidth=width, linestyle=style, label=label)
+        axes.plot(
+            path[:, 1],
+            path[:, 0],
+            color=COLOURS[colour],
+            linewidth=width,
+            linestyle=style,
+            label=label,
+        )
     rows, columns = paths["predicted"].T
     inside = (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
     hit = paths["predicted"][inside][grid[rows[inside], columns[inside]] == 1]
     if len(hit):
         label = f"{len(hit)} in occupied cells"
-        axes.plot(hit[:, 1], hit[:, 0], "x", color="#CC79A7", markersize=7, markeredgewidth=2, label=label)
+        axes.plot(
+            hit[:, 1], hit[:, 0], "x", color="#CC79A7", markersize=7, markeredgewidth=2, label=label
+        )
     ends = paths["true"] if len(paths["true"]) else paths["predicted"]
     for name, cell in zip("SG", ends[[0, -1]] if len(ends) else (), strict=False):
         mark(axes, name, cell[0], cell[1])
@@ -114,7 +128,9 @@ def plot_roadmap(
     points = np.asarray(vertices, np.float64).reshape(-1, 2)
     joined = np.asarray(edges, np.int64).reshape(-1, 2)
     label = f"{len(joined):,} edges"
-    axes.add_collection(LineCollection(list(points[joined][..., ::-1]), colors="#56B4E9", linewidths=1, label=label))
+    axes.add_collection(
+        LineCollection(list(points[joined][..., ::-1]), colors="#56B4E9", linewidths=1, label=label)
+    )
     if path is not None:
         cells = np.asarray(path, np.float64).reshape(-1, 2)
         axes.plot(cells[:, 1], cells[:, 0], color=COLOURS["bfs"], linewidth=2.5, label="path")

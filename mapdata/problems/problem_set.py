@@ -1,4 +1,6 @@
-"""Problems that planners are compared on: sampled on maps made on the spot, or on one split of a dataset."""
+"""Problems that planners are compared on: sampled on maps made on the spot, or on one split of a
+dataset.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +29,20 @@ _MAPS_A_CHUNK = 256
 
 @dataclass(frozen=True, eq=False)
 class Problems:
-    """N problems that planners are compared on, each with a path. The arrays are copied and cannot be written to.
+    """N problems that planners are compared on, each with a path. The arrays are copied and cannot
+    be written to.
 
     Attributes:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
         starts: (N, 2) int64, cells.
         goals: (N, 2) int64, cells other than the starts.
-        movement: how one moves; `sample` and `read` take 8-connected moves without corner cutting by default.
+        movement: how one moves; `sample` and `read` take 8-connected moves without corner cutting
+            by default.
         description: where they come from, in words.
 
     Raises:
-        ValueError: what `search_batch` refuses; a problem without a path, or whose start is its goal.
+        ValueError: what `search_batch` refuses; a problem without a path, or whose start is its
+            goal.
     """
 
     grids: Bytes
@@ -47,7 +52,9 @@ class Problems:
     description: str = "problems"
 
     def __post_init__(self) -> None:
-        """Solve the problems, so that what cannot be evaluated is refused here, and copy the arrays."""
+        """Solve the problems, so that what cannot be evaluated is refused here, and copy the
+        arrays.
+        """
         if np.ndim(self.grids) != 3:
             raise ValueError(f"grids: got shape {np.shape(self.grids)}, expected (N, H, W)")
         cost = self.optimal.cost
@@ -65,7 +72,9 @@ class Problems:
 
     @cached_property
     def optimal(self) -> BatchResult:
-        """What mapdata's A* finds: the optimal costs, and the iterations that all planners are measured with."""
+        """What mapdata's A* finds: the optimal costs, and the iterations that all planners are
+        measured with.
+        """
         return search_batch("astar", self.grids, self.starts, self.goals, self.movement)
 
     @cached_property
@@ -88,11 +97,13 @@ class Problems:
         until_hard: int | None = None,
         movement: Movement = Movement(8),
     ) -> Problems:
-        """Sample one problem on each of the maps 0, 1, ... of (spec, seed), as a dataset does in epoch 0.
+        """Sample one problem on each of the maps 0, 1, ... of (spec, seed), as a dataset does in
+        epoch 0.
 
-        The goal is a uniform free cell, the start a uniform one of the cells from which the problem meets the
-        conditions. A goal without such a start is sampled again, 32 times at most; then the map is left out. The
-        problem on map i is a pure function of (spec, seed, i), of the conditions and of ``movement``.
+        The goal is a uniform free cell, the start a uniform one of the cells from which the problem
+        meets the conditions. A goal without such a start is sampled again, 32 times at most; then
+        the map is left out. The problem on map i is a pure function of (spec, seed, i), of the
+        conditions and of ``movement``.
 
         Args:
             spec: the distribution of maps; its own movement is not used.
@@ -103,8 +114,8 @@ class Problems:
             movement: how one moves.
 
         Raises:
-            ValueError: neither ``maps`` nor ``until_hard``; no map with a problem; not enough hard ones (without
-                ``maps``: less than one on 1,000 maps).
+            ValueError: neither ``maps`` nor ``until_hard``; no map with a problem; not enough hard
+                ones (without ``maps``: less than one on 1,000 maps).
 
         >>> from mapdata import MapSpec
         >>> len(Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
@@ -112,7 +123,10 @@ class Problems:
         """
         if maps is None:
             if until_hard is None:
-                raise ValueError("got neither maps nor until_hard, expected how many maps or hard problems to sample")
+                raise ValueError(
+                    "got neither maps nor until_hard, expected how many maps or hard problems to "
+                    "sample"
+                )
             maps = 1000 * until_hard
         chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
         grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
@@ -130,7 +144,8 @@ class Problems:
         until_hard: int | None = None,
         movement: Movement = Movement(8),
     ) -> Problems:
-        """Sample one problem on each map of one split of a dataset: on map i the one that `sample` gives.
+        """Sample one problem on each map of one split of a dataset: on map i the one that `sample`
+        gives.
 
         Args:
             root: folder or URL of the dataset, or several.
@@ -152,7 +167,9 @@ class Problems:
         inside = ((each, each.split == SPLITS.index(split)) for each in every)
         grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in inside)
         seed = (dataset.manifests[0].seed or 0) if seed is None else check_seed(seed)
-        return _collect(grids, maps, problems, until_hard, seed, movement, f"split {split} of {dataset}")
+        return _collect(
+            grids, maps, problems, until_hard, seed, movement, f"split {split} of {dataset}"
+        )
 
 
 def _collect(
@@ -164,7 +181,9 @@ def _collect(
     movement: Movement,
     where: str,
 ) -> Problems:
-    """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids), until enough of them are hard."""
+    """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids), until enough
+    of them are hard.
+    """
     if until_hard is not None:
         check_count("until_hard", until_hard)
     left = sys.maxsize if maps is None else check_count("maps", maps)
@@ -173,7 +192,9 @@ def _collect(
     for chunk, occupancy in chunks:
         indices, grids = chunk[:left], occupancy[:left]
         left -= len(indices)
-        sampled = sample_problems(grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement))
+        sampled = sample_problems(
+            grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement)
+        )
         kept = np.flatnonzero(sampled[:, 0] >= 0)
         if until_hard is not None:
             starts, goals, steps = np.split(sampled[kept], 3, axis=1)
@@ -187,7 +208,9 @@ def _collect(
     if not any(len(index) for index, _, _ in found):
         raise ValueError(f"{where}: no map has a problem that meets {problems}")
     if until_hard is not None and hard < until_hard:
-        raise ValueError(f"until_hard: got {until_hard}, found only {hard} hard problems on {where}")
+        raise ValueError(
+            f"until_hard: got {until_hard}, found only {hard} hard problems on {where}"
+        )
     index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
     return Problems(grid, ends[:, :2], ends[:, 2:4], movement, description)

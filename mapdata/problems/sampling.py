@@ -1,4 +1,6 @@
-"""Problems that are sampled anew each epoch: functions of (sampling seed, epoch, index), never of worker state."""
+"""Problems that are sampled anew each epoch: functions of (sampling seed, epoch, index), never of
+worker state.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +33,19 @@ _ATTEMPTS = 32
 
 @kernel
 def sample_problems(
-    grids: Bytes, seed: np.uint64, epoch: Int, indices: Ints, bands: Bands, diagonals: Int, step: Int
+    grids: Bytes,
+    seed: np.uint64,
+    epoch: Int,
+    indices: Ints,
+    bands: Bands,
+    diagonals: Int,
+    step: Int,
 ) -> Ints:
-    """Sample a problem on each grid (docs/format.md, section 6): a goal, then one of the starts that fit it.
+    """Sample a problem on each grid (docs/format.md, section 6): a goal, then one of the starts
+    that fit it.
 
-    The goal comes first so that the costs to it, which the conditions need, are those that fields of the goal need.
+    The goal comes first so that the costs to it, which the conditions need, are those that fields
+    of the goal need.
 
     Args:
         grids: (B, H, W).
@@ -47,8 +57,8 @@ def sample_problems(
         step: likewise.
 
     Returns:
-        (B, 6): start, goal, straight and diagonal steps of a shortest path (all count as straight where they cost
-        the same); -1 where the map has no such problem.
+        (B, 6): start, goal, straight and diagonal steps of a shortest path (all count as straight
+        where they cost the same); -1 where the map has no such problem.
     """
     rows, columns = grids.shape[1], grids.shape[2]
     lattice = lattice_of((rows, columns), (diagonals, step))
@@ -137,14 +147,14 @@ def solve_pairs(
         seed: sampling seed.
         epoch: pass over the data.
         indices: (B,) number of each problem.
-        kind: whether the pairs are those of the route, (q, q + 1), instead of all i < j; whether pairs without a path
-            are kept.
+        kind: whether the pairs are those of the route, (q, q + 1), instead of all i < j; whether
+            pairs without a path are kept.
         search: BFS or ASTAR.
         rule: as `rule_of` gives it.
 
     Returns:
-        ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of the paths;
-        iterations (B,).
+        ends (B, 4): start and goal, or -1 where no pair fits; cells (M, 2) and offsets (B + 1,) of
+        the paths; iterations (B,).
     """
     count = len(grids)
     route, unsolvable = kind
@@ -190,7 +200,9 @@ def solve_pairs(
 
 @kernel
 def _pair(number: Int, rooms: Int, route: Int) -> tuple[Int, Int]:
-    """Return seed points i < j of pair ``number``: (q, q + 1) of the route, else in row-major order."""
+    """Return seed points i < j of pair ``number``: (q, q + 1) of the route, else in row-major
+    order.
+    """
     if route:
         return number, number + 1
     i = 0

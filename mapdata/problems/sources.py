@@ -45,10 +45,11 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Random:
-    """One problem a map between two free cells that are connected, sampled anew each epoch (docs/format.md, section 6).
+    """One problem a map between two free cells that are connected, sampled anew each epoch
+    (docs/format.md, section 6).
 
-    Each condition is None or a band (lowest, highest), both included; a bound that is None or infinite leaves its
-    side open. Afterwards a band is a tuple of floats.
+    Each condition is None or a band (lowest, highest), both included; a bound that is None or
+    infinite leaves its side open. Afterwards a band is a tuple of floats.
 
     Attributes:
         distance: cost of the shortest path, in cells.
@@ -78,7 +79,9 @@ class Random:
     @property
     def bands(self) -> Bands:
         """The limits of distance, hardness and length."""
-        distance, hardness, length = (_check_band("", band or (None, None)) for band in vars(self).values())
+        distance, hardness, length = (
+            _check_band("", band or (None, None)) for band in vars(self).values()
+        )
         return distance, hardness, length
 
 
@@ -91,8 +94,8 @@ def problem_source(value: str | Source | dict[str, Any]) -> Source:
     """Return the source that ``value`` stands for.
 
     Args:
-        value: a source; its name, "route", "pairs" or "random"; or its name with its arguments as a dict or as JSON
-            text, such as ``{"random": {"distance": [10, null]}}``.
+        value: a source; its name, "route", "pairs" or "random"; or its name with its arguments as a
+            dict or as JSON text, such as ``{"random": {"distance": [10, null]}}``.
 
     Raises:
         ValueError: none of these, an argument that the source does not have, or a bad band.
@@ -110,9 +113,15 @@ def problem_source(value: str | Source | dict[str, Any]) -> Source:
 
 
 def plain_text(source: Source) -> str:
-    """Return the text that `problem_source` reads as ``source``: its name, or JSON where it has arguments."""
+    """Return the text that `problem_source` reads as ``source``: its name, or JSON where it has
+    arguments.
+    """
     arguments = {name: value for name, value in asdict(source).items() if value}
-    return json.dumps({source.name: arguments}).replace("Infinity", "null") if arguments else source.name
+    return (
+        json.dumps({source.name: arguments}).replace("Infinity", "null")
+        if arguments
+        else source.name
+    )
 
 
 def _check_band(name: str, band: object) -> Limits:
@@ -121,4 +130,6 @@ def _check_band(name: str, band: object) -> Limits:
         highest = math.inf if band[1] is None else check_number(name, band[1])
         if lowest <= highest and lowest < math.inf:
             return lowest, highest
-    raise ValueError(f"{name}: got {band!r}, expected (lowest, highest), where None leaves a side open")
+    raise ValueError(
+        f"{name}: got {band!r}, expected (lowest, highest), where None leaves a side open"
+    )

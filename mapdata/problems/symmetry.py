@@ -1,4 +1,6 @@
-"""The symmetries of a map: the 8 of a square (4 of a rectangle), drawn anew each epoch, and what they do to cells."""
+"""The symmetries of a map: the 8 of a square (4 of a rectangle), drawn anew each epoch, and what
+they do to cells.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from mapdata.rng import AUGMENTATION, block, bounded
 
 @kernel
 def sample_symmetries(seed: np.uint64, epoch: Int, indices: Ints, square: Int) -> Ints:
-    """Return (B,) codes of symmetries: bit 0 flips rows, bit 1 flips columns, bit 2 (only square maps) transposes."""
+    """Return (B,) codes of symmetries: bit 0 flips rows, bit 1 flips columns, bit 2 (only square
+    maps) transposes.
+    """
     codes = np.empty(len(indices), np.int64)
     for b in range(len(indices)):
         w0, _w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, AUGMENTATION, 0)
@@ -40,7 +44,9 @@ def transform_cells(cells: Ints, codes: Ints, rows: Int, columns: Int) -> Ints:
         if cells[k, 0] < 0:
             transformed[k, 0] = transformed[k, 1] = -1
         else:
-            transformed[k, 0], transformed[k, 1] = transform_cell(cells[k, 0], cells[k, 1], rows, columns, codes[k])
+            transformed[k, 0], transformed[k, 1] = transform_cell(
+                cells[k, 0], cells[k, 1], rows, columns, codes[k]
+            )
     return transformed
 
 

@@ -1,9 +1,18 @@
-"""Solving maps: BFS, A*, distance fields, the path check, the labels of the paper. docs/format.md fixes their order.
+"""Solving maps: BFS, A*, distance fields, the path check, the labels of the paper. docs/format.md
+fixes their order.
 
 For kernels of your own: the lattice, its legal moves and its heuristic.
 """
 
-from mapdata.search.api import BatchResult, SearchResult, astar, bfs, check_path, distance_field, search_batch
+from mapdata.search.api import (
+    BatchResult,
+    SearchResult,
+    astar,
+    bfs,
+    check_path,
+    distance_field,
+    search_batch,
+)
 from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.search.lattice import (
     MAX_CELLS,

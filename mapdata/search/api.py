@@ -1,8 +1,10 @@
-"""Shortest paths on grids: BFS, A*, distance fields and the path check, in the exact order that the format fixes.
+"""Shortest paths on grids: BFS, A*, distance fields and the path check, in the exact order that the
+format fixes.
 
-The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f, among equal f the most
-recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's parent changes only for a smaller g.
-The work is done in `mapdata.search.kernels`; here arguments are checked.
+The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f,
+among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's
+parent changes only for a smaller g. The work is done in `mapdata.search.kernels`; here arguments
+are checked.
 """
 
 from __future__ import annotations
@@ -38,8 +40,11 @@ class SearchResult(NamedTuple):
     iterations: int
 
 
-def bfs(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()) -> SearchResult:
-    """Return the path that breadth-first search finds: first in, first out, neighbours N, E, S, W, NE, SE, SW, NW.
+def bfs(
+    grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
+) -> SearchResult:
+    """Return the path that breadth-first search finds: first in, first out, neighbours N, E, S, W,
+    NE, SE, SW, NW.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool; at most ``MAX_CELLS`` cells.
@@ -48,20 +53,24 @@ def bfs(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = M
         movement: how one moves. BFS counts moves, so under 8-connectivity ``cost`` is hops.
 
     Raises:
-        ValueError: a grid that is not 2-D or holds other values, a start or goal outside it or on an occupied cell.
+        ValueError: a grid that is not 2-D or holds other values, a start or goal outside it or on
+            an occupied cell.
 
     Source: arXiv 2110.13242, section III-C.
     """
     return _search(BFS, grid, start, goal, movement)
 
 
-def astar(grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()) -> SearchResult:
+def astar(
+    grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
+) -> SearchResult:
     """Return a shortest path by A*; least f first, among equal f the most recently pushed.
 
-    The heuristic is Manhattan (4), octile (8) or Chebyshev (8, diagonal cost 1). Arguments and errors are those of
-    `bfs`.
+    The heuristic is Manhattan (4), octile (8) or Chebyshev (8, diagonal cost 1). Arguments and
+    errors are those of `bfs`.
 
-    Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242, section III-C.
+    Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242,
+    section III-C.
 
     >>> astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
     SearchResult(path=array([[0, 0],
@@ -96,7 +105,8 @@ def search_batch(
     goals: npt.ArrayLike,
     movement: Movement = Movement(),
 ) -> BatchResult:
-    """Solve B problems in one call: as `bfs` or `astar` of each, without the cost of a Python call a problem.
+    """Solve B problems in one call: as `bfs` or `astar` of each, without the cost of a Python call
+    a problem.
 
     Args:
         search: "bfs" or "astar".
@@ -106,7 +116,8 @@ def search_batch(
         movement: how one moves.
 
     Raises:
-        ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not fit together.
+        ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not
+            fit together.
     """
     if search not in SEARCHES:
         raise ValueError(f"search: got {search!r}, expected 'bfs' or 'astar'")
@@ -123,27 +134,40 @@ def solve_batch(
     """Solve B problems by any ``search``; else as `search_batch`."""
     array = np.asarray(grids)
     stack = _grid(array if array.ndim == 3 else array[None], 3)
-    cells = [np.ascontiguousarray(points, np.int64) for points in (_whole("starts", starts), _whole("goals", goals))]
+    cells = [
+        np.ascontiguousarray(points, np.int64)
+        for points in (_whole("starts", starts), _whole("goals", goals))
+    ]
     count = len(cells[0])
     if cells[1].shape != cells[0].shape or (array.ndim == 3 and len(stack) != count):
-        raise ValueError(f"got {len(stack)} grids, {count} starts and {len(cells[1])} goals, expected equal numbers")
+        raise ValueError(
+            f"got {len(stack)} grids, {count} starts and {len(cells[1])} goals, expected equal "
+            "numbers"
+        )
     for name, points in zip(("start", "goal"), cells, strict=True):
         outside = np.flatnonzero(((points < 0) | (points >= stack.shape[1:])).any(axis=1))
         if len(outside):
             k = int(outside[0])
-            raise ValueError(f"problem {k}: {name} {_cell_text(points[k])} is outside the map of {_size(stack)} cells")
+            raise ValueError(
+                f"problem {k}: {name} {_cell_text(points[k])} is outside the map of "
+                f"{_size(stack)} cells"
+            )
     path, found, solved = solve_all(stack, cells[0], cells[1], search, rule_of(movement))
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
-        raise ValueError(f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}")
+        raise ValueError(
+            f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}"
+        )
     straight, diagonal, iterations, ends = found.T
     costs = straight + diagonal * movement.diagonal_cost
     return BatchResult(path, np.concatenate(([0], ends)), costs, iterations.copy())
 
 
-def distance_field(grid: npt.ArrayLike, goal: object, movement: Movement = Movement()) -> npt.NDArray[np.float32]:
-    """Return the cost of the shortest path from every cell to ``goal``: (H, W) float32, in cells, -1 where there is
-    none.
+def distance_field(
+    grid: npt.ArrayLike, goal: object, movement: Movement = Movement()
+) -> npt.NDArray[np.float32]:
+    """Return the cost of the shortest path from every cell to ``goal``: (H, W) float32, in cells,
+    -1 where there is none.
 
     Raises:
         ValueError: what `bfs` refuses.
@@ -156,7 +180,9 @@ def distance_field(grid: npt.ArrayLike, goal: object, movement: Movement = Movem
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
     if not write_field(array, row, column, rule_of(movement), out) or array[row, column]:
-        raise ValueError(_complaint(array, (row, column), (row, column)).replace("start", "goal", 1))
+        raise ValueError(
+            _complaint(array, (row, column), (row, column)).replace("start", "goal", 1)
+        )
     return out
 
 
@@ -169,7 +195,8 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
         movement: the rule that every step must obey.
 
     Raises:
-        ValueError: the path is empty or not (k, 2), or names the first cell outside or occupied, or the first bad step.
+        ValueError: the path is empty or not (k, 2), or names the first cell outside or occupied, or
+            the first bad step.
 
     >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
     2.0
@@ -192,7 +219,9 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
     raise ValueError(f"path: step {bad - 1}, from {before} to {cell}, is not a move of {movement}")
 
 
-def _search(search: Weights, grid: npt.ArrayLike, start: object, goal: object, movement: Movement) -> SearchResult:
+def _search(
+    search: Weights, grid: npt.ArrayLike, start: object, goal: object, movement: Movement
+) -> SearchResult:
     array = _grid(grid, 2)
     begin, end = _cell("start", start, array), _cell("goal", goal, array)
     path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))
@@ -202,14 +231,18 @@ def _search(search: Weights, grid: npt.ArrayLike, start: object, goal: object, m
 
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
-    """Return ``grid`` as the one flavour that the kernels are compiled for: writable, contiguous uint8."""
+    """Return ``grid`` as the one flavour that the kernels are compiled for: writable, contiguous
+    uint8.
+    """
     try:
         array = np.asarray(grid)
     except ValueError as error:
         raise ValueError(f"grid: {error}") from None
     shape = array.shape
     if len(shape) != rank or shape[-2] == 0 or shape[-1] == 0:
-        raise ValueError(f"grid: got shape {shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty")
+        raise ValueError(
+            f"grid: got shape {shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty"
+        )
     if shape[-2] * shape[-1] > MAX_CELLS:
         raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
     if array.dtype != _UINT8:
@@ -236,7 +269,9 @@ def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
         row, column = cell  # type: ignore[misc]
         row, column = index(row), index(column)  # type: ignore[has-type]
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: got {cell!r}, expected a cell (row, col) of two integers") from None
+        raise ValueError(
+            f"{name}: got {cell!r}, expected a cell (row, col) of two integers"
+        ) from None
     if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
         raise ValueError(f"{name}: {row, column} is outside the map of {_size(grid)} cells")
     return row, column
@@ -248,7 +283,10 @@ def _whole(name: str, cells: npt.ArrayLike) -> Ints:
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 2), np.int64)
     if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
-        raise ValueError(f"{name}: got shape {array.shape} of {array.dtype}, expected (n, 2) integer cells (row, col)")
+        raise ValueError(
+            f"{name}: got shape {array.shape} of {array.dtype}, expected (n, 2) integer cells "
+            "(row, col)"
+        )
     return array.astype(np.int64, copy=False)
 
 

@@ -1,9 +1,11 @@
 """The search kernels: BFS, two A*, shortest costs, on flat grids with a wall around them.
 
-The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f, among equal f the
-most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's parent changes only for a smaller g.
+The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f,
+among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's
+parent changes only for a smaller g.
 
-Inside, a grid is a flat array with a wall around it, and cells are numbers (`mapdata.search.lattice`).
+Inside, a grid is a flat array with a wall around it, and cells are numbers
+(`mapdata.search.lattice`).
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ class Scratch(NamedTuple):
     Kernels take its arrays by name: to unpack it counts references of all five.
 
     Attributes:
-        came: (cells,) WALL, UNSEEN, or the move that led to a cell, with CLOSED once that is expanded.
+        came: (cells,) WALL, UNSEEN, or the move that led to a cell, with CLOSED once that is
+            expanded.
         g: (cells,) cost of the best path to a cell so far.
         pushed: (pushes,) cells, in the order in which they were pushed.
         links: (pushes,) a heap of pushes, or lists of them: the next push of each.
@@ -61,15 +64,15 @@ class Scratch(NamedTuple):
     f: Ints
 
 
-# --- kernels: one search on a padded grid ---------------------------------------------------------------------------
+# --- kernels: one search on a padded grid -------------------------------------------------------
 
 
 @kernel
 def flood(start: Int, targets: Ints, lattice: Lattice, buffers: Scratch) -> Int:
     """Breadth-first search from ``start`` until all ``targets`` (if any) are seen.
 
-    Returns how many cells are in ``pushed``, in the order in which they are expanded; the last level
-    may be longer than the search for one target needs.
+    Returns how many cells are in ``pushed``, in the order in which they are expanded; the last
+    level may be longer than the search for one target needs.
     """
     came = buffers.came
     queue = buffers.pushed
@@ -109,7 +112,9 @@ def flood(start: Int, targets: Ints, lattice: Lattice, buffers: Scratch) -> Int:
 
 @inlined
 def _see(came: Bytes, queue: UInt32s, tail: np.uint64, cell: np.uint64, move: Int) -> np.uint64:
-    """Append ``cell`` if it is unseen. Without a branch: it is always stored, the tail moves or not."""
+    """Append ``cell`` if it is unseen. Without a branch: it is always stored, the tail moves or
+    not.
+    """
     before = came[cell]
     fresh = before == UNSEEN
     queue[tail] = cell
@@ -127,7 +132,9 @@ def _all_seen(came: Bytes, targets: Ints) -> Int:
 
 @kernel
 def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
-    """Return how many of the ``count`` cells of ``queue`` are expanded until ``goal`` is, or all."""
+    """Return how many of the ``count`` cells of ``queue`` are expanded until ``goal`` is, or
+    all.
+    """
     for k in range(count):
         if queue[np.uint64(k)] == goal:
             return k + 1
@@ -138,10 +145,10 @@ def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
 def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
 
-    A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the nearer
-    one is exactly the order of the format. Both stacks are lists through ``pushed[1:]``, where link 0
-    ends a list. ``came`` holds WALL and UNSEEN, then the move that led to a cell, with CLOSED once it
-    is expanded; ``g``, in moves, needs no content.
+    A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the
+    nearer one is exactly the order of the format. Both stacks are lists through ``pushed[1:]``,
+    where link 0 ends a list. ``came`` holds WALL and UNSEEN, then the move that led to a cell, with
+    CLOSED once it is expanded; ``g``, in moves, needs no content.
     """
     came = buffers.came
     g = buffers.g
@@ -203,11 +210,14 @@ def wipe(buffers: Scratch, pushes: Int) -> None:
 
 
 @kernel
-def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
+def astar_heap(
+    start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch
+) -> tuple[Int, Int]:
     """A* with any moves and weights; return (iterations, pushes).
 
-    A binary heap with the least f on top, and among equal f the latest push. ``links`` holds the numbers of the pushes
-    in the heap, ``f`` their priorities; ``came`` and ``g`` are as in `astar_manhattan`, costs in 1 / UNIT.
+    A binary heap with the least f on top, and among equal f the latest push. ``links`` holds the
+    numbers of the pushes in the heap, ``f`` their priorities; ``came`` and ``g`` are as in
+    `astar_manhattan`, costs in 1 / UNIT.
     """
     came = buffers.came
     g = buffers.g
@@ -234,7 +244,9 @@ def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers
         child = 1
         while child < size:
             other = child + 1
-            if other < size and (f[other] < f[child] or (f[other] == f[child] and heap[other] > heap[child])):
+            if other < size and (
+                f[other] < f[child] or (f[other] == f[child] and heap[other] > heap[child])
+            ):
                 child = other
             if key < f[child] or (key == f[child] and last > heap[child]):
                 break
@@ -261,7 +273,9 @@ def astar_heap(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers
             if before == UNSEEN or (before < CLOSED and g[to] > longer):
                 came[to] = move
                 g[to] = longer
-                h = heuristic(row + STEPS[move, 0] - goal_row, column + STEPS[move, 1] - goal_column, lattice)
+                h = heuristic(
+                    row + STEPS[move, 0] - goal_row, column + STEPS[move, 1] - goal_column, lattice
+                )
                 # A float would round the h of long distances: the weight of A* keeps it exact.
                 key = way * longer + (h if weight == 1 else np.int64(weight * h))
                 pushed[pushes] = to
@@ -294,8 +308,12 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
 
 
 @kernel
-def write_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice, moves: Bytes, end: Int) -> None:
-    """Write the moves that led from ``start`` to ``goal`` so that the last one stands before ``moves[end]``."""
+def write_moves(
+    came: Bytes, start: Int, goal: Int, lattice: Lattice, moves: Bytes, end: Int
+) -> None:
+    """Write the moves that led from ``start`` to ``goal`` so that the last one stands before
+    ``moves[end]``.
+    """
     c = goal
     while c != start:
         move = np.uint64(came[np.uint64(c)] & np.uint8(7))
@@ -324,7 +342,7 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
     return larger
 
 
-# --- kernels: whole grids -------------------------------------------------------------------------------------------
+# --- kernels: whole grids -----------------------------------------------------------------------
 
 
 @kernel
@@ -350,7 +368,9 @@ def scratch(search: Weights, lattice: Lattice) -> Scratch:
 
 
 @kernel
-def find(start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int, Int, Int]:
+def find(
+    start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch
+) -> tuple[Int, Int, Int, Int]:
     """Search one problem on a grid that is loaded.
 
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
@@ -387,7 +407,9 @@ def solve_one(
     search: Weights,
     rule: Rule,
 ) -> tuple[Ints, Int, Int, Int]:
-    """Search one problem; return its path, straight and diagonal moves, and iterations (0 when the problem is bad)."""
+    """Search one problem; return its path, straight and diagonal moves, and iterations (0 when the
+    problem is bad).
+    """
     lattice = lattice_of(grid.shape, rule)
     buffers = scratch(search, lattice)
     bad = not load(grid, buffers.came)
@@ -402,12 +424,16 @@ def solve_one(
 
 
 @kernel
-def solve_all(grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule) -> tuple[Ints, Ints, Int]:
-    """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one grid).
+def solve_all(
+    grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule
+) -> tuple[Ints, Ints, Int]:
+    """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one
+    grid).
 
     Returns:
-        cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1, 0), iterations,
-        and the end of the path in ``cells``; the number of problems solved before one was found bad.
+        cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1,
+        0), iterations, and the end of the path in ``cells``; the number of problems solved before
+        one was found bad.
     """
     lattice = lattice_of(grids.shape[1:], rule)
     buffers = scratch(search, lattice)
@@ -439,8 +465,8 @@ def solve_all(grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Ru
 
 @kernel
 def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
-    """Return the first k whose cell is not free, or not one move from cell k - 1, or -1 when all is well,
-    and how many moves are diagonal. The first is -2 when ``grid`` is not of 0 and 1.
+    """Return the first k whose cell is not free, or not one move from cell k - 1, or -1 when all is
+    well, and how many moves are diagonal. The first is -2 when ``grid`` is not of 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
     came = np.full(lattice.cells, WALL)
@@ -456,7 +482,9 @@ def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
         good = False
         for move in range(len(lattice.offsets)):
             if row - path[k - 1, 0] == STEPS[move, 0] and column - path[k - 1, 1] == STEPS[move, 1]:
-                good = is_legal(came, cell_at(path[k - 1, 0], path[k - 1, 1], lattice), move, lattice)
+                good = is_legal(
+                    came, cell_at(path[k - 1, 0], path[k - 1, 1], lattice), move, lattice
+                )
                 diagonal += move >= 4
         if not good:
             return k, diagonal
@@ -465,8 +493,8 @@ def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
 
 @kernel
 def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -> Int:
-    """Write the cost from every cell to (row, column) into ``out``, -1 where there is none; return whether grid is
-    0/1.
+    """Write the cost from every cell to (row, column) into ``out``, -1 where there is none; return
+    whether grid is 0/1.
     """
     lattice = lattice_of(grid.shape, rule)
     buffers = scratch(COSTS, lattice)
@@ -481,10 +509,11 @@ def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -
 
 @kernel
 def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
-    """Write the cost of the shortest path from ``source`` to every cell into ``g``, FAR where there is none.
+    """Write the cost of the shortest path from ``source`` to every cell into ``g``, FAR where there
+    is none.
 
-    ``came`` is as `load` leaves it; the buffers are `scratch` of COSTS. Returns how many cells are reached;
-    they stand in ``pushed``, each once.
+    ``came`` is as `load` leaves it; the buffers are `scratch` of COSTS. Returns how many cells are
+    reached; they stand in ``pushed``, each once.
     """
     came = buffers.came
     costs = buffers.g
@@ -503,11 +532,12 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
 
 @kernel
 def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
-    """Write costs from the nearest of the sources ``pushed[1:sources + 1]``, whose ``g`` is 0 already.
+    """Write costs from the nearest of the sources ``pushed[1:sources + 1]``, whose ``g`` is 0
+    already.
 
-    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot become cheaper,
-    whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so that three lists through one log
-    replace a heap. Returns as `shortest_costs` does.
+    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot
+    become cheaper, whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so
+    that three lists through one log replace a heap. Returns as `shortest_costs` does.
     """
     came = buffers.came
     costs = buffers.g

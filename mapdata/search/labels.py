@@ -1,4 +1,6 @@
-"""What the paper computes of a map: the route by BFS and by A*, their iterations, and both connection matrices."""
+"""What the paper computes of a map: the route by BFS and by A*, their iterations, and both
+connection matrices.
+"""
 
 from __future__ import annotations
 
@@ -49,15 +51,17 @@ _MANY = 3
 class SearchLabels:
     """What one planner finds on N maps with S segments and P pairs of rooms.
 
-    Segment q of a map leads from room q to room q + 1, pairs are i < j in the order of `numpy.triu_indices` (scipy's
-    condensed form); `Maps.segment_offsets` and `Maps.pair_offsets` say where those of a map begin.
+    Segment q of a map leads from room q to room q + 1, pairs are i < j in the order of
+    `numpy.triu_indices` (scipy's condensed form); `Maps.segment_offsets` and `Maps.pair_offsets`
+    say where those of a map begin.
 
     Attributes:
         moves: (M,) uint8, the moves of all segments one after another, numbered as `kernels.STEPS`.
-        offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves, like one from a
-            cell to itself.
+        offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves,
+            like one from a cell to itself.
         iterations: (S,) int64, cells taken from the frontier.
-        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair, (-1, 0) without a path.
+        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair, (-1, 0)
+            without a path.
     """
 
     moves: Bytes
@@ -68,7 +72,9 @@ class SearchLabels:
 
 @dataclass(frozen=True)
 class Labels:
-    """The paper's characterization of a batch of maps: routes, iterations and matrices by both planners."""
+    """The paper's characterization of a batch of maps: routes, iterations and matrices by both
+    planners.
+    """
 
     maps: Maps
     bfs: SearchLabels
@@ -76,7 +82,9 @@ class Labels:
 
     @cached_property
     def reachable(self) -> Flags:
-        """(S,) bool: a path exists between rooms q and q + 1, whether or not a passage was drawn."""
+        """(S,) bool: a path exists between rooms q and q + 1, whether or not a passage was
+        drawn.
+        """
         first = np.repeat(self.maps.pair_offsets[:-1], self.maps.rooms - 1)
         q = np.arange(len(first)) - np.repeat(self.maps.segment_offsets[:-1], self.maps.rooms - 1)
         n = np.repeat(self.maps.rooms, self.maps.rooms - 1)
@@ -90,7 +98,9 @@ class Labels:
         return np.asarray(paths[offsets[1:]] - paths[offsets[:-1]] == self.maps.rooms - 1)
 
     def segment(self, search: str, i: int, q: int) -> Ints:
-        """Return segment q of map i of the batch as found by ``search``: (k, 2) int64 cells, (0, 2) without a path."""
+        """Return segment q of map i of the batch as found by ``search``: (k, 2) int64 cells, (0, 2)
+        without a path.
+        """
         labels = self.of(search)
         if not 0 <= q < self._rooms(i) - 1:
             raise IndexError(f"map {i} of the batch has no segment {q}")
@@ -99,7 +109,10 @@ class Labels:
             return np.empty((0, 2), np.int64)
         moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
         return np.concatenate(
-            (self.maps.seed_points[i, q : q + 1], self.maps.seed_points[i, q] + np.cumsum(STEPS[moves], axis=0))
+            (
+                self.maps.seed_points[i, q : q + 1],
+                self.maps.seed_points[i, q] + np.cumsum(STEPS[moves], axis=0),
+            )
         )
 
     def route(self, search: str, i: int) -> list[Ints]:
@@ -112,8 +125,8 @@ class Labels:
         return self.of(search).iterations[first : first + self._rooms(i) - 1]
 
     def matrix(self, search: str, i: int) -> npt.NDArray[np.float64]:
-        """Return the connection matrix of map i, (n, n) float64: path costs (BFS: moves), 0 on the diagonal, -1 no
-        path.
+        """Return the connection matrix of map i, (n, n) float64: path costs (BFS: moves), 0 on the
+        diagonal, -1 no path.
         """
         n = self._rooms(i)
         straight, diagonal = self.of(search).costs[slice(*self.maps.pair_offsets[i : i + 2])].T
@@ -142,11 +155,13 @@ def _pairs_of(rooms: int) -> tuple[Ints, Ints]:
 
 
 def label(maps: Maps) -> Labels:
-    """Return the paper's characterization of ``maps``: routes, iterations and connection matrices by BFS and by A*.
+    """Return the paper's characterization of ``maps``: routes, iterations and connection matrices
+    by BFS and by A*.
 
-    One breadth-first search from each seed point gives its row of the BFS matrix, its segment and the iterations. A*
-    searches each segment; what it would cost between the other rooms is found by one search a room, where the shortest
-    paths of a pair of rooms can have only one number of straight and diagonal moves.
+    One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
+    the iterations. A* searches each segment; what it would cost between the other rooms is found by
+    one search a room, where the shortest paths of a pair of rooms can have only one number of
+    straight and diagonal moves.
 
     Source: arXiv 2110.13242, section III-C and III-D.
 
@@ -160,12 +175,19 @@ def label(maps: Maps) -> Labels:
     seed_points, owner = maps.seed_points[used], np.repeat(np.arange(len(maps)), maps.rooms)
     outside = (seed_points < 0) | (seed_points >= (maps.packed.shape[1], maps.columns))
     words = maps.packed[
-        owner, seed_points[:, 0] * ~outside.any(axis=1), seed_points[:, 1] // WORD * ~outside.any(axis=1)
+        owner,
+        seed_points[:, 0] * ~outside.any(axis=1),
+        seed_points[:, 1] // WORD * ~outside.any(axis=1),
     ]
-    bad = outside.any(axis=1) | (words >> (seed_points[:, 1] % WORD).astype(np.uint64) & np.uint64(1) == 1)
+    bad = outside.any(axis=1) | (
+        words >> (seed_points[:, 1] % WORD).astype(np.uint64) & np.uint64(1) == 1
+    )
     if bad.any():
         k = int(np.flatnonzero(bad)[0])
-        raise ValueError(f"seeds: {tuple(seed_points[k].tolist())} of map {maps.index[owner[k]]} is not a free cell")
+        raise ValueError(
+            f"seeds: {tuple(seed_points[k].tolist())} of map {maps.index[owner[k]]} is not a free "
+            "cell"
+        )
     segments, pairs = int(maps.segment_offsets[-1]), int(maps.pair_offsets[-1])
     tables = [np.empty((count, 2), np.int64) for count in (segments, pairs, segments, pairs)]
     moves = _label(
@@ -179,7 +201,12 @@ def label(maps: Maps) -> Labels:
         *tables,
     )
     bfs, astar = (
-        SearchLabels(found, np.concatenate(([0], np.cumsum(table[:, 0]))), np.ascontiguousarray(table[:, 1]), costs)
+        SearchLabels(
+            found,
+            np.concatenate(([0], np.cumsum(table[:, 0]))),
+            np.ascontiguousarray(table[:, 1]),
+            costs,
+        )
         for found, table, costs in zip(moves, tables[::2], tables[1::2], strict=True)
     )
     return Labels(maps, bfs, astar)
@@ -201,7 +228,8 @@ def _label(
 ) -> tuple[Bytes, Bytes]:
     """Label every map; return the moves of BFS and of A*.
 
-    The tables are (S, 2), number of moves and iterations; the costs (P, 2), straight and diagonal moves.
+    The tables are (S, 2), number of moves and iterations; the costs (P, 2), straight and diagonal
+    moves.
     """
     lattice = lattice_of((packed.shape[1], columns), rule)
     fresh = np.full(lattice.cells, WALL)
@@ -210,7 +238,8 @@ def _label(
     searching = scratch(ASTAR, lattice)
     bfs_moves = np.empty(1024, np.uint8)
     astar_moves = np.empty(1024, np.uint8)
-    # numbers that are handed on get their final type at once: else the kernels that take them are compiled twice
+    # numbers that are handed on get their final type at once: else the kernels that take them are
+    # compiled twice
     bfs_used = np.int64(0)
     astar_used = np.int64(0)
     small = lattice.diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
@@ -224,11 +253,25 @@ def _label(
         of = slice(pairs[m], pairs[m + 1])
         if small:
             bfs_moves, bfs_used = bit_labels(
-                packed[m], columns, seed_points[m, :n], levels, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
+                packed[m],
+                columns,
+                seed_points[m, :n],
+                levels,
+                bfs_table[at],
+                bfs_costs[of],
+                bfs_moves,
+                bfs_used,
             )
         else:
             bfs_moves, bfs_used = _bfs_labels(
-                fresh, seed_cells[:n], lattice, flooding, bfs_table[at], bfs_costs[of], bfs_moves, bfs_used
+                fresh,
+                seed_cells[:n],
+                lattice,
+                flooding,
+                bfs_table[at],
+                bfs_costs[of],
+                bfs_moves,
+                bfs_used,
             )
         astar_moves, astar_used = _astar_labels(
             fresh,
@@ -246,11 +289,17 @@ def _label(
 
 @kernel
 def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
-    """Write one packed map into the padded ``fresh`` as UNSEEN and WALL (the codes differ in the lowest bit)."""
+    """Write one packed map into the padded ``fresh`` as UNSEEN and WALL (the codes differ in the
+    lowest bit).
+    """
     stride = columns + 2
     for row in range(words.shape[0]):
         for j in range(words.shape[1]):
-            word, base, count = words[row, j], (row + 1) * stride + 1 + WORD * j, min(WORD, columns - WORD * j)
+            word, base, count = (
+                words[row, j],
+                (row + 1) * stride + 1 + WORD * j,
+                min(WORD, columns - WORD * j),
+            )
             if row and word == words[row - 1, j]:  # most rows: maps are made of rectangles
                 for k in range(count):
                     fresh[base + k] = fresh[base + k - stride]
@@ -270,7 +319,8 @@ def _bfs_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by BFS: one flood from each of the seed ``cells`` until all later ones are seen.
+    """Label one map by BFS: one flood from each of the seed ``cells`` until all later ones are
+    seen.
 
     Returns the moves and their number.
     """
@@ -310,7 +360,8 @@ def _astar_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by A*: a search for each segment, and the costs of all pairs as `_fill_costs` finds them.
+    """Label one map by A*: a search for each segment, and the costs of all pairs as `_fill_costs`
+    finds them.
 
     Returns the moves and their number.
     """
@@ -331,13 +382,22 @@ def _astar_labels(
         costs[pair, 1] = diagonal
         pair += 1
         others = len(cells) - a - 2
-        _fill_costs(cells[a], cells[a + 2 :], lattice, buffers, bfs_costs[pair : pair + others], costs[pair:])
+        _fill_costs(
+            cells[a],
+            cells[a + 2 :],
+            lattice,
+            buffers,
+            bfs_costs[pair : pair + others],
+            costs[pair:],
+        )
         pair += others
     return moves, used
 
 
 @kernel
-def _fill_costs(source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, bfs_costs: Ints, costs: Ints) -> None:
+def _fill_costs(
+    source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, bfs_costs: Ints, costs: Ints
+) -> None:
     """Write the costs from ``source`` to each of ``cells``, as A* finds them, by the least work."""
     if lattice.diagonals == 0:
         # Both searches are optimal, and each move costs 1.
@@ -345,7 +405,8 @@ def _fill_costs(source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, bf
             costs[k, 0] = bfs_costs[k, 0]
             costs[k, 1] = 0
     elif lattice.step != UNIT and len(cells) >= _MANY:
-        # Only one pair of numbers of moves has the least cost, so any optimal search finds that of A*.
+        # Only one pair of numbers of moves has the least cost, so any optimal search finds that of
+        # A*.
         shortest_costs(source, lattice, buffers)
         for k in range(len(cells)):
             costs[k, 0] = -1

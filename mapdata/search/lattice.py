@@ -1,9 +1,11 @@
-"""The lattice that searches run on: a padded grid, its moves, the corner rule, exact costs, the heuristic.
+"""The lattice that searches run on: a padded grid, its moves, the corner rule, exact costs, the
+heuristic.
 
-A grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col) of
-a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``. The legal moves, the heuristic and
-hardness are defined here. The corner rule is written twice more, each for a reason that is said there: `flood` in
-kernels.py, and on tensors `legal_moves` in models/path_predictor.py; tests hold all three together.
+A grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col)
+of a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``. The legal moves, the heuristic
+and hardness are defined here. The corner rule is written twice more, each for a reason that is said
+there: `flood` in kernels.py, and on tensors `legal_moves` in models/path_predictor.py; tests hold
+all three together.
 """
 
 from __future__ import annotations
@@ -19,21 +21,28 @@ from mapdata.jit import Int, inlined, kernel
 from mapdata.spec import Movement
 
 MAX_CELLS = 2**21
-"""Largest number of cells of a grid. Up to here the fixed-point costs below order all paths exactly."""
+"""Largest number of cells of a grid. Up to here the fixed-point costs below order all paths
+exactly.
+"""
 
 UNIT_BITS = 41
 
 UNIT = 1 << UNIT_BITS
 
 DIAGONAL = 3109888511975
-"""sqrt(2) * UNIT, an odd integer. A cost of s straight and d diagonal steps is ``s * UNIT + d * DIAGONAL``: sums are
-exact, and two costs compare as ``s + d * sqrt(2)`` does, since those differ by at least 1 / (2 sqrt(2) d) and the
-error is below d / 2**42. DIAGONAL being odd, (s, d) can be read back from the sum."""
+"""sqrt(2) * UNIT, an odd integer. A cost of s straight and d diagonal steps is ``s * UNIT + d *
+DIAGONAL``: sums are exact, and two costs compare as ``s + d * sqrt(2)`` does, since those differ by
+at least 1 / (2
+sqrt(2) d) and the error is below d / 2**42. DIAGONAL being odd, (s, d) can be read back from the
+sum.
+"""
 
 _DIAGONAL_INVERSE = pow(DIAGONAL, -1, UNIT)
 
 STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
-"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); the number of a move is its code everywhere."""
+"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); the number of a move is its code
+everywhere.
+"""
 
 WALL, UNSEEN, ROOT = np.uint8(255), np.uint8(254), np.uint8(253)
 
@@ -42,8 +51,11 @@ CLOSED = np.uint8(8)
 FAR = np.int64(2**62)
 
 Weights: TypeAlias = tuple[Int, float]
-"""Which search, as kernels take it: (way, weight) of a best-first search by f = way * g + weight * h.
-A plain tuple, like `Rule`: a NamedTuple costs 2 us a call from Python, a third of a short search."""
+"""Which search, as kernels take it: (way, weight) of a best-first search by f = way * g + weight *
+h.
+A plain tuple, like `Rule`: a NamedTuple costs 2 us a call from Python, a third of a short
+search.
+"""
 
 ASTAR: Weights = (1, 1.0)
 
@@ -112,7 +124,9 @@ _COLUMN_PART = np.array([0, 1, 2, 3, 1, 1, 3, 3])
 
 @inlined
 def is_legal(came: Bytes, cell: Int, move: Int, lattice: Lattice) -> Int:
-    """Tell whether ``move`` leads from ``cell`` to a free one without cutting a forbidden corner."""
+    """Tell whether ``move`` leads from ``cell`` to a free one without cutting a forbidden
+    corner.
+    """
     if came[cell + lattice.offsets[move]] == WALL:
         return False
     if move < 4 or lattice.diagonals == 2:
@@ -123,7 +137,9 @@ def is_legal(came: Bytes, cell: Int, move: Int, lattice: Lattice) -> Int:
 
 @inlined
 def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
-    """Return the cost of moving by (rows, columns) on an empty map: Manhattan, octile or Chebyshev."""
+    """Return the cost of moving by (rows, columns) on an empty map: Manhattan, octile or
+    Chebyshev.
+    """
     rows = abs(rows)
     columns = abs(columns)
     if lattice.diagonals == 0:
@@ -141,13 +157,18 @@ def _heuristics(gaps: Ints, rule: Rule) -> Floats:
 
 
 def heuristics(starts: npt.ArrayLike, goals: npt.ArrayLike, movement: Movement) -> Floats:
-    """Return the heuristic from ``starts`` to ``goals``, cells (..., 2), as (...) float64 in cells."""
-    gaps = np.subtract(starts, goals, dtype=np.int64, order="C")  # fresh: one flavour for the kernel
+    """Return the heuristic from ``starts`` to ``goals``, cells (..., 2), as (...) float64 in
+    cells.
+    """
+    gaps = np.subtract(
+        starts, goals, dtype=np.int64, order="C"
+    )  # fresh: one flavour for the kernel
     return _heuristics(gaps.reshape(-1, 2), rule_of(movement)).reshape(gaps.shape[:-1])
 
 
 def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Floats:
-    """Return optimal ``costs`` (n,) over the heuristic, 1 from a cell to itself, -1 where the cost is -1.
+    """Return optimal ``costs`` (n,) over the heuristic, 1 from a cell to itself, -1 where the cost
+    is -1.
 
     Exact: 1, not 1 - 1e-16, where a shortest path is as long as on an empty map.
     """
@@ -158,7 +179,9 @@ def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Fl
 
 @kernel
 def load(grid: Bytes, came: Bytes) -> Int:
-    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL; return whether all of it is 0 or 1."""
+    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL; return whether all of it is 0 or
+    1.
+    """
     rows, columns = grid.shape
     flat = grid.reshape(-1)
     seen = np.uint8(0)

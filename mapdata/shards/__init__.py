@@ -4,7 +4,13 @@ from mapdata.shards.builder import build
 from mapdata.shards.content import content_hash
 from mapdata.shards.corruption import repair, verify
 from mapdata.shards.dataset_card import card
-from mapdata.shards.manifest import MANIFEST, PROVENANCE, DatasetNotFoundError, Manifest, read_manifest
+from mapdata.shards.manifest import (
+    MANIFEST,
+    PROVENANCE,
+    DatasetNotFoundError,
+    Manifest,
+    read_manifest,
+)
 from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import Root

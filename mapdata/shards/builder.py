@@ -36,7 +36,9 @@ from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
 
 _MERGE_EVERY = 2.0
-"""Seconds between two writes of the manifest; more where one takes long, so that many shards cost no more each."""
+"""Seconds between two writes of the manifest; more where one takes long, so that many shards cost
+no more each.
+"""
 
 _UNDER_WAY = 10_000
 """Most shards that an executor is given at once."""
@@ -57,10 +59,11 @@ def build(
     part: tuple[int, int] = (0, 1),
     progress: bool = False,
 ) -> Manifest:
-    """Make maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``; go on where a build
-    stopped.
+    """Make maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``; go on
+    where a build stopped.
 
-    More maps than the root has extend it. The bytes do not depend on workers, order or interruptions.
+    More maps than the root has extend it. The bytes do not depend on workers, order or
+    interruptions.
 
     Args:
         root: folder, made if missing.
@@ -69,18 +72,20 @@ def build(
         seed: 64-bit seed.
         shard_size: maps a shard.
         workers: threads (the kernels hold no GIL); default all cores.
-        executor: runs the shards instead of threads; anything with ``submit``. When one of its workers dies and breaks
-            it, as that of a process pool does, threads of this process go on.
-        part: (k, n): make only every n-th shard, from shard k on; the n parts, in any order, at once or one by one, on
-            one machine or many that share the folder, make the whole.
+        executor: runs the shards instead of threads; anything with ``submit``. When one of its
+            workers dies and breaks it, as that of a process pool does, threads of this process go
+            on.
+        part: (k, n): make only every n-th shard, from shard k on; the n parts, in any order, at
+            once or one by one, on one machine or many that share the folder, make the whole.
         progress: show a progress bar.
 
     Returns:
-        The manifest: that of the finished dataset, or of what is there when other parts are not finished.
+        The manifest: that of the finished dataset, or of what is there when other parts are not
+            finished.
 
     Raises:
-        ValueError: bad arguments; the root is a URL, a file or holds something else; another spec, seed, shard size,
-            or more maps.
+        ValueError: bad arguments; the root is a URL, a file or holds something else; another spec,
+            seed, shard size, or more maps.
         OSError: the disk is full or may not be written to.
     """
     root = folder_of(root)
@@ -99,8 +104,15 @@ def build(
         resolution=spec.resolution,
     )
     if maps > MOST_SHARDS * shard_size:
-        raise ValueError(f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger shards")
-    if not (len(part) == 2 and all(isinstance(number, int) for number in part) and 0 <= part[0] < part[1]):
+        raise ValueError(
+            f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger "
+            "shards"
+        )
+    if not (
+        len(part) == 2
+        and all(isinstance(number, int) for number in part)
+        and 0 <= part[0] < part[1]
+    ):
         raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
     have, torn = _prepare(root, wanted)
     if os.access(root, os.W_OK):
@@ -124,7 +136,10 @@ def build(
         try:
             for entry in made:
                 if executor is not None and _size(root / entry.name) != entry.bytes:
-                    raise OSError(f"root: a worker wrote {entry.name} elsewhere: it must share the folder {root}")
+                    raise OSError(
+                        f"root: a worker wrote {entry.name} elsewhere: it must share the folder "
+                        f"{root}"
+                    )
                 shards.append(entry)
                 advance(entry.stop - entry.start)
                 if (began := time.monotonic()) > due:
@@ -145,7 +160,9 @@ def headers(manifest: Manifest) -> Iterator[Header]:
 
 
 def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
-    """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case; return its entry."""
+    """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case;
+    return its entry.
+    """
     if not anew and (found := load_shard(root, header)):
         return found
     if header.spec is None or header.seed is None:
@@ -171,15 +188,19 @@ def _made(
             del left[header]
             yield entry
     except BrokenExecutor as error:
-        warnings.warn(f"executor: {error} Threads of this process make the other shards.", stacklevel=3)
+        warnings.warn(
+            f"executor: {error} Threads of this process make the other shards.", stacklevel=3
+        )
         with threads() as spare:
             for _, entry in finished(spare, make, left, _FEW):
                 yield entry
 
 
-def _prepare(root: Path, wanted: Manifest) -> tuple[dict[tuple[int, int], Entry], frozenset[tuple[int, int]]]:
-    """Make the root if it is missing; return what it has of the wanted dataset and which of its shards are damaged, or
-    refuse it.
+def _prepare(
+    root: Path, wanted: Manifest
+) -> tuple[dict[tuple[int, int], Entry], frozenset[tuple[int, int]]]:
+    """Make the root if it is missing; return what it has of the wanted dataset and which of its
+    shards are damaged, or refuse it.
     """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
@@ -187,18 +208,24 @@ def _prepare(root: Path, wanted: Manifest) -> tuple[dict[tuple[int, int], Entry]
     if not (root / MANIFEST).exists():
         others = [path.name for path in root.iterdir() if not _ours(path.name)]
         if others:
-            raise ValueError(f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder")
+            raise ValueError(
+                f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty "
+                "folder"
+            )
         if not os.access(root, os.W_OK):
             raise PermissionError(f"root: no permission to write in {root}")
         for path in root.glob("maps-*.h5"):
             _check_owner(path, wanted)
-        # The manifest comes first: it says what the root is for, to whoever finds it before it is complete.
+        # The manifest comes first: it says what the root is for, to whoever finds it before it is
+        # complete.
         found = merge(root, wanted)
     else:
         found = read_manifest(root)
     _check_same(root, wanted, found, "spec", "seed", "shard_size")
     if wanted.maps < found.maps:
-        raise ValueError(f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows")
+        raise ValueError(
+            f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows"
+        )
     plan, have, torn = set(wanted.plan), {}, set()
     for entry in found.shards:
         limits, size = (entry.start, entry.stop), _size(root / entry.name)
@@ -210,7 +237,9 @@ def _prepare(root: Path, wanted: Manifest) -> tuple[dict[tuple[int, int], Entry]
 
 
 def _check_owner(path: Path, wanted: Manifest) -> None:
-    """Refuse a root without a manifest whose shards are of another dataset; damaged ones are made again."""
+    """Refuse a root without a manifest whose shards are of another dataset; damaged ones are made
+    again.
+    """
     try:
         header = open_shard(path).header
     except ShardError:
@@ -223,11 +252,17 @@ def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> No
     for name in names:
         mine, theirs = getattr(wanted, name), getattr(found, name)
         if mine != theirs:
-            raise ValueError(f"root: {where} is of a dataset with {name} {theirs}, asked for {name} {mine}")
+            raise ValueError(
+                f"root: {where} is of a dataset with {name} {theirs}, asked for {name} {mine}"
+            )
 
 
 def _ours(name: str) -> bool:
-    return is_shard_name(name) or name in (LOCK, MANIFEST) or (name.startswith(".") and name.endswith(".tmp"))
+    return (
+        is_shard_name(name)
+        or name in (LOCK, MANIFEST)
+        or (name.startswith(".") and name.endswith(".tmp"))
+    )
 
 
 def _size(path: Path) -> int:

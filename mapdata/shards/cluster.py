@@ -1,4 +1,6 @@
-"""Dask, the engine for many machines: workers may come and go while a build runs. Needs the extra ``dask``."""
+"""Dask, the engine for many machines: workers may come and go while a build runs. Needs the extra
+``dask``.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +15,33 @@ from typing import Any
 
 @contextmanager
 def executor_of(scheduler: str, workers: int | None = None) -> Iterator[Executor]:
-    """Yield an executor for `mapdata.build` that runs on a Dask cluster; a worker that dies costs its shards' time.
+    """Yield an executor for `mapdata.build` that runs on a Dask cluster; a worker that dies costs
+    its shards' time.
 
     Args:
-        scheduler: address of a running scheduler, as tcp://host:8786, or "local" for processes of this machine that end
-            with the build.
+        scheduler: address of a running scheduler, as tcp://host:8786, or "local" for processes of
+            this machine that end with the build.
         workers: how many local processes; default one a core.
 
     Raises:
-        ValueError: no address, Dask is not installed, or ``workers`` is given for a cluster that has its own.
+        ValueError: no address, Dask is not installed, or ``workers`` is given for a cluster that
+            has its own.
         OSError: no scheduler answers there, or it gave up.
     """
     if scheduler != "local" and "://" not in scheduler:
-        raise ValueError(f"scheduler: got {scheduler!r}, expected tcp://HOST:PORT of a scheduler, or local")
+        raise ValueError(
+            f"scheduler: got {scheduler!r}, expected tcp://HOST:PORT of a scheduler, or local"
+        )
     try:
         import dask
         from distributed import Client, KilledWorker, LocalCluster
     except ImportError:
-        raise ValueError("scheduler: Dask is not installed; 'pip install mapdata[dask]' brings it") from None
+        raise ValueError(
+            "scheduler: Dask is not installed; 'pip install mapdata[dask]' brings it"
+        ) from None
     if scheduler == "local":
-        # A worker that is killed is suspected of having died of its task; three suspicions would end the build.
+        # A worker that is killed is suspected of having died of its task; three suspicions would
+        # end the build.
         dask.config.set({"distributed.scheduler.allowed-failures": 100})
         quiet = logging.CRITICAL
         place: AbstractContextManager[Any] = LocalCluster(

@@ -1,8 +1,8 @@
 """The content hash: what maps and labels say, whatever file, shard size or HDF5 version holds them.
 
-The hash of one map is the SHA-256 of its record (docs/format.md); the hash of many is the sum of theirs modulo
-2**256, so that shards of any size combine, in any order. It tells equal data from unequal ones, and damage; it is no
-signature against an adversary.
+The hash of one map is the SHA-256 of its record (docs/format.md); the hash of many is the sum of
+theirs modulo 2**256, so that shards of any size combine, in any order. It tells equal data from
+unequal ones, and damage; it is no signature against an adversary.
 """
 
 from __future__ import annotations
@@ -46,11 +46,15 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     n, pairs = maps.rooms, np.diff(maps.pair_offsets)
     ends = [search.offsets[maps.segment_offsets] for search in (labels.bfs, labels.astar)]
     moves = sum(np.diff(end) for end in ends)
-    packed = maps.packed.view(np.uint8).reshape(count, maps.packed.shape[1] * maps.packed.shape[2] * 8)
+    packed = maps.packed.view(np.uint8).reshape(
+        count, maps.packed.shape[1] * maps.packed.shape[2] * 8
+    )
     sizes = 4 * (7 + 10 * n - 6 + 4 * pairs) + packed.shape[1] + -(-moves // 4) * 4
     offsets = np.concatenate(([0], np.cumsum(sizes)))
     records = np.zeros(offsets[-1], np.uint8)
-    table = np.stack((maps.index & 0xFFFFFFFF, maps.index >> 32, maps.split, maps.passage_width, n), axis=1)
+    table = np.stack(
+        (maps.index & 0xFFFFFFFF, maps.index >> 32, maps.split, maps.passage_width, n), axis=1
+    )
     if count:
         _write(
             records,
@@ -104,14 +108,20 @@ def _write(
         at = _copy_pairs(words, at, directions[m], 0, n - 1)
         at = _copy_segments(words, at, bfs_offsets, bfs_iterations, segments[m], segments[m + 1])
         at = _copy_pairs(words, at, bfs_costs, pairs[m], pairs[m + 1])
-        at = _copy_segments(words, at, astar_offsets, astar_iterations, segments[m], segments[m + 1])
+        at = _copy_segments(
+            words, at, astar_offsets, astar_iterations, segments[m], segments[m + 1]
+        )
         at = _copy_pairs(words, at, astar_costs, pairs[m], pairs[m + 1])
         at *= 4
         for k in range(packed.shape[1]):
             records[at + k] = packed[m, k]
         at += packed.shape[1]
-        at = _copy_moves(records, at, bfs_moves, bfs_offsets[segments[m]], bfs_offsets[segments[m + 1]])
-        at = _copy_moves(records, at, astar_moves, astar_offsets[segments[m]], astar_offsets[segments[m + 1]])
+        at = _copy_moves(
+            records, at, bfs_moves, bfs_offsets[segments[m]], bfs_offsets[segments[m + 1]]
+        )
+        at = _copy_moves(
+            records, at, astar_moves, astar_offsets[segments[m]], astar_offsets[segments[m + 1]]
+        )
 
 
 @kernel
@@ -123,7 +133,9 @@ def _copy_pairs(words: Int32s, at: int, rows: Ints, first: int, last: int) -> in
 
 
 @kernel
-def _copy_segments(words: Int32s, at: int, offsets: Ints, iterations: Ints, first: int, last: int) -> int:
+def _copy_segments(
+    words: Int32s, at: int, offsets: Ints, iterations: Ints, first: int, last: int
+) -> int:
     for s in range(first, last):
         words[at], words[at + 1] = offsets[s + 1] - offsets[s], iterations[s]
         at += 2

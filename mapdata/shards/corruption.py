@@ -1,5 +1,5 @@
-"""What is wrong with a dataset, and how to repair it: a shard that is damaged or gone is made again from the recipe,
-a manifest from the shards.
+"""What is wrong with a dataset, and how to repair it: a shard that is damaged or gone is made again
+from the recipe, a manifest from the shards.
 """
 
 from __future__ import annotations
@@ -30,7 +30,15 @@ from mapdata.shards.manifest import (
     shard_name,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.root import Places, file_hash, folder_of, local_file, manifest_at, places, read_file
+from mapdata.shards.root import (
+    Places,
+    file_hash,
+    folder_of,
+    local_file,
+    manifest_at,
+    places,
+    read_file,
+)
 from mapdata.shards.shard import Header, ShardError, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 
@@ -60,7 +68,8 @@ class Inspection:
 
     Attributes:
         place: its folder or URL.
-        manifest: what its manifest says, or, where that is damaged, what its sound shards say; None if there is none.
+        manifest: what its manifest says, or, where that is damaged, what its sound shards say; None
+            if there is none.
         faults: in the order of the maps.
     """
 
@@ -81,11 +90,14 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    return [str(fault) for place in places(root) for fault in inspect(place, progress=progress).faults]
+    return [
+        str(fault) for place in places(root) for fault in inspect(place, progress=progress).faults
+    ]
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
-    """Make again what `verify` finds damaged or missing, and nothing else; return what is wrong still, a line each.
+    """Make again what `verify` finds damaged or missing, and nothing else; return what is wrong
+    still, a line each.
 
     Imported maps have no recipe, so their shards cannot be made again.
 
@@ -120,7 +132,9 @@ def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspect
         if text != json.dumps(json.loads(text), indent=1) + "\n":
             faults.append(Corruption(at, "damaged (its text is not as it was written)"))
     except (ShardError, DatasetNotFoundError) as error:
-        shards = [path for path in sorted(Path(place).glob("maps-*.h5")) if is_shard_name(path.name)]
+        shards = [
+            path for path in sorted(Path(place).glob("maps-*.h5")) if is_shard_name(path.name)
+        ]
         missing = isinstance(error, DatasetNotFoundError)
         if missing and not shards:
             raise
@@ -156,15 +170,25 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
         elif fault.path.endswith(MANIFEST):
             relisted = True
         else:
-            why = ", imported maps have no recipe: delete it and import again" if manifest.spec is None else ""
+            why = (
+                ", imported maps have no recipe: delete it and import again"
+                if manifest.spec is None
+                else ""
+            )
             left.append(replace(fault, what=f"{fault.what}; it cannot be made again{why}"))
     said = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
-    with bar(progress, sum(header.stop - header.start for header in again)) as advance, threads() as pool:
+    with (
+        bar(progress, sum(header.stop - header.start for header in again)) as advance,
+        threads() as pool,
+    ):
         for header, entry in finished(pool, partial(make_shard, root, anew=True), again, 2 * CORES):
             made.append(entry)
             if said.get(entry.name, entry.content_hash) != entry.content_hash:
-                what = f"made again with content hash {entry.content_hash}, the manifest said {said[entry.name]}"
+                before = said[entry.name]
+                what = (
+                    f"made again with content hash {entry.content_hash}, the manifest said {before}"
+                )
                 left.append(Corruption(str(root / entry.name), what, header))
             advance(header.stop - header.start)
     repaired = replace(manifest, shards=(*manifest.shards, *made))
@@ -178,14 +202,19 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
 
 
 def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
-    """Check the shards that a manifest lists, and which it should list; without ``listed`` it lists the sound ones."""
+    """Check the shards that a manifest lists, and which it should list; without ``listed`` it lists
+    the sound ones.
+    """
     planned = {(header.start, header.stop): header for header in headers(manifest)}
     tasks: list[tuple[Entry, Header | None]] = []
     for entry in manifest.shards:
         header = planned.pop((entry.start, entry.stop), None) or _partial(entry, planned.values())
         tasks.append((entry, header))
     faults = []
-    with bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance, threads() as pool:
+    with (
+        bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
+        threads() as pool,
+    ):
         for (entry, header), what in finished(pool, partial(_fault, place), tasks, 2 * CORES):
             if what:
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
@@ -194,12 +223,16 @@ def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) 
     for limits, header in planned.items():
         path = f"{place}/{shard_name(*limits)}"
         unlisted = "damaged" if os.path.exists(path) else "missing"
-        faults.append(Corruption(path, "missing (the build did not finish)" if listed else unlisted, header))
+        faults.append(
+            Corruption(path, "missing (the build did not finish)" if listed else unlisted, header)
+        )
     return faults
 
 
 def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
-    """Return what most shards say they are a part of, with the sound ones; None if none can be read."""
+    """Return what most shards say they are a part of, with the sound ones; None if none can be
+    read.
+    """
     said: Counter[Header] = Counter()
     for path in shards:
         try:
@@ -212,13 +245,19 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     limits = [tuple(map(int, path.stem.split("-")[1:])) for path in shards]
     maps, largest = max(stop for _, stop in limits), max(stop - start for start, stop in limits)
     text = (root / MANIFEST).read_bytes() if (root / MANIFEST).exists() else b""
-    stated = re.search(rb'"shard_size": (\d{1,9})\b', text)  # believed where it fits: a last shard may be a smaller one
+    stated = re.search(
+        rb'"shard_size": (\d{1,9})\b', text
+    )  # believed where it fits: a last shard may be a smaller one
     sizes = [int(stated[1]), largest] if stated else [largest]
-    fits = [size for size in sizes if size >= largest and not any(start % size for start, _ in limits)]
+    fits = [
+        size for size in sizes if size >= largest and not any(start % size for start, _ in limits)
+    ]
     if not fits or maps > MOST_SHARDS * fits[0]:
         return None
     manifest = Manifest(**header.origin(), maps=maps, shard_size=fits[0])
-    return replace(manifest, shards=tuple(filter(None, (load_shard(root, one) for one in headers(manifest)))))
+    return replace(
+        manifest, shards=tuple(filter(None, (load_shard(root, one) for one in headers(manifest))))
+    )
 
 
 def _provenance(place: str) -> list[Corruption]:
@@ -228,7 +267,11 @@ def _provenance(place: str) -> list[Corruption]:
         text = read_file(place, PROVENANCE).decode()
         values = json.loads(text)
         del values["hash"]
-        return [] if text == provenance_text(values) else [Corruption(path, "damaged (its hash does not fit)")]
+        return (
+            []
+            if text == provenance_text(values)
+            else [Corruption(path, "damaged (its hash does not fit)")]
+        )
     except FileNotFoundError:
         return [Corruption(path, "missing")]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:

@@ -1,4 +1,5 @@
-"""The dataset card: what is in a dataset, how to make it again, and what to know before one uses it.
+"""The dataset card: what is in a dataset, how to make it again, and what to know before one uses
+it.
 
 The card is a list of sections, which become Markdown here and HTML in `mapdata.plotting`.
 """
@@ -24,13 +25,20 @@ from mapdata.spec import SPLITS, Movement
 HARD = 1.05
 """Hardness from which a problem counts as hard."""
 
-_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
+_SIZES = (
+    (10**3, "n<1K"),
+    (10**4, "1K<n<10K"),
+    (10**5, "10K<n<100K"),
+    (10**6, "100K<n<1M"),
+    (10**7, "1M<n<10M"),
+)
 _SOURCES_SHOWN = 10
 
 CITATION = """@misc{floresaquino2021gridmap,
   title         = {{2D} Grid Map Generation for Deep-Learning-based Navigation Approaches},
-  author        = {Flores-Aquino, Gabriel O. and D{\\'i}az Ortega, Jheison Duvier and Almazan Arvizu, Ricardo Yahir
-                   and L{\\'o}pez Mu{\\~n}oz, Ra{\\'u}l and Gutierrez-Frias, O. Octavio and Vasquez-Gomez, J. Irving},
+  author        = {Flores-Aquino, Gabriel O. and D{\\'i}az Ortega, Jheison Duvier
+                   and Almazan Arvizu, Ricardo Yahir and L{\\'o}pez Mu{\\~n}oz, Ra{\\'u}l
+                   and Gutierrez-Frias, O. Octavio and Vasquez-Gomez, J. Irving},
   year          = {2021},
   eprint        = {2110.13242},
   archivePrefix = {arXiv},
@@ -39,7 +47,8 @@ CITATION = """@misc{floresaquino2021gridmap,
 
 
 class Section(NamedTuple):
-    """A part of the card: a heading, then a paragraph, a table (its first row the heads) and a block of code, each of
+    """A part of the card: a heading, then a paragraph, a table (its first row the heads) and a
+    block of code, each of
     which may be empty. All of it is plain text.
     """
 
@@ -50,7 +59,9 @@ class Section(NamedTuple):
     language: str = ""
 
 
-def card(root: Places, *, files: Mapping[str, str] | None = None, extra: Sequence[Section] = ()) -> str:
+def card(
+    root: Places, *, files: Mapping[str, str] | None = None, extra: Sequence[Section] = ()
+) -> str:
     """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
 
     Args:
@@ -70,7 +81,9 @@ def card(root: Places, *, files: Mapping[str, str] | None = None, extra: Sequenc
 
 
 def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str:
-    """Return the YAML block that the Hub reads. A licence is not stated: that is the publisher's choice."""
+    """Return the YAML block that the Hub reads. A licence is not stated: that is the publisher's
+    choice.
+    """
     size = next((name for limit, name in _SIZES if len(of) < limit), "n>10M")
     lines: dict[str, object] = {
         "pretty_name": title(of),
@@ -109,12 +122,16 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
 
 def _introduction(of: DatasetStatistics) -> str:
     what = "rooms" if of.rooms_known else "seed points"
-    sources = ["imported maps, labelled" if spec is None else f"{spec.description}, made" for spec in _specs(of)]
+    sources = [
+        "imported maps, labelled" if spec is None else f"{spec.description}, made"
+        for spec in _specs(of)
+    ]
     asked = of.root.maps
     unfinished = f" Not finished: {asked:,} maps were asked for." if len(of) < asked else ""
     return (
-        f"Occupancy grids with shortest paths by BFS and A* between consecutive {what} and the distances between all "
-        f"{what}: {'; '.join(dict.fromkeys(sources))} by mapdata {__version__}.{unfinished}"
+        f"Occupancy grids with shortest paths by BFS and A* between consecutive {what} and the "
+        f"distances between all {what}: {'; '.join(dict.fromkeys(sources))} by mapdata "
+        f"{__version__}.{unfinished}"
     )
 
 
@@ -151,8 +168,8 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
 
 def _rebuild(name: str, manifest: Manifest) -> Section:
     text = (
-        "Map i is a pure function of the spec, the seed and i, so these lines make the same maps and labels, bit for "
-        "bit, on any machine; the command says whether the content hash agrees."
+        "Map i is a pure function of the spec, the seed and i, so these lines make the same maps "
+        "and labels, bit for bit, on any machine; the command says whether the content hash agrees."
     )
     command = f"mapdata build {shlex.quote(name)} --recipe recipe.json"
     if manifest.shard_size != 1000:
@@ -167,12 +184,17 @@ def _origin(place: str, rooms_known: bool) -> Section:
         values: dict[str, Any] = dict(json.loads(read_file(place, PROVENANCE)))
         sources = [str(source) for source in values.get("sources", ())]
     except (OSError, ValueError, TypeError):
-        return Section("Where it comes from", "Imported; there is no record of the source beside the data.")
-    seed_points = f"Up to {values.get('seeds', '?')} seed points a map were drawn with seed {values.get('seed', '?')}. "
+        return Section(
+            "Where it comes from", "Imported; there is no record of the source beside the data."
+        )
+    count = values.get("seeds", "?")
+    seed = values.get("seed", "?")
+    seed_points = f"Up to {count} seed points a map were drawn with seed {seed}. "
     text = (
         f"Imported from {_count(len(sources), 'source')}. "
         + ("" if rooms_known else seed_points)
-        + "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
+        + "The maps are those of the source; paths, iterations and matrices were computed by "
+        + "mapdata."
     )
     rows = [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
     if len(sources) > _SOURCES_SHOWN:
@@ -185,11 +207,14 @@ def _splits(of: DatasetStatistics) -> Section:
     names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
     rows = []
     for split in SPLITS:
-        counts = [sum(int(entry.counts[split][name]) for _, _, entry in of.root.shards) for name in names]
+        counts = [
+            sum(int(entry.counts[split][name]) for _, _, entry in of.root.shards) for name in names
+        ]
         rows.append((split, *(f"{count:,}" for count in counts)))
     text = (
-        "Each map belongs to one split and keeps it when the dataset grows. A route problem is a segment between "
-        "consecutive rooms (seed points), a pair any two of a map; those from a cell to itself are not counted."
+        "Each map belongs to one split and keeps it when the dataset grows. A route problem is a "
+        "segment between consecutive rooms (seed points), a pair any two of a map; those from a "
+        "cell to itself are not counted."
     )
     return Section("Splits", text, table=(heads, *rows))
 
@@ -207,8 +232,13 @@ def _shares(of: DatasetStatistics) -> Section:
         (hard, "reachable segments", _share((of.hardness >= HARD).sum(), found.sum())),
     ]
     text = (
-        "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight at the goal is best."
-        + (" Rooms can reach each other without a passage, where they overlap." if of.rooms_known else "")
+        "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight "
+        "at the goal is best."
+        + (
+            " Rooms can reach each other without a passage, where they overlap."
+            if of.rooms_known
+            else ""
+        )
     )
     return Section("Shares", text, table=tuple(rows))
 
@@ -217,30 +247,51 @@ def _distributions(of: DatasetStatistics) -> Section:
     heads = ("", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most")
     rows = []
     values = of.distributions() | {
-        f"iterations of a segment, {name}": of.iterations[key] for key, name in (("bfs", "BFS"), ("astar", "A*"))
+        f"iterations of a segment, {name}": of.iterations[key]
+        for key, name in (("bfs", "BFS"), ("astar", "A*"))
     }
     for name, column in values.items():
         if len(column):
             marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
             rows.append((name, *(f"{value:.4g}" for value in (float(column.mean()), *marks))))
-    return Section("Distributions", "Segments without a path are left out, except for iterations.", (heads, *rows))
+    return Section(
+        "Distributions",
+        "Segments without a path are left out, except for iterations.",
+        (heads, *rows),
+    )
 
 
 def _duplicates(of: DatasetStatistics) -> Section:
     exact, symmetric = of.repeats
-    rows = [("maps that are there already", "exactly the same", f"the same up to {of.symmetries} symmetries")]
-    rows += [(f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}") for name in SPLITS]
+    rows = [
+        (
+            "maps that are there already",
+            "exactly the same",
+            f"the same up to {of.symmetries} symmetries",
+        )
+    ]
     rows += [
-        (f"of {b}, also in {a}", f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}") for a, b in exact.across
+        (f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}")
+        for name in SPLITS
+    ]
+    rows += [
+        (f"of {b}, also in {a}", f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}")
+        for a, b in exact.across
     ]
     return Section("Duplicates", _verdict(exact, symmetric), table=tuple(rows))
 
 
 def _verdict(exact: Repeats, symmetric: Repeats) -> str:
     if any(exact.across.values()):
-        return "Some maps are in more than one split: results on val and test are not independent of train."
+        return (
+            "Some maps are in more than one split: results on val and test are not independent of "
+            "train."
+        )
     if any(symmetric.across.values()):
-        return "No map is in two splits, but some are turned or mirrored copies of maps of another split."
+        return (
+            "No map is in two splits, but some are turned or mirrored copies of maps of another "
+            "split."
+        )
     return "No map is in two splits, not even turned or mirrored."
 
 
@@ -260,7 +311,9 @@ def _use(of: DatasetStatistics, copied: bool) -> Section:
 
 def _whom_to_cite(of: DatasetStatistics) -> str:
     imported = f"Cite the source of the maps. {Generator.citation}"
-    return " ".join(dict.fromkeys(imported if spec is None else spec.citation for spec in _specs(of)))
+    return " ".join(
+        dict.fromkeys(imported if spec is None else spec.citation for spec in _specs(of))
+    )
 
 
 def _specs(of: DatasetStatistics) -> list[Generator | None]:
@@ -277,16 +330,21 @@ def movement_text(movement: Movement) -> str:
 
 
 def _names(of: DatasetStatistics) -> list[str]:
-    """Return the names of the dataset's folders, characters that no text file should hold replaced."""
+    """Return the names of the dataset's folders, characters that no text file should hold
+    replaced.
+    """
     names = [os.path.basename(os.path.abspath(place)) for place in of.root.places]
-    return ["".join(letter if letter.isprintable() else "?" for letter in name) or "maps" for name in names]
+    return [
+        "".join(letter if letter.isprintable() else "?" for letter in name) or "maps"
+        for name in names
+    ]
 
 
 def _count(number: int, what: str) -> str:
     return f"{number:,} {what}{'s' * (number != 1)}"
 
 
-def _share(part: Any, whole: Any) -> str:  # noqa: ANN401  (Python's or numpy's integers)
+def _share(part: Any, whole: Any) -> str:
     return f"{int(part) / max(int(whole), 1):.1%} ({int(part):,} of {int(whole):,})"
 
 
@@ -298,7 +356,9 @@ def _markdown(section: Section, level: int) -> str:
         head, *rows = [f"| {' | '.join(map(_escaped, row))} |" for row in section.table]
         parts.append("\n".join([head, "|" + "---|" * len(section.table[0]), *rows]))
     if section.code:
-        fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", section.code)), default=0))
+        fence = "`" * max(
+            3, 1 + max((len(run) for run in re.findall("`+", section.code)), default=0)
+        )
         parts.append(f"{fence}{section.language}\n{section.code}\n{fence}")
     return "\n\n".join(parts) + "\n"
 

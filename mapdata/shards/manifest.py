@@ -1,4 +1,5 @@
-"""The manifest of a root: which shards there are, and what opening them needs. Derived from the shards, so it can be
+"""The manifest of a root: which shards there are, and what opening them needs. Derived from the
+shards, so it can be
 rebuilt.
 """
 
@@ -28,7 +29,15 @@ from mapdata.generators.generator import Generator
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine, content_hash
 from mapdata.shards.reader import is_hash, open_shard
-from mapdata.shards.shard import Header, Origin, Shard, ShardError, check_version, decode, write_file
+from mapdata.shards.shard import (
+    Header,
+    Origin,
+    Shard,
+    ShardError,
+    check_version,
+    decode,
+    write_file,
+)
 from mapdata.spec import SPLITS, Movement, canonical_json, check_count, check_seed
 
 MANIFEST = "manifest.json"
@@ -43,21 +52,29 @@ MOST_BYTES = 2**28
 """Largest manifest that is read: room for some 300,000 shards."""
 
 _A_DAY = 86_400
-_TEMPORARY = re.compile(r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp")
+_TEMPORARY = re.compile(
+    r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp"
+)
 
 
 class DatasetNotFoundError(FileNotFoundError):
-    """There is no dataset where one was looked for; the message says where, and which command makes one."""
+    """There is no dataset where one was looked for; the message says where, and which command makes
+    one.
+    """
 
     def __init__(self, root: object, why: str = "it does not exist") -> None:
         """Say what was looked for under ``root`` and what to do."""
         self.root, self.why = root, why
         how = (
-            f"Make one with 'python scripts/build_shards.py {root}', with mapdata.build({str(root)!r}, MapSpec()), or "
-            f"with MapDataModule({str(root)!r}, build='paper')"
+            f"Make one with 'python scripts/build_shards.py {root}', with "
+            f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
+            "build='paper')"
         )
         if "://" in str(root):
-            how = "Make one in a folder with 'python scripts/build_shards.py FOLDER', and serve that folder"
+            how = (
+                "Make one in a folder with 'python scripts/build_shards.py FOLDER', "
+                "and serve that folder"
+            )
         super().__init__(f"no dataset at {root}: {why}. {how}")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -79,8 +96,9 @@ class Entry:
         bytes: size of the file.
         sha256: file hash, for damage.
         content_hash: content hash of its maps.
-        counts: how many segments, drawn passages, reachable segments and fully connected maps it holds, and per split
-            the number of maps, of route problems with and without a path, and of room pairs with and without one.
+        counts: how many segments, drawn passages, reachable segments and fully connected maps it
+            holds, and per split the number of maps, of route problems with and without a path, and
+            of room pairs with and without one.
     """
 
     name: str
@@ -119,13 +137,17 @@ class Manifest(Origin):
     @property
     def plan(self) -> list[tuple[int, int]]:
         """(start, stop) of every shard that the dataset shall have."""
-        return [(k, min(k + self.shard_size, self.maps)) for k in range(0, self.maps, self.shard_size)]
+        return [
+            (k, min(k + self.shard_size, self.maps)) for k in range(0, self.maps, self.shard_size)
+        ]
 
     @property
     def most_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
         return (
-            self.spec.most_seed_points if self.spec else max(int(entry.counts["most_rooms"]) for entry in self.shards)
+            self.spec.most_seed_points
+            if self.spec
+            else max(int(entry.counts["most_rooms"]) for entry in self.shards)
         )
 
     def total(self, name: str) -> int:
@@ -179,7 +201,9 @@ def shard_name(start: int, stop: int) -> str:
 
 
 def is_shard_name(name: str) -> bool:
-    """Return whether ``name`` is what `shard_name` gives: nothing else of a manifest is ever opened."""
+    """Return whether ``name`` is what `shard_name` gives: nothing else of a manifest is ever
+    opened.
+    """
     return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
 
 
@@ -210,7 +234,9 @@ def read_manifest(root: Path) -> Manifest:
             raise ShardError(f"{path}: not a file, or larger than {MOST_BYTES} bytes")
         text = path.read_bytes().decode()
     except (FileNotFoundError, NotADirectoryError):
-        raise DatasetNotFoundError(root, f"no {MANIFEST} there" if root.is_dir() else "it does not exist") from None
+        raise DatasetNotFoundError(
+            root, f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
+        ) from None
     except UnicodeDecodeError as error:
         raise ShardError(f"{path}: damaged ({error})") from None
     return parse_manifest(text, str(path))
@@ -241,11 +267,22 @@ def parse_manifest(text: str, path: str) -> Manifest:
             raise ShardError(f"{path}: damaged (plans over {MOST_SHARDS} files)")
         stated = (values["format_version"], values["identity"], values["content_hash"])
         if stated != (manifest.format_version, manifest.identity, manifest.content_hash):
-            raise ShardError(f"{path}: damaged (its version, identity or content hash is not what its values give)")
+            raise ShardError(
+                f"{path}: damaged (its version, identity or content hash is not what its values "
+                "give)"
+            )
         return manifest
     except ShardError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, ArithmeticError) as error:
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        AttributeError,
+        RecursionError,
+        ArithmeticError,
+    ) as error:
         raise ShardError(f"{path}: damaged ({type(error).__name__}: {error})") from None
 
 
@@ -254,7 +291,8 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
     entry = Entry(**values)
     if not is_shard_name(entry.name) or entry.name != shard_name(entry.start, entry.stop):
         raise ShardError(
-            f"{path}: {entry.name!r} is not the name of a shard, or not of maps {entry.start} to {entry.stop}"
+            f"{path}: {entry.name!r} is not the name of a shard, or not of maps {entry.start} to "
+            f"{entry.stop}"
         )
     check_count("bytes", entry.bytes)
     if not (is_hash(entry.sha256) and is_hash(entry.content_hash)):
@@ -269,10 +307,11 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
 
 @contextmanager
 def _locked(root: Path, wait: bool) -> Iterator[bool]:
-    """Hold the lock of a root and yield True; yield False when another holds it and ``wait`` is False.
+    """Hold the lock of a root and yield True; yield False when another holds it and ``wait`` is
+    False.
 
-    A file system without locks (or Windows) yields True: two merges at once may then lose entries, never shards, and
-    the next build adopts those.
+    A file system without locks (or Windows) yields True: two merges at once may then lose entries,
+    never shards, and the next build adopts those.
     """
     with open(root / LOCK, "ab") as file:
         if sys.platform == "win32":
@@ -293,8 +332,9 @@ def _locked(root: Path, wait: bool) -> Iterator[bool]:
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
-    """Write the union of ``mine`` and the manifest on disk, remove shards that larger ones replaced; return the
-    union. While another builder merges, wait for it, or without ``wait`` do nothing and return ``mine``.
+    """Write the union of ``mine`` and the manifest on disk, remove shards that larger ones
+    replaced; return the union. While another builder merges, wait for it, or without ``wait`` do
+    nothing and return ``mine``.
     """
     with _locked(root, wait) as free:
         if not free:
@@ -321,13 +361,19 @@ def _union(mine: Manifest, theirs: Manifest) -> Manifest:
 
 
 def sweep(root: Path, manifest: Manifest) -> None:
-    """Remove what dead builders left behind: temporary files, and shards that larger ones replaced."""
+    """Remove what dead builders left behind: temporary files, and shards that larger ones
+    replaced.
+    """
     for path in root.glob(".*.tmp"):
         match = _TEMPORARY.fullmatch(path.name)
-        if match and (_old(path) if match["host"] != socket.gethostname() else not _alive(int(match["pid"]))):
+        if match and (
+            _old(path) if match["host"] != socket.gethostname() else not _alive(int(match["pid"]))
+        ):
             path.unlink(missing_ok=True)
     plan = set(manifest.plan)
-    whole = {entry.start: entry.stop for entry in manifest.shards if (entry.start, entry.stop) in plan}
+    whole = {
+        entry.start: entry.stop for entry in manifest.shards if (entry.start, entry.stop) in plan
+    }
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
             start, stop = map(int, path.stem.split("-")[1:])
@@ -354,7 +400,9 @@ def _alive(pid: int) -> bool:
 
 
 def load_shard(root: Path, header: Header) -> Entry | None:
-    """Return the entry of the shard of ``header`` if a sound one stands under its name, else None."""
+    """Return the entry of the shard of ``header`` if a sound one stands under its name, else
+    None.
+    """
     path = root / shard_name(header.start, header.stop)
     try:
         shard = open_shard(path)

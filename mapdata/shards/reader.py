@@ -1,4 +1,6 @@
-"""Opening a shard: a file is checked once, at its first touch, and then each array is a view of one memory mapping."""
+"""Opening a shard: a file is checked once, at its first touch, and then each array is a view of one
+memory mapping.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,8 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
 
     Raises:
         FileNotFoundError: no such file.
-        ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it links to.
+        ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it
+            links to.
         OSError: too many files are open or mapped.
     """
     path = Path(path)
@@ -72,7 +75,9 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
             try:
                 h5 = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
                 try:
-                    if not os.path.samestat(os.stat(path), status):  # HDF5 opens by name: another file, so once more
+                    if not os.path.samestat(
+                        os.stat(path), status
+                    ):  # HDF5 opens by name: another file, so once more
                         continue
                     header, content = _read_header(_read_attributes(h5))
                     return Shard(path, header, content, _checked_arrays(h5, mapping, header))
@@ -82,7 +87,15 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
                 raise ShardError(f"{path}: {error}") from None
             except FileNotFoundError:
                 raise
-            except (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+            except (
+                OSError,
+                RuntimeError,
+                KeyError,
+                TypeError,
+                ValueError,
+                ArithmeticError,
+                RecursionError,
+            ) as error:
                 raise ShardError(f"{path}: not a sound shard ({error})") from error
     raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
 
@@ -103,7 +116,7 @@ _ACCESS = _access()
 
 
 @lru_cache(maxsize=1)
-def _libc() -> Any:  # noqa: ANN401  (ctypes has no type for it)
+def _libc() -> Any:
     """Return the C library, with the types of the two functions that are called."""
     libc = ctypes.CDLL(None, use_errno=True)
     libc.mmap.restype = ctypes.c_void_p
@@ -124,9 +137,16 @@ class _Mapping:
         address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
         if address == ctypes.c_void_p(-1).value:
             error = ctypes.get_errno()
-            raise OSError(error, f"{os.strerror(error)}: cannot map a shard beside those that are open")
+            raise OSError(
+                error, f"{os.strerror(error)}: cannot map a shard beside those that are open"
+            )
         self._unmap, self._place = _libc().munmap, (address, size)
-        self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": (address, True)}
+        self.__array_interface__ = {
+            "version": 3,
+            "typestr": "|u1",
+            "shape": (size,),
+            "data": (address, True),
+        }
 
     def __del__(self) -> None:
         """Unmap."""
@@ -135,7 +155,8 @@ class _Mapping:
 
 
 def map_file(descriptor: int, size: int) -> npt.NDArray[np.uint8]:
-    """Return the ``size`` bytes of an open file as an array to read only; the descriptor may be closed afterwards.
+    """Return the ``size`` bytes of an open file as an array to read only; the descriptor may be
+    closed afterwards.
 
     Raises:
         OSError: the system refuses, as Linux does beyond ``vm.max_map_count``, 65,530 by default.
@@ -162,7 +183,9 @@ ATTRIBUTES = (
 
 
 def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
-    """Return the root attributes by name; nothing but numbers and text of fixed length is read at all."""
+    """Return the root attributes by name; nothing but numbers and text of fixed length is read at
+    all.
+    """
     values: dict[str, Any] = {}
     for name in ATTRIBUTES:
         try:
@@ -209,12 +232,23 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         resolution=float(attributes["resolution"]),
     )
     if header.format_version != version:
-        raise ShardError(f"format version {version}, but its spec is of version {header.format_version}")
+        raise ShardError(
+            f"format version {version}, but its spec is of version {header.format_version}"
+        )
     if named != attributes["identity"]:
         raise ShardError("its identity is not that of its spec and seed")
-    stated, content = (header.map_size, header.movement, header.resolution), attributes["content_hash"]
-    if header.spec and stated != (header.spec.map_size, header.spec.movement, header.spec.resolution):
-        raise ShardError("its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'")
+    stated, content = (
+        (header.map_size, header.movement, header.resolution),
+        attributes["content_hash"],
+    )
+    if header.spec and stated != (
+        header.spec.map_size,
+        header.spec.movement,
+        header.spec.resolution,
+    ):
+        raise ShardError(
+            "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
+        )
     if not 0 < header.resolution < math.inf:
         raise ShardError(f"its attribute 'resolution' is {header.resolution}")
     if not (isinstance(content, str) and is_hash(content)):
@@ -234,8 +268,12 @@ def is_hash(text: str) -> bool:
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
-def _checked_arrays(file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header) -> dict[str, Array]:
-    """Return the arrays of a shard, after checking that each is plain data inside this very file."""
+def _checked_arrays(
+    file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header
+) -> dict[str, Array]:
+    """Return the arrays of a shard, after checking that each is plain data inside this very
+    file.
+    """
     arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
@@ -253,16 +291,23 @@ def head(shard: Shard, maps: int) -> Shard:
     for name in ("room_offsets", "pair_offsets"):
         arrays[name] = arrays[name][: maps + 1]
     for search in ("bfs", "astar"):
-        arrays[f"{search}_offsets"] = arrays[f"{search}_offsets"][: int(arrays["room_offsets"][maps]) - maps + 1]
+        arrays[f"{search}_offsets"] = arrays[f"{search}_offsets"][
+            : int(arrays["room_offsets"][maps]) - maps + 1
+        ]
     header = replace(shard.header, stop=shard.header.start + maps)
     shapes = _shapes(header, arrays)
-    return shard._replace(header=header, arrays={name: array[: shapes[name][0]] for name, array in arrays.items()})
+    return shard._replace(
+        header=header, arrays={name: array[: shapes[name][0]] for name, array in arrays.items()}
+    )
 
 
 def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
     """Return the shape of every array of a shard with this header and these offsets."""
     (rows, columns), maps = header.map_size, header.stop - header.start
-    rooms, pairs = (int(arrays[name][-1]) if len(arrays[name]) else 0 for name in ("room_offsets", "pair_offsets"))
+    rooms, pairs = (
+        int(arrays[name][-1]) if len(arrays[name]) else 0
+        for name in ("room_offsets", "pair_offsets")
+    )
     segments, diagonals = rooms - maps, header.movement.connectivity == 8
     shapes: dict[str, tuple[int, ...]] = {
         "maps": (maps, rows, -(-columns // WORD) * WORD // 8),
@@ -288,7 +333,9 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
 
 
 def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Array:
-    """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no other file."""
+    """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no
+    other file.
+    """
     name = field.name.encode()
     try:
         link = file.links.get_info(name)
@@ -302,13 +349,19 @@ def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Ar
     offset = dataset.get_offset()
     if offset is None:  # it has no values yet, or they lie in chunks, in the header, in other files
         properties = dataset.get_create_plist()
-        if properties.get_layout() != h5d.CONTIGUOUS or properties.get_nfilters() or properties.get_external_count():
+        if (
+            properties.get_layout() != h5d.CONTIGUOUS
+            or properties.get_nfilters()
+            or properties.get_external_count()
+        ):
             raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
     if not dataset.get_type().equal(_TYPES[field.dtype]):
         raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
     shape = dataset.shape
     if shape is None or len(shape) != field.rank:
-        raise ShardError(f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}")
+        raise ShardError(
+            f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}"
+        )
     itemsize = np.dtype(field.dtype).itemsize
     size = math.prod(shape) * itemsize
     if size == 0:
@@ -318,18 +371,28 @@ def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Ar
     return mapping[offset : offset + size].view(field.dtype).reshape(shape)
 
 
-_TYPES = {"u1": h5t.STD_U8LE, "i1": h5t.STD_I8LE, "<i2": h5t.STD_I16LE, "<i4": h5t.STD_I32LE, "<i8": h5t.STD_I64LE}
+_TYPES = {
+    "u1": h5t.STD_U8LE,
+    "i1": h5t.STD_I8LE,
+    "<i2": h5t.STD_I16LE,
+    "<i4": h5t.STD_I32LE,
+    "<i8": h5t.STD_I64LE,
+}
 """The types of `FIELDS` in HDF5."""
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the map."""
+    """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the
+    map.
+    """
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
         offsets = arrays[name]
         if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
             raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
     rooms = np.diff(arrays["room_offsets"])
-    if (rooms < 1).any() or not np.array_equal(np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2):
+    if (rooms < 1).any() or not np.array_equal(
+        np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2
+    ):
         raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
     seed_points = arrays["seeds"]
     if ((seed_points < 0) | (seed_points >= header.map_size)).any():

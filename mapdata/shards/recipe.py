@@ -30,7 +30,8 @@ class Recipe:
 
     @staticmethod
     def load(given: str | dict[str, Any]) -> Recipe:
-        """Return the recipe that is given: a preset's name, a file of JSON, JSON text, or what such text says.
+        """Return the recipe that is given: a preset's name, a file of JSON, JSON text, or what such
+        text says.
 
         Raises:
             ValueError: none of these, or a recipe that states what cannot be.
@@ -49,7 +50,9 @@ class Recipe:
             content_hash=values.get("content_hash"),
         )
         if values.get("identity") not in (None, identity(recipe.spec, recipe.seed)):
-            raise ValueError(f"recipe: its identity {values['identity']} is not that of its spec and seed")
+            raise ValueError(
+                f"recipe: its identity {values['identity']} is not that of its spec and seed"
+            )
         return recipe
 
 
@@ -57,7 +60,9 @@ def _parsed(text: str) -> object:
     """Return what a file of JSON, or JSON text, says."""
     if not text.lstrip().startswith("{"):
         if not Path(text).is_file():
-            raise ValueError(f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text")
+            raise ValueError(
+                f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text"
+            )
         text = Path(text).read_text(encoding="utf-8")
     try:
         return json.loads(text)

@@ -78,10 +78,14 @@ class Root:
                         f"the roots of one dataset must have one"
                     )
             if complete and not manifest.complete:
-                raise ValueError(f"root: {place} is not finished: run the command that makes it once more")
+                raise ValueError(
+                    f"root: {place} is not finished: run the command that makes it once more"
+                )
             shards += [(number, maps, entry) for entry in manifest.shards]
             maps += manifest.maps
-        return Root(where, manifests, manifests[0].map_size, manifests[0].movement, tuple(shards), maps)
+        return Root(
+            where, manifests, manifests[0].map_size, manifests[0].movement, tuple(shards), maps
+        )
 
     @property
     def resolution(self) -> float:
@@ -92,7 +96,9 @@ class Root:
         """
         first, *others = {manifest.resolution for manifest in self.manifests}
         if others:
-            raise ValueError(f"root: {self} have resolutions {first} and {others[0]}; take those of one alone")
+            raise ValueError(
+                f"root: {self} have resolutions {first} and {others[0]}; take those of one alone"
+            )
         return first
 
     def __str__(self) -> str:
@@ -112,7 +118,9 @@ class Root:
         try:
             shard = open_shard(path, entry.bytes)
         except FileNotFoundError:
-            raise ShardError(f"{path}: missing; 'mapdata verify {place}' tells what else is") from None
+            raise ShardError(
+                f"{path}: missing; 'mapdata verify {place}' tells what else is"
+            ) from None
         header = shard.header
         found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
         if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
@@ -222,7 +230,9 @@ def local_file(place: str, entry: Entry) -> Path:
     if not path.exists() or file_hash(path) != entry.sha256:
         data = read_file(place, entry.name, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
-            raise ShardError(f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)")
+            raise ShardError(
+                f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
+            )
         cache.mkdir(parents=True, exist_ok=True)
         write_file(path, data)
     return path
@@ -245,7 +255,8 @@ def _fetch(place: str, name: str, most: int) -> bytes:
         raise ValueError(f"root: {place} needs another package: {error}") from None
     except ValueError as error:  # a protocol that fsspec does not know
         raise ValueError(f"root: {place}: {error}") from None
-    except Exception as error:  # each file system has its own errors, and what went wrong may lie behind one of them
+    except Exception as error:
+        # Each file system has its own errors, and what went wrong may lie behind one of them.
         cause = error.__cause__ or error
         missing = isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) == 404
         why = "was not found" if missing else f"could not be read: {cause}"

@@ -1,7 +1,9 @@
-"""One shard: a contiguous range of maps with their labels in one HDF5 file. The layout is written down in
+"""One shard: a contiguous range of maps with their labels in one HDF5 file. The layout is written
+down in
 docs/format.md.
 
-Writing goes through RAM and an atomic rename: a name that exists is complete. `reader.py` opens what was written.
+Writing goes through RAM and an atomic rename: a name that exists is complete. `reader.py` opens
+what was written.
 """
 
 from __future__ import annotations
@@ -34,14 +36,18 @@ class ShardError(ValueError):
 
 
 def check_version(found: object, where: str = "", error: type[ValueError] = ShardError) -> None:
-    """Raise ``error`` for a version of the format that is not known; its message names both versions."""
+    """Raise ``error`` for a version of the format that is not known; its message names both
+    versions.
+    """
     if found not in FORMAT_VERSIONS:
         known = " and ".join(map(str, FORMAT_VERSIONS))
         raise error(f"{where}format version {found}, this mapdata {__version__} reads {known}")
 
 
 class Field(NamedTuple):
-    """One dataset of a shard: its name and type, and the attributes that explain it to whoever opens the file."""
+    """One dataset of a shard: its name and type, and the attributes that explain it to whoever
+    opens the file.
+    """
 
     name: str
     dtype: str
@@ -52,29 +58,98 @@ class Field(NamedTuple):
 
 
 _CELL = "cells, (row, col), origin upper left"
-_PAIRS = "pairs i < j of a map in row-major order (the condensed form of scipy.spatial.distance.squareform)"
-_MOVES = "packed, lowest bits first: 2 bits a move under 4-connectivity, else 4; 0..7 = N E S W NE SE SW NW"
+_PAIRS = (
+    "pairs i < j of a map in row-major order "
+    "(the condensed form of scipy.spatial.distance.squareform)"
+)
+_MOVES = (
+    "packed, lowest bits first: 2 bits a move under 4-connectivity, else 4; "
+    "0..7 = N E S W NE SE SW NW"
+)
 FIELDS = (
-    Field("maps", "u1", 3, "occupancy", "1 occupied, 0 free", "bits: column c is bit c % 8 of byte c // 8 of its row"),
+    Field(
+        "maps",
+        "u1",
+        3,
+        "occupancy",
+        "1 occupied, 0 free",
+        "bits: column c is bit c % 8 of byte c // 8 of its row",
+    ),
     Field("split", "u1", 1, "split of each map", "code", "0 train, 1 val, 2 test"),
     Field("passage_width", "<i2", 1, "width of the passages of each map", "cells", "-1 unknown"),
     Field("room_offsets", "<i8", 1, "first room of each map", "rooms", "N + 1 offsets"),
-    Field("pair_offsets", "<i8", 1, "first pair of rooms of each map", "pairs", f"N + 1 offsets; {_PAIRS}"),
+    Field(
+        "pair_offsets",
+        "<i8",
+        1,
+        "first pair of rooms of each map",
+        "pairs",
+        f"N + 1 offsets; {_PAIRS}",
+    ),
     Field("seeds", "<i2", 2, "seed point of each room", _CELL, "a row a room"),
-    Field("sizes", "<i2", 2, "rows and columns of each room as drawn", "cells", "a row a room; -1 unknown"),
-    Field("directions", "i1", 2, "legs at A and B of each passage", "code", "1 horizontal, 0 vertical, -1 no passage"),
+    Field(
+        "sizes",
+        "<i2",
+        2,
+        "rows and columns of each room as drawn",
+        "cells",
+        "a row a room; -1 unknown",
+    ),
+    Field(
+        "directions",
+        "i1",
+        2,
+        "legs at A and B of each passage",
+        "code",
+        "1 horizontal, 0 vertical, -1 no passage",
+    ),
     *(
         field
         for search, what in (("bfs", "breadth-first search"), ("astar", "A*"))
         for field in (
-            Field(f"{search}_offsets", "<i8", 1, f"first move of each segment by {what}", "moves", "S + 1 offsets"),
-            Field(f"{search}_moves", "u1", 1, f"moves from room q to room q + 1 by {what}", "code", _MOVES),
-            Field(f"{search}_iterations", "<i4", 1, f"iterations of {what}, a segment", "cells taken", "plain"),
-            Field(f"{search}_straight", "<i4", 1, f"straight moves of {what}", "moves", f"{_PAIRS}; -1 no path"),
+            Field(
+                f"{search}_offsets",
+                "<i8",
+                1,
+                f"first move of each segment by {what}",
+                "moves",
+                "S + 1 offsets",
+            ),
+            Field(
+                f"{search}_moves",
+                "u1",
+                1,
+                f"moves from room q to room q + 1 by {what}",
+                "code",
+                _MOVES,
+            ),
+            Field(
+                f"{search}_iterations",
+                "<i4",
+                1,
+                f"iterations of {what}, a segment",
+                "cells taken",
+                "plain",
+            ),
+            Field(
+                f"{search}_straight",
+                "<i4",
+                1,
+                f"straight moves of {what}",
+                "moves",
+                f"{_PAIRS}; -1 no path",
+            ),
         )
     ),
-    Field("astar_diagonal", "<i4", 1, "diagonal moves of A*, a pair", "moves", f"{_PAIRS}; empty under 4-connectivity"),
-)  # fmt: skip
+    Field(
+        "astar_diagonal",
+        "<i4",
+        1,
+        "diagonal moves of A*, a pair",
+        "moves",
+        f"{_PAIRS}; empty under 4-connectivity",
+    ),
+)
 """All datasets of a shard, in the order of the file. Under BFS "straight" counts all moves."""
 
 
@@ -98,7 +173,9 @@ class Origin:
 
     @property
     def identity(self) -> str | None:
-        """The identity of the dataset; None for imported maps, which are what their content hash says."""
+        """The identity of the dataset; None for imported maps, which are what their content hash
+        says.
+        """
         return None if self.spec is None or self.seed is None else identity(self.spec, self.seed)
 
     @property
@@ -149,7 +226,9 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
         for name, value in _attributes(header, content).items():
             _write_attribute(file, name, value)
         for field in FIELDS:
-            dataset = file.create_dataset(field.name, data=np.ascontiguousarray(arrays[field.name], field.dtype))
+            dataset = file.create_dataset(
+                field.name, data=np.ascontiguousarray(arrays[field.name], field.dtype)
+            )
             for name in ("description", "units", "encoding"):
                 _write_attribute(dataset, name, getattr(field, name))
         file.flush()
@@ -207,10 +286,16 @@ def decode(shard: Shard) -> Labels:
     diagonal = {"bfs": 0, "astar": arrays["astar_diagonal"] if len(arrays["astar_diagonal"]) else 0}
     bfs, astar = (
         SearchLabels(
-            moves=unpack_moves(arrays[f"{name}_moves"], int(arrays[f"{name}_offsets"][-1]), bits_of(header.movement)),
+            moves=unpack_moves(
+                arrays[f"{name}_moves"],
+                int(arrays[f"{name}_offsets"][-1]),
+                bits_of(header.movement),
+            ),
             offsets=np.array(arrays[f"{name}_offsets"]),
             iterations=arrays[f"{name}_iterations"].astype(np.int64),
-            costs=np.stack(np.broadcast_arrays(arrays[f"{name}_straight"], diagonal[name]), axis=-1).astype(np.int64),
+            costs=np.stack(
+                np.broadcast_arrays(arrays[f"{name}_straight"], diagonal[name]), axis=-1
+            ).astype(np.int64),
         )
         for name in ("bfs", "astar")
     )
@@ -236,11 +321,14 @@ def pack_moves(moves: npt.NDArray[np.uint8], bits: int) -> npt.NDArray[np.uint8]
 def unpack_moves(packed: npt.NDArray[np.uint8], count: int, bits: int) -> npt.NDArray[np.uint8]:
     """Undo `pack_moves`."""
     shifts = np.arange(0, 8, bits, dtype=np.uint8)
-    return np.ascontiguousarray(((packed[:, None] >> shifts) & np.uint8(2**bits - 1)).reshape(-1)[:count])
+    return np.ascontiguousarray(
+        ((packed[:, None] >> shifts) & np.uint8(2**bits - 1)).reshape(-1)[:count]
+    )
 
 
 _written = itertools.count()
-"""Numbers the temporary names of this process, so that two writers of one name never share a file."""
+"""Numbers the temporary names of this process, so that two writers of one name never share a file.
+"""
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -249,7 +337,9 @@ def write_file(path: Path, data: bytes) -> None:
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
-    temporary = path.with_name(f".{path.name}-{next(_written)}.{socket.gethostname()}.{os.getpid()}.tmp")
+    temporary = path.with_name(
+        f".{path.name}-{next(_written)}.{socket.gethostname()}.{os.getpid()}.tmp"
+    )
     try:
         with open(temporary, "wb") as file:
             file.write(data)
@@ -292,9 +382,11 @@ def _attributes(header: Header, content: str) -> dict[str, object]:
 
 
 def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) -> None:
-    """Write an attribute; text as a string of fixed length, which lies in metadata that have checksums.
+    """Write an attribute; text as a string of fixed length, which lies in metadata that have
+    checksums.
 
-    HDF5 keeps strings of variable length in a heap without any, where one flipped bit can make it loop for ever.
+    HDF5 keeps strings of variable length in a heap without any, where one flipped bit can make it
+    loop for ever.
     """
     if isinstance(value, str):
         data = value.encode()

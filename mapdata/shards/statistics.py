@@ -53,7 +53,8 @@ class DatasetStatistics:
         hardness: (S,) float64, optimal cost over heuristic, -1 without a path.
         iterations: of "bfs" and "astar", (S,) int64.
         rooms_known: the maps have rooms and passages, not only seed points.
-        digests: (N, 16) and (N, 16) uint8: hash of the map, and the least hash of its symmetric images.
+        digests: (N, 16) and (N, 16) uint8: hash of the map, and the least hash of its symmetric
+            images.
     """
 
     root: Root
@@ -89,10 +90,14 @@ class DatasetStatistics:
         return exact, symmetric
 
     def distributions(self) -> dict[str, Floats]:
-        """Return the values of each distribution that is shown, those of a segment only where it has a path."""
+        """Return the values of each distribution that is shown, those of a segment only where it
+        has a path.
+        """
         found = self.lengths > 0
         return {
-            "rooms a map" if self.rooms_known else "seed points a map": self.rooms.astype(np.float64),
+            "rooms a map" if self.rooms_known else "seed points a map": self.rooms.astype(
+                np.float64
+            ),
             "free share of a map": self.free,
             "path length of a segment, cells": self.lengths[found].astype(np.float64),
             "hardness of a segment": self.hardness[found],
@@ -129,7 +134,8 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
 
 
 def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
-    """Return edges (k + 1,) and counts (k,) of ``values``: a bin an integer where those are few, else ``bins``.
+    """Return edges (k + 1,) and counts (k,) of ``values``: a bin an integer where those are few,
+    else ``bins``.
 
     >>> histogram(np.array([2.0, 3.0, 3.0]))
     (array([1.5, 2.5, 3.5]), array([1, 2]))
@@ -218,7 +224,11 @@ def _digest(grids: Bytes) -> Bytes:
 
 
 def _repeats(digests: Bytes, split: Bytes) -> Repeats:
-    keys = np.ascontiguousarray(digests).view(f"S{_DIGEST}")[:, 0] if len(digests) else np.empty(0, "S1")
+    keys = (
+        np.ascontiguousarray(digests).view(f"S{_DIGEST}")[:, 0]
+        if len(digests)
+        else np.empty(0, "S1")
+    )
     _, kind = np.unique(keys, return_inverse=True)
     kinds = {name: kind[split == code] for code, name in enumerate(SPLITS)}
     pairs = [(a, b) for k, a in enumerate(SPLITS) for b in SPLITS[k + 1 :]]

@@ -17,8 +17,9 @@ SEARCHES = ("bfs", "astar")
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     """Return the items of map ``k`` of a batch as plain values.
 
-    The names are those of arXiv 2110.13242, section III-D, with underscores, and ``bfs`` and ``astar`` before what a
-    search found. Paths are the route, joined without its repeated joints; iterations are one number a segment.
+    The names are those of arXiv 2110.13242, section III-D, with underscores, and ``bfs`` and
+    ``astar`` before what a search found. Paths are the route, joined without its repeated joints;
+    iterations are one number a segment.
     """
     maps = labels.maps
     rooms = int(maps.rooms[k])
@@ -50,16 +51,24 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
 
 
 def map_rows(shard: Shard, split: str | None = None) -> list[dict[str, Any]]:
-    """Return the rows of the maps of a shard, those of one split or all, with spaces in their names."""
+    """Return the rows of the maps of a shard, those of one split or all, with spaces in their
+    names.
+    """
     labels = decode(shard)
     codes = labels.maps.split
-    wanted = range(len(codes)) if split is None else np.flatnonzero(codes == SPLITS.index(split)).tolist()
+    wanted = (
+        range(len(codes))
+        if split is None
+        else np.flatnonzero(codes == SPLITS.index(split)).tolist()
+    )
     rows = [map_row(labels, k, shard.header.resolution) for k in wanted]
     return [{name.replace("_", " "): value for name, value in row.items()} for row in rows]
 
 
 def joined(route: list[Ints]) -> Ints:
-    """Return the segments of a route, each (k, 2), as one path, the cell where two of them meet once."""
+    """Return the segments of a route, each (k, 2), as one path, the cell where two of them meet
+    once.
+    """
     cells = np.concatenate([np.empty((0, 2), np.int64), *route])
     kept = np.ones(len(cells), np.bool_)
     # no segment stays on a cell, so a cell that repeats the one before it is a joint

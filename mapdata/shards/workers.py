@@ -23,10 +23,13 @@ _Result = TypeVar("_Result")
 
 
 @contextmanager
-def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Callable[[int], object]]:
+def bar(
+    shown: bool, total: int, initial: int = 0, unit: str = " maps"
+) -> Iterator[Callable[[int], object]]:
     """Yield what advances a bar of how much is done, the rate and the time left.
 
-    A bar that is not shown is not made, since tqdm takes a lock and a thread. In a log file it grows every ten seconds.
+    A bar that is not shown is not made, since tqdm takes a lock and a thread. In a log file it
+    grows every ten seconds.
     """
     if shown:
         pause = 0.1 if sys.stderr.isatty() else 10.0
@@ -38,7 +41,9 @@ def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Itera
 
 @contextmanager
 def threads(workers: int | None = None) -> Iterator[Executor]:
-    """Yield an executor of so many threads; default all cores. Ctrl-C does not wait for what they have begun."""
+    """Yield an executor of so many threads; default all cores. Ctrl-C does not wait for what they
+    have begun.
+    """
     pool = ThreadPoolExecutor(workers or CORES, thread_name_prefix=THREADS)
     wait = True
     try:
@@ -53,8 +58,8 @@ def threads(workers: int | None = None) -> Iterator[Executor]:
 def finished(
     pool: Executor, function: Callable[[_Task], _Result], tasks: Iterable[_Task], most: int
 ) -> Iterator[tuple[_Task, _Result]]:
-    """Yield each task with its result when it is finished; at most ``most`` are under way, and the rest is cancelled
-    when the caller stops.
+    """Yield each task with its result when it is finished; at most ``most`` are under way, and the
+    rest is cancelled when the caller stops.
     """
     done: SimpleQueue[Future[_Result]] = SimpleQueue()
     under_way: dict[Future[_Result], _Task] = {}

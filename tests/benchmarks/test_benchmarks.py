@@ -1,5 +1,5 @@
-"""The yardsticks of benchmarks/ find the same as `mapdata`, or their ratios would compare nothing; and the one door to
-all tables. No timing.
+"""The yardsticks of benchmarks/ find the same as `mapdata`, or their ratios would compare nothing;
+and the one door to all tables. No timing.
 """
 
 from __future__ import annotations
@@ -56,9 +56,13 @@ def test_peers_find_paths_of_our_lengths(peer: Peer) -> None:
     """Between rooms, from a cell to itself, and where there is no path."""
     if peer.absence:
         pytest.skip(f"{peer.name}: {peer.absence}")
-    paths.solve_with(peer, paths.problems_of(generate(paths.table_1(64), 1, range(3)), every_pair=True))
+    paths.solve_with(
+        peer, paths.problems_of(generate(paths.table_1(64), 1, range(3)), every_pair=True)
+    )
     grids = np.repeat(WALLED, 3, axis=0)
-    problems = paths.Problems(grids, np.array([[0, 0]] * 3), np.array([[2, 0], [0, 0], [0, 3]]), [0] * 3)
+    problems = paths.Problems(
+        grids, np.array([[0, 0]] * 3), np.array([[2, 0], [0, 0], [0, 3]]), [0] * 3
+    )
     assert [len(path) for path in paths.solve_with(peer, problems)()] == [5, 1, 0]
 
 
@@ -73,9 +77,16 @@ def test_a_peer_that_finds_otherwise_stops_the_run(monkeypatch: pytest.MonkeyPat
 def test_absent_peers_are_skipped_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """A missing package, and one that is there and does not import."""
     monkeypatch.setitem(sys.modules, "broken", ModuleType("broken"))
-    peers = [Peer(name, "pip-name", name, "call()") for name in ("numpy", "no_such_thing", "broken.part")]
-    text = measure.to_text("Title", [Row("work")], packages=["numpy"], notes=["a note"], peers=peers)
-    assert "- numpy: `call()`\n- no_such_thing: skipped, not installed\n- broken.part: skipped, " in text
+    peers = [
+        Peer(name, "pip-name", name, "call()") for name in ("numpy", "no_such_thing", "broken.part")
+    ]
+    text = measure.to_text(
+        "Title", [Row("work")], packages=["numpy"], notes=["a note"], peers=peers
+    )
+    assert (
+        "- numpy: `call()`\n- no_such_thing: skipped, not installed\n- broken.part: skipped, "
+        in text
+    )
     assert f"numpy {np.__version__}, pip-name not installed" in text
 
 
@@ -100,23 +111,34 @@ class Fake:
         return f"## {self.name} {quick} {parent}\n"
 
 
-def test_the_one_door(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_one_door(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """All tables by default, those named otherwise; printed, and written as a page."""
     monkeypatch.setattr(door, "import_module", Fake)
     door.main([])
-    assert capsys.readouterr().out.split("\n")[0:-1:2] == [f"## benchmarks.{name} False None" for name in door.TABLES]
+    assert capsys.readouterr().out.split("\n")[0:-1:2] == [
+        f"## benchmarks.{name} False None" for name in door.TABLES
+    ]
     page = tmp_path / "benchmarks.md"
     door.main(["paths", "build", "--quick", "--folder", str(tmp_path), "--write", str(page)])
     text = page.read_text(encoding="utf-8")
     assert text.startswith("# Benchmarks\n\nWritten by `python -m benchmarks paths build --quick`.")
-    assert text.endswith(f"## benchmarks.paths True {tmp_path}\n\n## benchmarks.build True {tmp_path}\n")
+    assert text.endswith(
+        f"## benchmarks.paths True {tmp_path}\n\n## benchmarks.build True {tmp_path}\n"
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
-    [(["speed"], "unknown table speed: expected labels, paths"), (["--write", "no/such/page.md"], "no folder no/such")],
+    [
+        (["speed"], "unknown table speed: expected labels, paths"),
+        (["--write", "no/such/page.md"], "no folder no/such"),
+    ],
 )
-def test_the_one_door_refuses(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_one_door_refuses(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit code 2 before anything is measured."""
     with pytest.raises(SystemExit) as stop:
         door.main(arguments)
@@ -136,4 +158,6 @@ def test_the_page_names_every_table() -> None:
     """docs/benchmarks.md, as it is by hand or as ``--write`` makes it."""
     page = (Path(__file__).parents[2] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     assert page.startswith("# Benchmarks\n")
-    assert page.startswith("# Benchmarks\n\nWritten by") or all(f"| `{name}` |" in page for name in door.TABLES)
+    assert page.startswith("# Benchmarks\n\nWritten by") or all(
+        f"| `{name}` |" in page for name in door.TABLES
+    )

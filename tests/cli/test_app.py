@@ -1,4 +1,6 @@
-"""The command line: every verb, exit codes 0, 1 and 2, one line for every bad input, recipes, pictures, imports."""
+"""The command line: every verb, exit codes 0, 1 and 2, one line for every bad input, recipes,
+pictures, imports.
+"""
 
 from __future__ import annotations
 
@@ -93,19 +95,40 @@ def spec_file(folder: Path, **values: object) -> Path:
     return recipe_file(folder, spec=SPEC.to_dict() | values, seed=SEED, maps=MAPS)
 
 
-# --- every verb -------------------------------------------------------------------------------------------------------
+# --- every verb ---------------------------------------------------------------------------------
 
 
 def test_build_and_info(run: Command, tmp_path: Path) -> None:
-    """Build makes the dataset, shows a bar and ends with the summary, which info gives again without the rate."""
+    """Build makes the dataset, shows a bar and ends with the summary, which info gives again
+    without the rate.
+    """
     root = tmp_path / "maps"
-    built = run("build", root, "--preset", "narrow", "--maps", 6, "--seed", 3, "--shard-size", 4, "--workers", 2)
+    built = run(
+        "build",
+        root,
+        "--preset",
+        "narrow",
+        "--maps",
+        6,
+        "--seed",
+        3,
+        "--shard-size",
+        4,
+        "--workers",
+        2,
+    )
     assert built.code == 0
     assert "6/6" in built.err
     manifest = read_manifest(root)
     assert (manifest.spec, manifest.seed, manifest.maps) == (MapSpec.preset("narrow"), 3, 6)
     assert manifest.complete
-    for text in ("6 of 64 x 64 cells in 2 shards", "maps/s", " MB, ", str(manifest.identity), manifest.content_hash):
+    for text in (
+        "6 of 64 x 64 cells in 2 shards",
+        "maps/s",
+        " MB, ",
+        str(manifest.identity),
+        manifest.content_hash,
+    ):
         assert text in built.out
     for name in ("drawn passages", "reachable segments", "fully connected maps"):
         assert re.search(rf"{name}: +\d+\.\d%", built.out)
@@ -114,7 +137,9 @@ def test_build_and_info(run: Command, tmp_path: Path) -> None:
     assert (look[1], look[2]) == (str(root), "5")
     info = run("info", root)
     assert (info.code, info.err) == (0, "")
-    assert info.out == "".join(line for line in built.out.splitlines(keepends=True) if not line.startswith("rate"))
+    assert info.out == "".join(
+        line for line in built.out.splitlines(keepends=True) if not line.startswith("rate")
+    )
 
 
 def test_build_goes_on_and_extends(run: Command, tmp_path: Path) -> None:
@@ -132,7 +157,9 @@ def test_build_goes_on_and_extends(run: Command, tmp_path: Path) -> None:
 def test_info_says_what_is_not_finished(run: Command, copied: Path) -> None:
     """A dataset that a build did not finish says so."""
     manifest = read_manifest(copied)
-    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    (copied / MANIFEST).write_text(
+        replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
+    )
     assert f"{SIZE} of 16 x 70 cells in 1 shard" in run("info", copied).out
     assert f"(of {MAPS}: not finished)" in run("info", copied).out
     (copied / MANIFEST).write_text(replace(manifest, shards=()).to_json(), encoding="utf-8")
@@ -157,7 +184,10 @@ def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
         str(copied / shard_name(0, 4)),
         str(copied / shard_name(8, 11)),
     ]
-    assert outcome.err.splitlines()[-1] == "mapdata: 2 found; --repair makes them again from the recipe"
+    assert (
+        outcome.err.splitlines()[-1]
+        == "mapdata: 2 found; --repair makes them again from the recipe"
+    )
 
 
 @pytest.mark.parametrize("index", [0, 3, 4, MAPS - 1])
@@ -169,7 +199,9 @@ def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path
     assert (tmp_path / "map.png").read_bytes().startswith(PNG)
 
 
-def test_show_draws_other_maps_and_colours_otherwise(run: Command, dataset: Path, tmp_path: Path) -> None:
+def test_show_draws_other_maps_and_colours_otherwise(
+    run: Command, dataset: Path, tmp_path: Path
+) -> None:
     """Pictures of one map are equal, those of two maps or in the paper's colours are not."""
     pictures = []
     for number, flags in enumerate(("", "", "--index 1", "--paper-colours")):
@@ -188,7 +220,9 @@ def test_show_without_output_writes_map_png(
     assert os.listdir(tmp_path) == ["map.png"]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["build", "--help"], ["show", "--help"], ["--version"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["build", "--help"], ["show", "--help"], ["--version"]]
+)
 def test_help_and_version(arguments: list[str], run: Command) -> None:
     """Both end with exit code 0."""
     outcome = run(*arguments)
@@ -197,11 +231,13 @@ def test_help_and_version(arguments: list[str], run: Command) -> None:
     assert (f"mapdata {mapdata.__version__}\n" == outcome.out) == ("--version" in arguments)
 
 
-# --- recipes ----------------------------------------------------------------------------------------------------------
+# --- recipes ------------------------------------------------------------------------------------
 
 
 def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """What info --recipe prints builds the same files, and build says that it compared the content hash."""
+    """What info --recipe prints builds the same files, and build says that it compared the content
+    hash.
+    """
     recipe = tmp_path / "recipe.json"
     recipe.write_text(run("info", dataset, "--recipe").out, encoding="utf-8")
     outcome = run("build", tmp_path / "again", "--recipe", recipe, "--shard-size", SIZE)
@@ -209,7 +245,14 @@ def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Pa
     assert "bit for bit" in outcome.out
     for name in (MANIFEST, *stamps(dataset)):
         assert (tmp_path / "again" / name).read_bytes() == (dataset / name).read_bytes()
-    other = run("build", tmp_path / "other", "--recipe", recipe.read_text(encoding="utf-8"), "--shard-size", 3)
+    other = run(
+        "build",
+        tmp_path / "other",
+        "--recipe",
+        recipe.read_text(encoding="utf-8"),
+        "--shard-size",
+        3,
+    )
     assert other.code == 0
     assert "bit for bit" in other.out
 
@@ -220,11 +263,15 @@ def test_a_recipe_that_disagrees(run: Command, dataset: Path, tmp_path: Path) ->
     true, values["content_hash"] = values["content_hash"], "0" * 64
     outcome = run("build", tmp_path / "again", "--recipe", recipe_file(tmp_path, **values))
     assert outcome.code == 1
-    assert outcome.err.splitlines()[-1] == f"mapdata: content hash {true}, the recipe says {'0' * 64}"
+    assert (
+        outcome.err.splitlines()[-1] == f"mapdata: content hash {true}, the recipe says {'0' * 64}"
+    )
     assert "bit for bit" not in outcome.out
 
 
-def test_more_maps_than_the_recipe_are_not_compared(run: Command, dataset: Path, tmp_path: Path) -> None:
+def test_more_maps_than_the_recipe_are_not_compared(
+    run: Command, dataset: Path, tmp_path: Path
+) -> None:
     """A recipe's seed and number of maps can be overridden; then its hash says nothing."""
     recipe = recipe_file(tmp_path, **json.loads(run("info", dataset, "--recipe").out))
     outcome = run("build", tmp_path / "more", "--recipe", recipe, "--maps", MAPS + 1)
@@ -233,17 +280,21 @@ def test_more_maps_than_the_recipe_are_not_compared(run: Command, dataset: Path,
     assert read_manifest(tmp_path / "more").maps == MAPS + 1
 
 
-def test_a_recipe_of_an_unfinished_dataset_is_true(run: Command, copied: Path, tmp_path: Path) -> None:
+def test_a_recipe_of_an_unfinished_dataset_is_true(
+    run: Command, copied: Path, tmp_path: Path
+) -> None:
     """A recipe is not printed, or is printed without a hash, before the dataset is finished."""
     manifest = read_manifest(copied)
-    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    (copied / MANIFEST).write_text(
+        replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
+    )
     outcome = run("info", copied, "--recipe")
     if outcome.code == 0:
         recipe = recipe_file(tmp_path, **json.loads(outcome.out))
         assert run("build", tmp_path / "again", "--recipe", recipe).code == 0
 
 
-# --- bad input --------------------------------------------------------------------------------------------------------
+# --- bad input ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -278,9 +329,15 @@ def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_p
         ("rooms: upper limit 2 is under the lower limit 5", {"rooms": (5, 2)}),
         ("room_rows: upper limit 2 is under the lower limit 5", {"room_rows": (5, 2)}),
         ("room_rows: got (0, 3), expected at least 1", {"room_rows": (0, 3)}),
-        ("room_rows: got (2, 17), expected at most 16: rooms would be larger than the map", {"room_rows": (2, 17)}),
+        (
+            "room_rows: got (2, 17), expected at most 16: rooms would be larger than the map",
+            {"room_rows": (2, 17)},
+        ),
         ("room_columns: got (3, 71), expected at most 70", {"room_columns": (3, 71)}),
-        ("passage_width: got (1, 17), expected at most 16: passages would be larger", {"passage_width": (1, 17)}),
+        (
+            "passage_width: got (1, 17), expected at most 16: passages would be larger",
+            {"passage_width": (1, 17)},
+        ),
         ("passage_width: got (0, 1), expected at least 1", {"passage_width": (0, 1)}),
         ("map_size: got (0, 70)", {"map_size": (0, 70)}),
         ("map_size: got (1025, 70), expected 1 to 1024", {"map_size": (1025, 70)}),
@@ -302,7 +359,9 @@ def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_p
 )
 def test_bad_specs(says: str, values: dict[str, Any], run: Command, tmp_path: Path) -> None:
     """A recipe that cannot be: one line that names the value, exit code 2, and no folder."""
-    run.refused(2, re.escape(says), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values))
+    run.refused(
+        2, re.escape(says), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values)
+    )
     assert not (tmp_path / "maps").exists()
 
 
@@ -341,7 +400,9 @@ def test_another_dataset_under_the_root(
     """Both values are named; exit code 2; the dataset stays as it is."""
     before = stamps(dataset)
     run.refused(2, says, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
-    run.refused(2, r"with spec MapSpec\(.*asked for spec MapSpec\(", "build", dataset, "--maps", MAPS)
+    run.refused(
+        2, r"with spec MapSpec\(.*asked for spec MapSpec\(", "build", dataset, "--maps", MAPS
+    )
     assert stamps(dataset) == before
 
 
@@ -357,8 +418,15 @@ def test_roots_that_cannot_be(run: Command, tmp_path: Path) -> None:
 @pytest.mark.parametrize("verb", ["info", "verify", "show"])
 def test_no_dataset(verb: str, run: Command, tmp_path: Path) -> None:
     """What was looked for and what makes one; exit code 2."""
-    run.refused(2, f"no dataset at {tmp_path / 'none'}: it does not exist. Make one with", verb, tmp_path / "none")
-    run.refused(2, f"no dataset at {tmp_path}: no manifest.json there. Make one with", verb, tmp_path)
+    run.refused(
+        2,
+        f"no dataset at {tmp_path / 'none'}: it does not exist. Make one with",
+        verb,
+        tmp_path / "none",
+    )
+    run.refused(
+        2, f"no dataset at {tmp_path}: no manifest.json there. Make one with", verb, tmp_path
+    )
     (tmp_path / "file").touch()
     run.refused(2, f"no dataset at {tmp_path / 'file'}", verb, tmp_path / "file")
 
@@ -366,7 +434,9 @@ def test_no_dataset(verb: str, run: Command, tmp_path: Path) -> None:
 @pytest.mark.parametrize("index", [-1, MAPS, 10**30])
 def test_show_knows_its_maps(index: int, run: Command, dataset: Path) -> None:
     """A number that no map has is named with those that maps have."""
-    run.refused(2, f"index: got {index}, .* holds maps 0 to {MAPS - 1}", "show", dataset, "--index", index)
+    run.refused(
+        2, f"index: got {index}, .* holds maps 0 to {MAPS - 1}", "show", dataset, "--index", index
+    )
 
 
 def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) -> None:
@@ -376,7 +446,9 @@ def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) ->
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("arguments", [[], ["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]]
+)
 def test_usage(arguments: list[str], run: Command) -> None:
     """Usage errors are one line that points to the help."""
     run.refused(2, r"--help says more\)$", *arguments)
@@ -384,7 +456,11 @@ def test_usage(arguments: list[str], run: Command) -> None:
 
 @pytest.mark.parametrize(
     "damage",
-    [lambda text: text[: len(text) // 2], lambda text: text.replace('"seed": 5', '"seed": 6'), lambda text: ""],
+    [
+        lambda text: text[: len(text) // 2],
+        lambda text: text.replace('"seed": 5', '"seed": 6'),
+        lambda text: "",
+    ],
     ids=["cut", "changed", "empty"],
 )
 def test_a_damaged_manifest(damage: Callable[[str], str], run: Command, copied: Path) -> None:
@@ -413,7 +489,9 @@ def test_no_permission(run: Command) -> None:
         assert os.listdir(folder) == []
 
 
-def test_ctrl_c_says_how_to_go_on(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_says_how_to_go_on(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Exit code 130, as the shell has it, and one line."""
 
     def stop(*_: object, **__: object) -> None:
@@ -423,7 +501,7 @@ def test_ctrl_c_says_how_to_go_on(run: Command, tmp_path: Path, monkeypatch: pyt
     run.refused(130, "stopped; run the same command again to go on", "build", tmp_path / "maps")
 
 
-# --- other processes --------------------------------------------------------------------------------------------------
+# --- other processes ----------------------------------------------------------------------------
 
 FULL_DISK = """
 import resource, sys
@@ -436,7 +514,9 @@ main(["build", sys.argv[1] + "/maps", "--maps", "40", "--shard-size", "20", "--w
 
 @pytest.mark.parametrize("limit", [300, 12_000], ids=["not even the manifest", "no shard"])
 def test_a_full_disk(limit: int, tmp_path: Path) -> None:
-    """A real full disk (RLIMIT_FSIZE): one line, exit code 2, nothing half-written under any name."""
+    """A real full disk (RLIMIT_FSIZE): one line, exit code 2, nothing half-written under any
+    name.
+    """
     command = [sys.executable, "-c", FULL_DISK, str(tmp_path), str(limit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -451,7 +531,16 @@ def test_a_full_disk(limit: int, tmp_path: Path) -> None:
 
 def test_import_is_light() -> None:
     """``import mapdata`` loads none of the large packages, nor does a movement."""
-    heavy = ["torch", "lightning", "pytorch_lightning", "pandas", "matplotlib", "numba", "h5py", "scipy"]
+    heavy = [
+        "torch",
+        "lightning",
+        "pytorch_lightning",
+        "pandas",
+        "matplotlib",
+        "numba",
+        "h5py",
+        "scipy",
+    ]
     code = f"""
 import sys, mapdata
 mapdata.Movement(8), mapdata.__version__, dir(mapdata)
@@ -462,21 +551,38 @@ print([name for name in {heavy} if name in sys.modules])
 
 
 def test_the_script_has_a_default_root(tmp_path: Path) -> None:
-    """``python scripts/build_shards.py`` builds under data/maps, with the same flags and code as the verb."""
+    """``python scripts/build_shards.py`` builds under data/maps, with the same flags and code as
+    the verb.
+    """
     script = [sys.executable, str(HOME / "scripts" / "build_shards.py")]
-    done = subprocess.run([*script, "--maps", "3"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*script, "--maps", "3"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     root = tmp_path / "data" / "maps"
     manifest = read_manifest(root)
-    assert (manifest.spec, manifest.seed, manifest.maps, manifest.shard_size) == (MapSpec(), 0, 3, 1000)
+    assert (manifest.spec, manifest.seed, manifest.maps, manifest.shard_size) == (
+        MapSpec(),
+        0,
+        3,
+        1000,
+    )
     assert len(read_shard(root / manifest.shards[0].name).maps) == 3
     assert "mapdata show data/maps --index 2 -o map.png" in done.stdout
 
 
-def test_the_script_takes_a_root_and_the_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_script_takes_a_root_and_the_flags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All flags of the issue reach the build."""
     monkeypatch.chdir(tmp_path)
-    flags = {"--maps": "3", "--seed": "9", "--preset": "dungeon", "--shard-size": "2", "--workers": "1"}
+    flags = {
+        "--maps": "3",
+        "--seed": "9",
+        "--preset": "dungeon",
+        "--shard-size": "2",
+        "--workers": "1",
+    }
     cli.build_main(["there", *(text for flag in flags.items() for text in flag)])
     manifest = read_manifest(tmp_path / "there")
     assert (manifest.spec, manifest.seed) == (MapSpec.preset("dungeon"), 9)

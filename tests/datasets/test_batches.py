@@ -1,4 +1,6 @@
-"""Shards in a store: many with few descriptors, and replaced, grown or gone while somebody reads."""
+"""Shards in a store: many with few descriptors, and replaced, grown or gone while somebody
+reads.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-# --- many shards ------------------------------------------------------------------------------------------------------
+# --- many shards --------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -62,7 +64,9 @@ def few_descriptors(more: int) -> Iterator[None]:
 
 @LINUX
 def test_many_shards_with_few_descriptors(root: Path, one: Path) -> None:
-    """An epoch in random order over 120 shards, with room for 12 more open files, is that of one shard."""
+    """An epoch in random order over 120 shards, with room for 12 more open files, is that of one
+    shard.
+    """
     expected = MapDataset(one, fields=FIELDS)
     order = np.random.default_rng(0).permutation(len(expected))
     before = len(os.listdir("/proc/self/fd"))
@@ -100,7 +104,7 @@ def test_threads_that_open_at_once(root: Path) -> None:
         samples.assert_same(batch, found[0])
 
 
-# --- replaced while somebody reads ------------------------------------------------------------------------------------
+# --- replaced while somebody reads --------------------------------------------------------------
 
 REPLACE = """
 import os, sys, time
@@ -116,15 +120,17 @@ for k in range(200):
         time.sleep(0.0005)
 sys.stdin.read()
 """
-"""Replaces all files of a root by those of the versions in turn, as fast as a builder would, and faster. Ends when its
-input does, so that a reader on a busy machine has its turns too.
+"""Replaces all files of a root by those of the versions in turn, as fast as a builder would, and
+faster. Ends when its input does, so that a reader on a busy machine has its turns too.
 """
 READINGS = 10
 
 
 @contextlib.contextmanager
 def replacing(root: Path, *versions: Path) -> Iterator[Iterator[int]]:
-    """Run `REPLACE` in another process; it must end well. Yield turns to read, `READINGS` or more, until it ends."""
+    """Run `REPLACE` in another process; it must end well. Yield turns to read, `READINGS` or more,
+    until it ends.
+    """
     command = [sys.executable, "-c", REPLACE, str(root), *map(str, versions)]
     child = subprocess.Popen(command, stdin=subprocess.PIPE)
     assert child.stdin is not None
@@ -146,13 +152,19 @@ def replacing(root: Path, *versions: Path) -> Iterator[Iterator[int]]:
 
 
 def test_shards_replaced_by_the_same_maps_disturb_nobody(tmp_path: Path) -> None:
-    """Repaired, or written by another version: each reading of all, by a reader old or new, is right."""
+    """Repaired, or written by another version: each reading of all, by a reader old or new, is
+    right.
+    """
     first, second, root = (tmp_path / name for name in ("first", "second", "root"))
     build(first, TINY, maps=40, seed=3, shard_size=8)
-    with pytest.MonkeyPatch.context() as patch:  # a version as long as ours: the shards keep their size
+    with (
+        pytest.MonkeyPatch.context() as patch
+    ):  # a version as long as ours: the shards keep their size
         patch.setattr("mapdata.shards.shard.__version__", "9" * len(__version__))
         other = build(second, TINY, maps=40, seed=3, shard_size=8)
-    assert {entry.sha256 for entry in other.shards}.isdisjoint(entry.sha256 for entry in read_manifest(first).shards)
+    assert {entry.sha256 for entry in other.shards}.isdisjoint(
+        entry.sha256 for entry in read_manifest(first).shards
+    )
     shutil.copytree(first, root)
     held = MapDataset(root, fields=FIELDS)
     expected = held[:]
@@ -163,7 +175,9 @@ def test_shards_replaced_by_the_same_maps_disturb_nobody(tmp_path: Path) -> None
 
 
 def test_a_reader_sees_old_or_new_and_never_a_mix(tmp_path: Path) -> None:
-    """Another dataset takes the place file by file: a reading is all old, all new, or refused by name."""
+    """Another dataset takes the place file by file: a reading is all old, all new, or refused by
+    name.
+    """
     versions = [tmp_path / "first", tmp_path / "second"]
     for seed, folder in enumerate(versions):
         build(folder, TINY, maps=40, seed=seed, shard_size=8)
@@ -181,7 +195,11 @@ def test_a_reader_sees_old_or_new_and_never_a_mix(tmp_path: Path) -> None:
             except ShardError as error:
                 seen["refused" if "the manifest says" in str(error) else str(error)] += 1
                 continue
-            new = torch.equal(found.start, truths[1].start) if len(found.start) == len(truths[1].start) else False
+            new = (
+                torch.equal(found.start, truths[1].start)
+                if len(found.start) == len(truths[1].start)
+                else False
+            )
             samples.assert_same(found, truths[new])
             seen["new" if new else "old"] += 1
     assert seen["old"] + seen["new"] + seen["refused"] >= READINGS
@@ -189,13 +207,18 @@ def test_a_reader_sees_old_or_new_and_never_a_mix(tmp_path: Path) -> None:
 
 
 def test_a_dataset_that_grows_disturbs_no_reader(tmp_path: Path) -> None:
-    """The short last shard goes when a larger one takes its place; who had not opened it yet reads the new one."""
+    """The short last shard goes when a larger one takes its place; who had not opened it yet reads
+    the new one.
+    """
     root = tmp_path / "root"
     build(root, TINY, maps=20, seed=3, shard_size=8)
     fresh = {
-        problems: MapDataset(root, "train", FIELDS, problems=problems) for problems in ("route", "pairs", "random")
+        problems: MapDataset(root, "train", FIELDS, problems=problems)
+        for problems in ("route", "pairs", "random")
     }
-    expected = {problems: MapDataset(root, "train", FIELDS, problems=problems)[:] for problems in fresh}
+    expected = {
+        problems: MapDataset(root, "train", FIELDS, problems=problems)[:] for problems in fresh
+    }
     table = MapDataset(root).table()
     whole = MapDataset(root)
     last = read_manifest(root).shards[-1].name
@@ -208,7 +231,9 @@ def test_a_dataset_that_grows_disturbs_no_reader(tmp_path: Path) -> None:
 
 
 def test_a_pickled_dataset_is_not_opened_as_another(tmp_path: Path) -> None:
-    """A worker that starts after the dataset grew would give other problems the same numbers: it says so instead."""
+    """A worker that starts after the dataset grew would give other problems the same numbers: it
+    says so instead.
+    """
     root = tmp_path / "root"
     build(root, TINY, maps=20, seed=3, shard_size=8)
     data = pickle.dumps(MapDataset(root))
@@ -219,7 +244,9 @@ def test_a_pickled_dataset_is_not_opened_as_another(tmp_path: Path) -> None:
 
 
 def test_a_shard_of_other_maps_is_refused(tmp_path: Path) -> None:
-    """The right name, range and size, sound in itself, but not the maps that the manifest states."""
+    """The right name, range and size, sound in itself, but not the maps that the manifest
+    states.
+    """
     roots = [tmp_path / "first", tmp_path / "second"]
     for seed, folder in enumerate(roots):
         build(folder, TINY, maps=8, seed=seed, shard_size=8)
@@ -245,5 +272,7 @@ def test_a_seed_in_a_wall_is_named(tmp_path: Path) -> None:
     place = path.read_bytes().find(maps.tobytes())
     image[place : place + maps.nbytes] = b"\xff" * maps.nbytes
     write_file(path, bytes(image))
-    with pytest.raises(ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"):
+    with pytest.raises(
+        ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"
+    ):
         MapDataset(root, problems="pairs")[0]

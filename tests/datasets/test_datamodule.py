@@ -1,4 +1,6 @@
-"""The data module: plain loops, Trainers, checkpoints in mid-epoch, two processes, LightningCLI; the order."""
+"""The data module: plain loops, Trainers, checkpoints in mid-epoch, two processes, LightningCLI;
+the order.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +41,15 @@ from mapdata.shards import Recipe, read_manifest
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck"),
     pytest.mark.filterwarnings("ignore:This DataLoader will create 3 worker:UserWarning"),
-    pytest.mark.filterwarnings("ignore:You're resuming from a checkpoint that ended before the epoch ended"),
-    pytest.mark.filterwarnings("ignore:You requested to overfit but enabled .* dataloader shuffling"),
-    pytest.mark.filterwarnings("ignore:Be aware that when using `ckpt_path`, callbacks used to create the checkpoint"),
+    pytest.mark.filterwarnings(
+        "ignore:You're resuming from a checkpoint that ended before the epoch ended"
+    ),
+    pytest.mark.filterwarnings(
+        "ignore:You requested to overfit but enabled .* dataloader shuffling"
+    ),
+    pytest.mark.filterwarnings(
+        "ignore:Be aware that when using `ckpt_path`, callbacks used to create the checkpoint"
+    ),
     pytest.mark.filterwarnings("ignore:.*isinstance.treespec, LeafSpec.* is deprecated"),
 ]
 
@@ -60,11 +68,13 @@ def batches_of(data: MapDataModule, passes: int = 1) -> list[Sample]:
     return [batch for _ in range(passes) for batch in loader]
 
 
-# --- without a Trainer ------------------------------------------------------------------------------------------------
+# --- without a Trainer --------------------------------------------------------------------------
 
 
 def test_a_plain_loop_needs_nothing_else(root: str) -> None:
-    """No Trainer, no setup: the default four fields, uint8, each sample once, in an order that is not theirs."""
+    """No Trainer, no setup: the default four fields, uint8, each sample once, in an order that is
+    not theirs.
+    """
     data = MapDataModule(root, batch_size=10)
     map_, start, goal, path = next(iter(data.train_dataloader()))
     assert (map_.dtype, tuple(map_.shape)) == (torch.uint8, (10, 1, 20, 20))
@@ -113,7 +123,10 @@ def test_the_order_is_a_permutation_without_pattern() -> None:
 def test_augmentation_is_for_training_alone(root: str, split: str) -> None:
     """Validation and test see the maps as they are."""
     plain, turned = (module(root, augment=augment) for augment in (False, True))
-    loaders = [data.train_dataloader() if split == "train" else data.val_dataloader() for data in (plain, turned)]
+    loaders = [
+        data.train_dataloader() if split == "train" else data.val_dataloader()
+        for data in (plain, turned)
+    ]
     same = [torch.equal(a.map, b.map) for a, b in zip(*loaders, strict=True)]
     assert all(same) == (split == "val")
 
@@ -134,7 +147,9 @@ def two_epochs(root: str) -> list[Sample]:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_workers_change_neither_order_nor_samples(root: str, two_epochs: list[Sample], order: str) -> None:
+def test_workers_change_neither_order_nor_samples(
+    root: str, two_epochs: list[Sample], order: str
+) -> None:
     """Whatever their number and start, and whatever else draws random numbers."""
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002  (what others may do)
@@ -146,19 +161,25 @@ def test_workers_change_neither_order_nor_samples(root: str, two_epochs: list[Sa
 def test_another_sampling_seed_is_another_order(root: str, two_epochs: list[Sample]) -> None:
     """The sampling seed is not the seed of the maps."""
     again = batches_of(module(root, problems="random", augment=True, sampling_seed=1), 2)
-    assert [batch.problem.tolist() for batch in again] != [batch.problem.tolist() for batch in two_epochs]
+    assert [batch.problem.tolist() for batch in again] != [
+        batch.problem.tolist() for batch in two_epochs
+    ]
 
 
-# --- under a Trainer --------------------------------------------------------------------------------------------------
+# --- under a Trainer ----------------------------------------------------------------------------
 
 
 def test_fit_with_default_flags(root: str) -> None:
-    """Every sample once an epoch, in the order of the plain loop; float32 in the model, uint8 from the loader."""
+    """Every sample once an epoch, in the order of the plain loop; float32 in the model, uint8 from
+    the loader.
+    """
     model = Model(noise=True)
     trainer().fit(model, datamodule=module(root))
     plain = batches_of(module(root), 2)
     assert [list(one.problems) for one in model.seen] == [batch.problem.tolist() for batch in plain]
-    assert [one.starts for one in model.seen] == [tuple(batch.start.flatten().tolist()) for batch in plain]
+    assert [one.starts for one in model.seen] == [
+        tuple(batch.start.flatten().tolist()) for batch in plain
+    ]
     assert [one.occupied for one in model.seen] == [int(batch.map.sum()) for batch in plain]
     assert {one.dtype for one in model.seen} == {torch.float32}
     assert {one.epoch for one in model.seen} == {0, 1}
@@ -170,12 +191,18 @@ def test_fit_with_default_flags(root: str) -> None:
 def test_random_problems_are_anew_in_each_epoch_of_a_fit(root: str) -> None:
     """The epoch that is drawn for is the Trainer's."""
     model = Model()
-    trainer().fit(model, datamodule=module(root, problems="random", num_workers=2, persistent_workers=True))
+    trainer().fit(
+        model, datamodule=module(root, problems="random", num_workers=2, persistent_workers=True)
+    )
     starts = [
-        {problem: one.starts[2 * k : 2 * k + 2] for one in model.seen if one.epoch == epoch for k, problem in
-         enumerate(one.problems)}
+        {
+            problem: one.starts[2 * k : 2 * k + 2]
+            for one in model.seen
+            if one.epoch == epoch
+            for k, problem in enumerate(one.problems)
+        }
         for epoch in (0, 1)
-    ]  # fmt: skip
+    ]
     assert starts[0].keys() == starts[1].keys()
     assert sum(starts[0][k] == starts[1][k] for k in starts[0]) < len(starts[0]) / 4
     assert [list(one.problems) for one in model.seen] == [
@@ -184,11 +211,15 @@ def test_random_problems_are_anew_in_each_epoch_of_a_fit(root: str) -> None:
 
 
 def test_what_is_cast_on_the_device(root: str) -> None:
-    """Maps and masks become float32; cells, numbers and the bit sets of moves stay what they are."""
+    """Maps and masks become float32; cells, numbers and the bit sets of moves stay what they
+    are.
+    """
     data = module(root, fields=samples.ALL_FIELDS)
     before = next(iter(data.val_dataloader()))
     after = data.on_after_batch_transfer(before, 0)
-    cast = {name for name in before._fields if getattr(before, name).dtype != getattr(after, name).dtype}
+    cast = {
+        name for name in before._fields if getattr(before, name).dtype != getattr(after, name).dtype
+    }
     assert cast == {"map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask"}
     assert all(getattr(after, name).dtype == torch.float32 for name in cast)
     assert all(torch.equal(getattr(after, name), getattr(before, name)) for name in before._fields)
@@ -221,15 +252,18 @@ def test_flags_of_the_trainer(root: str, flags: dict[str, Any], counts: list[int
     """The flags do what they say: as many batches, and with `overfit_batches` the same ones."""
     model = Model()
     trainer(**flags).fit(model, datamodule=module(root))
-    by_epoch = [[one.problems for one in model.seen if one.epoch == epoch] for epoch in range(len(counts))]
+    by_epoch = [
+        [one.problems for one in model.seen if one.epoch == epoch] for epoch in range(len(counts))
+    ]
     total = -(-len(MapDataset(root, "train")) // 8)
-    assert [len(one) for one in by_epoch] == [int(total * 0.5) if flags.get("limit_train_batches") == 0.5 else count
-                                              for count in counts]  # fmt: skip
+    halved = flags.get("limit_train_batches") == 0.5
+    expected = [int(total * 0.5) if halved else count for count in counts]
+    assert [len(one) for one in by_epoch] == expected
     if len(counts) > 1:
         assert (by_epoch[0] == by_epoch[1]) == ("overfit_batches" in flags)
 
 
-# --- checkpoints ------------------------------------------------------------------------------------------------------
+# --- checkpoints --------------------------------------------------------------------------------
 
 RESUMED: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
     "plain": ({}, {}, 5),
@@ -256,7 +290,9 @@ def test_a_resumed_epoch_goes_on_where_it_stopped(root: str, tmp_path: Path, cas
     estimate = arguments.pop("estimate", False)
     every = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=1, save_top_k=-1)
     whole, rest = Model(estimate=estimate), Model(estimate=estimate, noise=True)
-    trainer(callbacks=[every], enable_checkpointing=True, **arguments).fit(whole, datamodule=module(root, **data))
+    trainer(callbacks=[every], enable_checkpointing=True, **arguments).fit(
+        whole, datamodule=module(root, **data)
+    )
     path = tmp_path / f"step={step}.ckpt"
     trainer(**arguments).fit(rest, datamodule=module(root, **data), ckpt_path=path)
     done = step * arguments.get("accumulate_grad_batches", 1)
@@ -269,12 +305,21 @@ def _is_within_an_epoch(seen: list[Seen], done: int) -> bool:
     return seen[done - 1].epoch == seen[done].epoch
 
 
-@pytest.mark.parametrize("problems", [Route(unsolvable=True), Pairs(), Random((3, None), (None, 2)), "random"])
-def test_checkpoints_load_with_torchs_safe_default(root: str, tmp_path: Path, problems: str | Source) -> None:
+@pytest.mark.parametrize(
+    "problems", [Route(unsolvable=True), Pairs(), Random((3, None), (None, 2)), "random"]
+)
+def test_checkpoints_load_with_torchs_safe_default(
+    root: str, tmp_path: Path, problems: str | Source
+) -> None:
     """Model and data module come back from a checkpoint that holds nothing but plain values."""
     path = tmp_path / "last.ckpt"
     movement = Movement(8, corner_cutting=True, diagonal_cost=1)
-    arguments: dict[str, Any] = {"augment": True, "sampling_seed": 7, "max_length": 99, "fields": (*FIELDS, "path")}
+    arguments: dict[str, Any] = {
+        "augment": True,
+        "sampling_seed": 7,
+        "max_length": 99,
+        "fields": (*FIELDS, "path"),
+    }
     data = module(root, movement=movement, problems=problems, **arguments)
     run = trainer(max_epochs=1)
     run.fit(Model(size=3), datamodule=data)
@@ -307,23 +352,30 @@ def test_functions_among_the_fields_are_not_kept_in_checkpoints(root: str, tmp_p
     assert next(iter(again.val_dataloader())).own_field.shape == (8,)
 
 
-# --- several processes ------------------------------------------------------------------------------------------------
+# --- several processes --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def two_ranks(root: str, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     """What each of two processes saw (tests/helpers/ranks.py)."""
     out = tmp_path_factory.mktemp("ranks")
-    result = run_helper("ranks", root, str(out), "2", OMP_NUM_THREADS="1", PL_TORCH_DISTRIBUTED_BACKEND="gloo")
+    result = run_helper(
+        "ranks", root, str(out), "2", OMP_NUM_THREADS="1", PL_TORCH_DISTRIBUTED_BACKEND="gloo"
+    )
     assert result.returncode == 0, result.stderr[-3000:]
     return [json.loads((out / f"rank{rank}.json").read_text()) for rank in range(2)]
 
 
 def test_ranks_share_the_training_split(root: str, two_ranks: list[dict[str, Any]]) -> None:
-    """Disjoint, equally many, at most one left out of an epoch; each epoch in an order of its own."""
+    """Disjoint, equally many, at most one left out of an epoch; each epoch in an order of its
+    own.
+    """
     total = len(MapDataset(root, "train"))
     for epoch in (0, 1):
-        shares = [[k for number, problems in one["seen"] if number == epoch for k in problems] for one in two_ranks]
+        shares = [
+            [k for number, problems in one["seen"] if number == epoch for k in problems]
+            for one in two_ranks
+        ]
         assert [len(share) for share in shares] == [total // 2, total // 2]
         assert not set(shares[0]) & set(shares[1])
         assert len({*shares[0], *shares[1]}) == total - total % 2
@@ -337,7 +389,9 @@ def test_ranks_see_every_other_sample_once(root: str, two_ranks: list[dict[str, 
         assert seen == list(range(len(MapDataset(root, split))))
 
 
-def test_metrics_of_ranks_are_those_of_one_process(root: str, tmp_path: Path, two_ranks: list[dict[str, Any]]) -> None:
+def test_metrics_of_ranks_are_those_of_one_process(
+    root: str, tmp_path: Path, two_ranks: list[dict[str, Any]]
+) -> None:
     """A metric of torchmetrics has one value, whatever the number of processes."""
     ranks.main(root, tmp_path, 1)
     alone = json.loads((tmp_path / "rank0.json").read_text())
@@ -353,11 +407,13 @@ def test_ranks_resume_in_mid_epoch(two_ranks: list[dict[str, Any]]) -> None:
         assert one["seen"][ranks.MIDDLE - 1][0] == one["seen"][ranks.MIDDLE][0]  # within an epoch
 
 
-# --- building and online ----------------------------------------------------------------------------------------------
+# --- building and online ------------------------------------------------------------------------
 
 
 def test_a_missing_dataset_is_built(tmp_path: Path, root: str) -> None:
-    """By JSON text or a recipe file; what is there is used, what is incomplete is finished, nothing is made twice."""
+    """By JSON text or a recipe file; what is there is used, what is incomplete is finished, nothing
+    is made twice.
+    """
     recipe = tmp_path / "recipe.json"
     recipe.write_text(RECIPE)
     for name, build in (("text", RECIPE), ("file", str(recipe))):
@@ -367,7 +423,9 @@ def test_a_missing_dataset_is_built(tmp_path: Path, root: str) -> None:
         samples.assert_all_same(batches_of(data), batches_of(module(root)))
         assert verify(folder) == []
         before = {path: path.stat().st_mtime_ns for path in folder.glob("*.h5")}
-        samples.assert_all_same(batches_of(module(str(folder), build=build)), batches_of(module(root)))
+        samples.assert_all_same(
+            batches_of(module(str(folder), build=build)), batches_of(module(root))
+        )
         assert {path: path.stat().st_mtime_ns for path in folder.glob("*.h5")} == before
     model = Model()
     trainer(max_epochs=1).fit(model, datamodule=module(str(tmp_path / "fitted"), build=RECIPE))
@@ -377,7 +435,9 @@ def test_a_missing_dataset_is_built(tmp_path: Path, root: str) -> None:
 
 def test_a_preset_is_built_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`build="paper"` makes the paper's 10,000 maps (here fewer)."""
-    monkeypatch.setattr(Recipe, "load", staticmethod(lambda name: Recipe(MapSpec.preset(name), 0, 30)))
+    monkeypatch.setattr(
+        Recipe, "load", staticmethod(lambda name: Recipe(MapSpec.preset(name), 0, 30))
+    )
     data = MapDataModule(str(tmp_path / "maps"), build="paper", batch_size=4)
     assert next(iter(data.test_dataloader())).map.shape[1:] == (1, 64, 64)
     assert read_manifest(tmp_path / "maps").spec == MapSpec()
@@ -390,7 +450,9 @@ def test_without_a_dataset_and_without_build(tmp_path: Path) -> None:
 
 
 def test_online_without_any_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`root=None`: as many maps as the recipe says in all splits, the same in each process, nothing written."""
+    """`root=None`: as many maps as the recipe says in all splits, the same in each process, nothing
+    written.
+    """
     monkeypatch.chdir(tmp_path)
     data = module(None, build=RECIPE, problems="random")
     seen = torch.cat([batch.problem for batch in data.train_dataloader()])
@@ -398,15 +460,26 @@ def test_online_without_any_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert len(torch.cat([batch.problem for batch in data.val_dataloader()])) == 12
     model = Model()
     trainer().fit(model, datamodule=module(None, build=RECIPE, num_workers=2, problems="random"))
-    assert sorted(k for one in model.seen if one.epoch == 1 for k in one.problems) == list(range(36))
+    assert sorted(k for one in model.seen if one.epoch == 1 for k in one.problems) == list(
+        range(36)
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
     "root": (lambda: MapDataModule(None), "root: got None, expected a dataset"),
-    "build-roots": (lambda: MapDataModule(["a", "b"], build="paper"), "build: makes one dataset in one folder"),
-    "build-url": (lambda: MapDataModule("https://x/y", build="paper"), "build: makes one dataset in one folder"),
-    "batch_size": (lambda: MapDataModule("a", batch_size=0), "batch_size: got 0, expected at least 1"),
+    "build-roots": (
+        lambda: MapDataModule(["a", "b"], build="paper"),
+        "build: makes one dataset in one folder",
+    ),
+    "build-url": (
+        lambda: MapDataModule("https://x/y", build="paper"),
+        "build: makes one dataset in one folder",
+    ),
+    "batch_size": (
+        lambda: MapDataModule("a", batch_size=0),
+        "batch_size: got 0, expected at least 1",
+    ),
     "movement": (lambda: MapDataModule("a", movement=(6, False, 1.0)), "connectivity: got 6"),
 }
 
@@ -419,7 +492,7 @@ def test_refused_arguments_name_themselves(case: str) -> None:
         make()
 
 
-# --- LightningCLI -----------------------------------------------------------------------------------------------------
+# --- LightningCLI -------------------------------------------------------------------------------
 
 QUIET = [
     "--trainer.accelerator=cpu",
@@ -433,13 +506,19 @@ QUIET = [
 
 @pytest.fixture(autouse=True)
 def _quiet_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["train.py"])  # LightningCLI warns when it is given others beside them
-    monkeypatch.setenv("JSONARGPARSE_DEPRECATION_WARNINGS", "off")  # of Lightning's calls, not of ours
+    monkeypatch.setattr(
+        sys, "argv", ["train.py"]
+    )  # LightningCLI warns when it is given others beside them
+    monkeypatch.setenv(
+        "JSONARGPARSE_DEPRECATION_WARNINGS", "off"
+    )  # of Lightning's calls, not of ours
 
 
 def run_cli(arguments: list[str]) -> LightningCLI:
     """Run what a script of two lines runs."""
-    return LightningCLI(Model, MapDataModule, args=arguments, save_config_callback=None, seed_everything_default=0)
+    return LightningCLI(
+        Model, MapDataModule, args=arguments, save_config_callback=None, seed_everything_default=0
+    )
 
 
 def test_cli_with_flags(root: str) -> None:
@@ -458,8 +537,12 @@ def test_cli_with_flags(root: str) -> None:
     assert cli.datamodule.serving.movement == Movement(8, True, 1)
     assert cli.datamodule.serving.problems == Random(distance=(3, None))
     assert isinstance(cli.model, Model)
-    expected = module(root, movement=Movement(8, True, 1), problems=Random(distance=(3, None)), augment=True)
-    assert [list(one.problems) for one in cli.model.seen] == [b.problem.tolist() for b in batches_of(expected)]
+    expected = module(
+        root, movement=Movement(8, True, 1), problems=Random(distance=(3, None)), augment=True
+    )
+    assert [list(one.problems) for one in cli.model.seen] == [
+        b.problem.tolist() for b in batches_of(expected)
+    ]
     named = [flag for flag in flags if "movement" not in flag]
     cli = run_cli(["fit", *QUIET, *named, "--data.movement.connectivity=8"])
     assert cli.datamodule.serving.movement == Movement(8)
@@ -492,18 +575,20 @@ def test_cli_checkpoints_come_back(root: str, tmp_path: Path) -> None:
 
 
 def test_one_class_serves_both_packages(root: str) -> None:
-    """`lightning.pytorch` and `pytorch_lightning` each accept only their own class; ours is both where both are."""
+    """`lightning.pytorch` and `pytorch_lightning` each accept only their own class; ours is both
+    where both are.
+    """
     assert issubclass(MapDataModule, pl.LightningDataModule)
     if find_spec("lightning") is None:
         pytest.skip("package 'lightning' is not installed")
     other: Any = import_module("lightning.pytorch")
 
-    def training_step(model: Any, batch: Sample, _: int) -> torch.Tensor:  # noqa: ANN401
+    def training_step(model: Any, batch: Sample, _: int) -> torch.Tensor:
         model.seen += batch.problem.tolist()
         loss: torch.Tensor = model.layer(torch.zeros(1, 2)).sum()
         return loss
 
-    def configure_optimizers(model: Any) -> torch.optim.Optimizer:  # noqa: ANN401
+    def configure_optimizers(model: Any) -> torch.optim.Optimizer:
         return torch.optim.SGD(model.parameters(), 1e-9)
 
     methods = {

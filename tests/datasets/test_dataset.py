@@ -1,4 +1,6 @@
-"""Datasets: stored problems are those of the labels, drawn ones meet their conditions, and workers change nothing."""
+"""Datasets: stored problems are those of the labels, drawn ones meet their conditions, and workers
+change nothing.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,10 @@ from mapdata.shards import MANIFEST, Manifest, read_manifest
 
 Array = npt.NDArray[Any]
 SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
-SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
+SEARCHES: dict[str, reference.Search] = {
+    "bfs": reference.reference_bfs,
+    "astar": reference.reference_astar,
+}
 SPLITS = ("train", "val", "test")
 STORED: dict[str, type[Route] | type[Pairs]] = {"route": Route, "pairs": Pairs}
 MAPS, SEED = 60, 5
@@ -52,7 +57,10 @@ MAPS, SEED = 60, 5
 def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Datasets of 60 maps in four shards."""
     folder = tmp_path_factory.mktemp("dataset")
-    return {name: samples.build_small(folder / name, spec, maps=MAPS, seed=SEED) for name, spec in SPECS.items()}
+    return {
+        name: samples.build_small(folder / name, spec, maps=MAPS, seed=SEED)
+        for name, spec in SPECS.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +83,12 @@ class Problem(NamedTuple):
     second: int
 
 
-def problems_of(labels: Labels, problems: str, split: str | None, unsolvable: bool = False) -> list[Problem]:
-    """Return the problems of the design: segments or all pairs, without those of length 0, or without a path."""
+def problems_of(
+    labels: Labels, problems: str, split: str | None, unsolvable: bool = False
+) -> list[Problem]:
+    """Return the problems of the design: segments or all pairs, without those of length 0, or
+    without a path.
+    """
     found = []
     for i in range(len(labels.maps)):
         if split is not None and labels.maps.split[i] != SPLITS.index(split):
@@ -93,32 +105,43 @@ def problems_of(labels: Labels, problems: str, split: str | None, unsolvable: bo
     return found
 
 
-# --- stored problems --------------------------------------------------------------------------------------------------
+# --- stored problems ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("unsolvable", [False, True])
 @pytest.mark.parametrize("search", ["bfs", "astar"])
 @pytest.mark.parametrize("problems", STORED)
 @pytest.mark.parametrize("name", SPECS)
-def test_stored_problems(roots: dict[str, str], name: str, problems: str, search: str, unsolvable: bool) -> None:
-    """Map, start, goal, path, cost and iterations are the labels', in order, for each split and for all."""
+def test_stored_problems(
+    roots: dict[str, str], name: str, problems: str, search: str, unsolvable: bool
+) -> None:
+    """Map, start, goal, path, cost and iterations are the labels', in order, for each split and for
+    all.
+    """
     labels = labels_of(name)
     movement = SPECS[name].movement
     fields = ("map", "start", "goal", "path", "cost", "iterations", "length")
     for split in (None, *SPLITS):
         truth = problems_of(labels, problems, split, unsolvable)
-        dataset = MapDataset(roots[name], split, fields, problems=STORED[problems](unsolvable), search=search)
+        dataset = MapDataset(
+            roots[name], split, fields, problems=STORED[problems](unsolvable), search=search
+        )
         assert len(dataset) == len(truth) > 5
         for one, sample in _pairs(truth, dataset):
             grid = labels.maps.occupancy[one.map]
-            start, goal = (tuple(labels.maps.seed_points[one.map, room].tolist()) for room in (one.first, one.second))
+            start, goal = (
+                tuple(labels.maps.seed_points[one.map, room].tolist())
+                for room in (one.first, one.second)
+            )
             np.testing.assert_array_equal(sample.map[0], grid)
             assert (samples.cell_of(sample.start), samples.cell_of(sample.goal)) == (start, goal)
             assert sample.cost == np.float32(labels.matrix(search, one.map)[one.first, one.second])
             path = samples.cells_of(sample.path)
             assert len(path) == sample.length
             if problems == "route":
-                assert path == [tuple(cell) for cell in labels.segment(search, one.map, one.first).tolist()]
+                assert path == [
+                    tuple(cell) for cell in labels.segment(search, one.map, one.first).tolist()
+                ]
                 assert sample.iterations == labels.iterations(search, one.map)[one.first]
             else:
                 found = SEARCHES[search](grid.tolist(), start, goal, movement)
@@ -133,7 +156,9 @@ def _pairs(truth: list[Problem], dataset: MapDataset) -> Iterator[tuple[Problem,
 
 def test_unsolvable_problems_occur(root: str) -> None:
     """What `unsolvable` adds has no path: no cells, cost -1, hardness -1."""
-    every = MapDataset(root, fields=("cost", "path", "length", "hardness"), problems=Route(unsolvable=True))[:]
+    every = MapDataset(
+        root, fields=("cost", "path", "length", "hardness"), problems=Route(unsolvable=True)
+    )[:]
     without = every.length == 0
     assert 0 < without.sum() == len(every.cost) - len(MapDataset(root))
     assert (every.path[without] == -1).all()
@@ -159,18 +184,33 @@ def test_another_movement_is_solved_on_the_fly(
     roots: dict[str, str], name: str, search: str, movement: Movement
 ) -> None:
     """Paths, costs, matrices under any movement are the reference's, on the same problems."""
-    fields = ("map", "start", "goal", "path", "cost", "iterations", "connection_matrix", "seed_points")
+    fields = (
+        "map",
+        "start",
+        "goal",
+        "path",
+        "cost",
+        "iterations",
+        "connection_matrix",
+        "seed_points",
+    )
     dataset = MapDataset(roots[name], "val", fields, search=search, movement=movement)
     assert dataset.movement == movement
     for k in range(0, len(dataset), 4):
         sample = dataset[k]
         grid = samples.grid_of(sample.map)
-        found = SEARCHES[search](grid, samples.cell_of(sample.start), samples.cell_of(sample.goal), movement)
+        found = SEARCHES[search](
+            grid, samples.cell_of(sample.start), samples.cell_of(sample.goal), movement
+        )
         assert samples.cells_of(sample.path) == found.path
         assert (sample.cost, int(sample.iterations)) == (np.float32(found.cost), found.iterations)
         seed_points = samples.cells_of(sample.seed_points)
-        matrix = reference.reference_matrix(SEARCHES[search], grid, seed_points, movement).astype(np.float32)
-        np.testing.assert_array_equal(sample.connection_matrix[: len(seed_points), : len(seed_points)], matrix)
+        matrix = reference.reference_matrix(SEARCHES[search], grid, seed_points, movement).astype(
+            np.float32
+        )
+        np.testing.assert_array_equal(
+            sample.connection_matrix[: len(seed_points), : len(seed_points)], matrix
+        )
 
 
 def test_the_stored_movement_may_be_named(root: str) -> None:
@@ -180,9 +220,13 @@ def test_the_stored_movement_may_be_named(root: str) -> None:
 
 def test_several_roots(tmp_path: Path, root: str) -> None:
     """One dataset over all of them, in order; they must have one map size and one movement."""
-    other = samples.build_small(tmp_path / "other", replace(samples.SPEC, rooms=(6, 7)), maps=20, seed=9)
+    other = samples.build_small(
+        tmp_path / "other", replace(samples.SPEC, rooms=(6, 7)), maps=20, seed=9
+    )
     both = MapDataset([root, tmp_path / "other"], fields=("map", "path", "seed_points"))
-    first, second = (MapDataset(each, fields=("map", "path", "seed_points")) for each in (root, other))
+    first, second = (
+        MapDataset(each, fields=("map", "path", "seed_points")) for each in (root, other)
+    )
     assert len(both) == len(first) + len(second)
     assert both[0].seed_points.shape == (7, 2)
     for k in (0, len(first) - 1):
@@ -194,14 +238,16 @@ def test_several_roots(tmp_path: Path, root: str) -> None:
     assert torch.equal(mixed.map[1], second[0].map)
     assert len(both.table()) == MAPS + 20
     wide = samples.build_small(tmp_path / "wide", samples.WIDE, maps=2)
-    diagonal = samples.build_small(tmp_path / "diagonal", replace(samples.SPEC, movement=Movement(8)), maps=2)
+    diagonal = samples.build_small(
+        tmp_path / "diagonal", replace(samples.SPEC, movement=Movement(8)), maps=2
+    )
     with pytest.raises(ValueError, match=r"root: .*wide has map_size \(9, 70\), .* has \(20, 20\)"):
         MapDataset([root, wide])
     with pytest.raises(ValueError, match=r"root: .*diagonal has movement"):
         MapDataset([root, diagonal])
 
 
-# --- indices ----------------------------------------------------------------------------------------------------------
+# --- indices ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("online", [False, True])
@@ -248,13 +294,15 @@ def test_epochs_are_in_the_index(root: str, online: bool) -> None:
     samples.assert_same(epochs[0], dataset[:])
     for later in epochs[1:]:
         assert later.problem.tolist() == list(range(n))
-        same = (later.start == epochs[0].start).all(dim=1) & (later.goal == epochs[0].goal).all(dim=1)
+        same = (later.start == epochs[0].start).all(dim=1) & (later.goal == epochs[0].goal).all(
+            dim=1
+        )
         assert same.float().mean() < 0.7  # a map of two rooms has one segment
     stored = MapDataset(root, fields=fields)
     samples.assert_same(stored.__getitems__([3 + 7 * len(stored)]).batch, stored[3:4])
 
 
-# --- random problems --------------------------------------------------------------------------------------------------
+# --- random problems ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
@@ -262,7 +310,12 @@ def test_epochs_are_in_the_index(root: str, online: bool) -> None:
 def test_random_problems(root: str, online: bool, movement: Movement) -> None:
     """Start and goal are free, differ and are connected; one problem a map; conditions hold."""
     fields = ("map", "start", "goal", "path", "cost", "hardness")
-    for conditions in (Random(), Random((12, 20)), Random(hardness=(1.05, 1.3)), Random(length=(None, 9))):
+    for conditions in (
+        Random(),
+        Random((12, 20)),
+        Random(hardness=(1.05, 1.3)),
+        Random(length=(None, 9)),
+    ):
         arguments: dict[str, Any] = {"fields": fields, "problems": conditions, "movement": movement}
         dataset: MapDataset | OnlineMapDataset
         if online:
@@ -278,17 +331,26 @@ def test_random_problems(root: str, online: bool, movement: Movement) -> None:
             assert start != goal
             best = reference.reference_distances(grid, start, movement)[goal]
             assert sample.cost == np.float32(reference.as_float(best, movement))
-            assert samples.cells_of(sample.path) == reference.reference_astar(grid, start, goal, movement).path
-            found = np.array([[sample.cost], [sample.hardness], [len(samples.cells_of(sample.path))]])
+            assert (
+                samples.cells_of(sample.path)
+                == reference.reference_astar(grid, start, goal, movement).path
+            )
+            found = np.array(
+                [[sample.cost], [sample.hardness], [len(samples.cells_of(sample.path))]]
+            )
             bands = np.array(conditions.bands, np.float32)
             assert ((found >= bands[:, :1]) & (found <= bands[:, 1:])).all()
 
 
 def test_random_problems_depend_on_seed_epoch_and_number_alone(root: str) -> None:
-    """Equal whatever was asked before, in any batch, with any state of any generator; else different."""
+    """Equal whatever was asked before, in any batch, with any state of any generator; else
+    different.
+    """
 
     def starts(sampling_seed: int, epoch: int, split: str | None = None) -> torch.Tensor:
-        dataset = MapDataset(root, split, ("start", "goal"), problems="random", sampling_seed=sampling_seed)
+        dataset = MapDataset(
+            root, split, ("start", "goal"), problems="random", sampling_seed=sampling_seed
+        )
         random.seed(len(dataset) + epoch)
         np.random.seed(epoch)  # noqa: NPY002  (what others may do)
         torch.manual_seed(epoch)
@@ -326,18 +388,24 @@ def test_conditions_that_no_map_meets(root: str) -> None:
 
 
 def test_maps_without_a_problem_are_replaced(root: str) -> None:
-    """A condition that few maps meet: every sample meets it all the same, and others stay what they were."""
+    """A condition that few maps meet: every sample meets it all the same, and others stay what they
+    were.
+    """
     for conditions in (Random(distance=(22, None)), Random(hardness=(1.7, None))):
         dataset = MapDataset(root, fields=("cost", "hardness", "map"), problems=conditions)
         batch = dataset[:]
-        own = (batch.map.flatten(1) == torch.from_numpy(labels_of("square").maps.occupancy).flatten(1)).all(dim=1)
+        own = (
+            batch.map.flatten(1) == torch.from_numpy(labels_of("square").maps.occupancy).flatten(1)
+        ).all(dim=1)
         assert 0 < own.sum() < MAPS
         assert (batch.cost >= conditions.bands[0][0]).all()
         assert (batch.hardness >= conditions.bands[1][0]).all()
-        samples.assert_same(dataset[7], dataset[[3, 7]]._make(value[1] for value in dataset[[3, 7]]))
+        samples.assert_same(
+            dataset[7], dataset[[3, 7]]._make(value[1] for value in dataset[[3, 7]])
+        )
 
 
-# --- symmetries -------------------------------------------------------------------------------------------------------
+# --- symmetries ---------------------------------------------------------------------------------
 
 TURNS: tuple[Callable[[Array], Array], ...] = (
     lambda grid: grid,
@@ -354,9 +422,22 @@ TURNS: tuple[Callable[[Array], Array], ...] = (
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 @pytest.mark.parametrize(("name", "count"), [("square", 8), ("wide", 4)])
-def test_augmentation_moves_everything_along(roots: dict[str, str], name: str, count: int, movement: Movement) -> None:
-    """Every sample is a turned one: map, cells, path and centres alike; what is found is right on the turned map."""
-    fields = ("map", "start", "goal", "path", "seed_points", "optimal_moves", "cost_to_go", "path_mask")
+def test_augmentation_moves_everything_along(
+    roots: dict[str, str], name: str, count: int, movement: Movement
+) -> None:
+    """Every sample is a turned one: map, cells, path and centres alike; what is found is right on
+    the turned map.
+    """
+    fields = (
+        "map",
+        "start",
+        "goal",
+        "path",
+        "seed_points",
+        "optimal_moves",
+        "cost_to_go",
+        "path_mask",
+    )
     plain = MapDataset(roots[name], "train", (*fields, "cost"), movement=movement)
     turned = MapDataset(roots[name], "train", (*fields, "cost"), movement=movement, augment=True)
     before, after = plain[:], turned[:]
@@ -368,7 +449,10 @@ def test_augmentation_moves_everything_along(roots: dict[str, str], name: str, c
         to = samples.cells_of(after.path[k])
         matching = []
         for turn, symmetry in enumerate(TURNS[:count]):
-            places = {int(cell): divmod(place, cells.shape[1]) for place, cell in enumerate(symmetry(cells).flat)}
+            places = {
+                int(cell): divmod(place, cells.shape[1])
+                for place, cell in enumerate(symmetry(cells).flat)
+            }
             moved = [places[row * cells.shape[1] + column] for row, column in at]
             maps_agree = np.array_equal(symmetry(before.map[k, 0].numpy()), after.map[k, 0].numpy())
             if maps_agree and moved == to:
@@ -380,7 +464,9 @@ def test_augmentation_moves_everything_along(roots: dict[str, str], name: str, c
         used |= set(matching) if len(matching) == 1 else set()
         assert to[0] == samples.cell_of(after.start[k])
         assert to[-1] == samples.cell_of(after.goal[k])
-        assert [tuple(cell) for cell in np.argwhere(after.path_mask[k, 0].numpy()).tolist()] == sorted(to)
+        assert [
+            tuple(cell) for cell in np.argwhere(after.path_mask[k, 0].numpy()).tolist()
+        ] == sorted(to)
         if k % 9 == 0:
             grid = samples.grid_of(after.map[k])
             assert reference.first_bad_step(grid, to, movement) is None
@@ -394,8 +480,17 @@ def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:
     for problems in ("route", "random"):
 
         def maps(sampling_seed: int, epoch: int, problems: str = problems) -> torch.Tensor:
-            dataset = MapDataset(root, "train", ("map",), problems=problems, augment=True, sampling_seed=sampling_seed)
-            maps: torch.Tensor = dataset.__getitems__([k + epoch * len(dataset) for k in range(len(dataset))]).batch.map
+            dataset = MapDataset(
+                root,
+                "train",
+                ("map",),
+                problems=problems,
+                augment=True,
+                sampling_seed=sampling_seed,
+            )
+            maps: torch.Tensor = dataset.__getitems__(
+                [k + epoch * len(dataset) for k in range(len(dataset))]
+            ).batch.map
             return maps
 
         first = maps(0, 0)
@@ -404,7 +499,7 @@ def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:
             assert (other == first).flatten(1).all(dim=1).float().mean() < 0.4
 
 
-# --- views and tables -------------------------------------------------------------------------------------------------
+# --- views and tables ---------------------------------------------------------------------------
 
 
 def test_filters_keep_what_meets_all_conditions(root: str) -> None:
@@ -416,10 +511,19 @@ def test_filters_keep_what_meets_all_conditions(root: str) -> None:
     every = dataset[:]
     kept: dict[str, tuple[dict[str, Any], list[bool]]] = {
         "rooms": ({"rooms": (3, 4)}, [3 <= labels.maps.rooms[one.map] <= 4 for one in truth]),
-        "path_length": ({"path_length": (5, 12)}, [5 <= length <= 12 for length in every.length.tolist()]),
+        "path_length": (
+            {"path_length": (5, 12)},
+            [5 <= length <= 12 for length in every.length.tolist()],
+        ),
         "reachable": ({"reachable": False}, [length == 0 for length in every.length.tolist()]),
-        "all_connected": ({"all_connected": True}, [bool(labels.all_connected[one.map]) for one in truth]),
-        "hardness": ({"hardness": (1.1, 9.0)}, [1.1 <= value <= 9 for value in every.hardness.tolist()]),
+        "all_connected": (
+            {"all_connected": True},
+            [bool(labels.all_connected[one.map]) for one in truth],
+        ),
+        "hardness": (
+            {"hardness": (1.1, 9.0)},
+            [1.1 <= value <= 9 for value in every.hardness.tolist()],
+        ),
     }
     for conditions, keep in kept.values():
         view = dataset.filter(**conditions)
@@ -432,7 +536,9 @@ def test_filters_keep_what_meets_all_conditions(root: str) -> None:
         samples.assert_same(view[-1], view[len(view) - 1])
     both = dataset.filter(rooms=(3, 4)).filter(path_length=(5, 12))
     assert len(both) == len(dataset.filter(rooms=(3, 4), path_length=(5, 12)))
-    assert len(both) == sum(a and b for a, b in zip(kept["rooms"][1], kept["path_length"][1], strict=True))
+    assert len(both) == sum(
+        a and b for a, b in zip(kept["rooms"][1], kept["path_length"][1], strict=True)
+    )
     assert len(dataset) == len(truth)  # a view leaves the dataset as it is
 
 
@@ -459,7 +565,11 @@ def test_table(roots: dict[str, str]) -> None:
         assert len(table) == MAPS
         for i in range(MAPS):
             row, n = table.iloc[i], int(maps.rooms[i])
-            assert (row["item"], row["label"], row["split"]) == (i, f"map{i}", SPLITS[maps.split[i]])
+            assert (row["item"], row["label"], row["split"]) == (
+                i,
+                f"map{i}",
+                SPLITS[maps.split[i]],
+            )
             assert (row["resolution"], row["passage size"]) == (0.1, maps.passage_width[i])
             for k, side in enumerate(("rows", "columns")):
                 assert row[f"seed {side}"] == maps.seed_points[i, :n, k].tolist()
@@ -468,7 +578,10 @@ def test_table(roots: dict[str, str]) -> None:
             assert row["connected"] == [bool(one) for one in maps.connected[i, : n - 1]]
             for search in ("bfs", "astar"):
                 path = joined(labels.route(search, i))
-                assert list(zip(row[f"{search} row path"], row[f"{search} column path"], strict=True)) == path
+                assert (
+                    list(zip(row[f"{search} row path"], row[f"{search} column path"], strict=True))
+                    == path
+                )
                 assert row[f"{search} iterations"] == labels.iterations(search, i).tolist()
                 assert row[f"{search} connection matrix"] == labels.matrix(search, i).tolist()
             first, last = maps.segment_offsets[i : i + 2]
@@ -487,16 +600,29 @@ def joined(route: list[npt.NDArray[np.int64]]) -> list[tuple[int, ...]]:
     return path
 
 
-# --- online -----------------------------------------------------------------------------------------------------------
+# --- online -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("split", [None, *SPLITS])
 @pytest.mark.parametrize("name", SPECS)
-def test_online_maps_are_those_of_the_shards(roots: dict[str, str], name: str, split: str | None) -> None:
-    """Sample i is of the i-th map (of the split), bit for bit, with a problem of it that is right."""
+def test_online_maps_are_those_of_the_shards(
+    roots: dict[str, str], name: str, split: str | None
+) -> None:
+    """Sample i is of the i-th map (of the split), bit for bit, with a problem of it that is
+    right.
+    """
     labels = labels_of(name)
     numbers = [i for i in range(MAPS) if split is None or SPLITS[labels.maps.split[i]] == split]
-    fields = ("map", "start", "goal", "path", "cost", "iterations", "connection_matrix", "seed_points")
+    fields = (
+        "map",
+        "start",
+        "goal",
+        "path",
+        "cost",
+        "iterations",
+        "connection_matrix",
+        "seed_points",
+    )
     for problems in STORED:
         online = OnlineMapDataset(SPECS[name], SEED, len(numbers), split, fields, problems=problems)
         own = 0
@@ -514,9 +640,15 @@ def test_online_maps_are_those_of_the_shards(roots: dict[str, str], name: str, s
             )
             seed_points = [tuple(seed) for seed in labels.maps.seed_points[i, :n].tolist()]
             start, goal = samples.cell_of(sample.start), samples.cell_of(sample.goal)
-            matching = [one for one in valid if (seed_points[one.first], seed_points[one.second]) == (start, goal)]
+            matching = [
+                one
+                for one in valid
+                if (seed_points[one.first], seed_points[one.second]) == (start, goal)
+            ]
             assert matching
-            assert sample.cost == np.float32(labels.matrix("astar", i)[matching[0].first, matching[0].second])
+            assert sample.cost == np.float32(
+                labels.matrix("astar", i)[matching[0].first, matching[0].second]
+            )
             if problems == "route":
                 assert samples.cells_of(sample.path) == [
                     tuple(cell) for cell in labels.segment("astar", i, matching[0].first).tolist()
@@ -524,7 +656,9 @@ def test_online_maps_are_those_of_the_shards(roots: dict[str, str], name: str, s
                 assert sample.iterations == labels.iterations("astar", i)[matching[0].first]
         assert own > len(numbers) / 2
     stored = MapDataset(roots[name], split, ("map",), problems="random")
-    random_online = OnlineMapDataset(SPECS[name], SEED, len(numbers), split, ("map",), problems="random")
+    random_online = OnlineMapDataset(
+        SPECS[name], SEED, len(numbers), split, ("map",), problems="random"
+    )
     own = sum(torch.equal(stored[k].map, random_online[k].map) for k in range(len(numbers)))
     assert own == len(numbers)
 
@@ -541,7 +675,9 @@ def test_online_problems_change_with_the_epoch() -> None:
             batch = online.__getitems__([i + epoch * MAPS]).batch
             seen.add((samples.cell_of(batch.start[0]), samples.cell_of(batch.goal[0])))
         if valid:
-            assert seen == {(tuple(seed_points[one.first]), tuple(seed_points[one.second])) for one in valid}
+            assert seen == {
+                (tuple(seed_points[one.first]), tuple(seed_points[one.second])) for one in valid
+            }
 
 
 def test_online_without_a_single_problem() -> None:
@@ -555,32 +691,49 @@ def test_online_without_a_single_problem() -> None:
 def test_online_unsolvable() -> None:
     """Pairs without a path stay when they are asked for."""
     spec = replace(samples.SPEC, skip_probability=0.9)
-    batch = OnlineMapDataset(spec, 1, 60, fields=("length", "cost", "path"), problems=Route(unsolvable=True))[:]
+    batch = OnlineMapDataset(
+        spec, 1, 60, fields=("length", "cost", "path"), problems=Route(unsolvable=True)
+    )[:]
     assert 0 < (batch.length == 0).sum() < 60
     assert ((batch.cost == -1) == (batch.length == 0)).all()
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
+# --- what is refused ----------------------------------------------------------------------------
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "split": ({"split": "training"}, "split: got 'training', expected one of train, val, test"),
-    "fields-name": ({"fields": ("map", "paths")}, "fields: got 'paths', expected a function or one of map, free"),
+    "fields-name": (
+        {"fields": ("map", "paths")},
+        "fields: got 'paths', expected a function or one of map, free",
+    ),
     "fields-text": ({"fields": "map"}, "fields: got 'map', expected a sequence"),
     "fields-none": ({"fields": ()}, r"fields: got \(\), expected a sequence"),
     "fields-twice": ({"fields": ("map", "goal", "map")}, "fields: .*each name once"),
-    "fields-lambda": ({"fields": ("map", lambda sample: sample.map)}, "fields: .*use 'def', not 'lambda'"),
+    "fields-lambda": (
+        {"fields": ("map", lambda sample: sample.map)},
+        "fields: .*use 'def', not 'lambda'",
+    ),
     "fields-number": ({"fields": ("map", 3)}, "fields: got 3, expected a name or a function"),
     "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, pairs, random"),
     "search": ({"search": "dijkstra"}, "search: got 'dijkstra', expected one of bfs, astar"),
     "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
-    "unsolvable": ({"problems": {"random": {"unsolvable": True}}}, "problems: random: unknown unsolvable; known are"),
-    "distance": ({"problems": '{"random": {"distance": [7, 5]}}'}, r"distance: got \[7, 5\], expected"),
+    "unsolvable": (
+        {"problems": {"random": {"unsolvable": True}}},
+        "problems: random: unknown unsolvable; known are",
+    ),
+    "distance": (
+        {"problems": '{"random": {"distance": [7, 5]}}'},
+        r"distance: got \[7, 5\], expected",
+    ),
     "augment-val": ({"split": "val", "augment": True}, "augment: would change the split 'val'"),
     "augment-test": ({"split": "test", "augment": True}, "augment: would change the split 'test'"),
     "sampling_seed": ({"sampling_seed": -1}, "seed: got -1, expected 0 to"),
     "sampling_seed-text": ({"sampling_seed": "7"}, "seed: got '7', expected an integer"),
     "max_length": ({"max_length": 0}, "max_length: got 0, expected at least 1"),
-    "max_length-nothing": ({"max_length": 9, "fields": ("map",)}, "max_length: .*'path' among the fields"),
+    "max_length-nothing": (
+        {"max_length": 9, "fields": ("map",)},
+        "max_length: .*'path' among the fields",
+    ),
 }
 
 
@@ -618,7 +771,10 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
 def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
     """The folder, what is not there, and the command and the argument that make one."""
     (tmp_path / "empty").mkdir()
-    for folder, why in ((tmp_path / "nowhere", "it does not exist"), (tmp_path / "empty", "no manifest.json there")):
+    for folder, why in (
+        (tmp_path / "nowhere", "it does not exist"),
+        (tmp_path / "empty", "no manifest.json there"),
+    ):
         with pytest.raises(DatasetNotFoundError) as error:
             MapDataset(folder)
         message = str(error.value)
@@ -628,7 +784,7 @@ def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
         assert isinstance(error.value, FileNotFoundError)
 
 
-# --- processes --------------------------------------------------------------------------------------------------------
+# --- processes ----------------------------------------------------------------------------------
 
 
 def twice_the_start(sample: Sample) -> torch.Tensor:
@@ -644,10 +800,14 @@ def test_datasets_pickle_as_their_arguments(root: str, kind: str) -> None:
     dataset: MapDataset | OnlineMapDataset
     if kind.startswith("online"):
         split = "train" if kind == "online-split" else None
-        dataset = OnlineMapDataset(samples.SPEC, 3, 100_000, split, fields, augment=True, sampling_seed=4)
+        dataset = OnlineMapDataset(
+            samples.SPEC, 3, 100_000, split, fields, augment=True, sampling_seed=4
+        )
     else:
         problems = "random" if kind == "random" else "route"
-        dataset = MapDataset(root, "train", fields, problems=problems, augment=True, sampling_seed=4, max_length=200)
+        dataset = MapDataset(
+            root, "train", fields, problems=problems, augment=True, sampling_seed=4, max_length=200
+        )
         dataset = dataset.filter(rooms=(3, 5)) if kind == "filtered" else dataset
     before = dataset[:40]
     data = pickle.dumps(dataset)
@@ -662,10 +822,14 @@ few_cores = pytest.mark.filterwarnings("ignore:This DataLoader will create 3 wor
 
 
 @few_cores
-@pytest.mark.parametrize(("workers", "method"), [(1, "fork"), (3, "fork"), (1, "spawn"), (1, "forkserver")])
+@pytest.mark.parametrize(
+    ("workers", "method"), [(1, "fork"), (3, "fork"), (1, "spawn"), (1, "forkserver")]
+)
 def test_workers_change_nothing(root: str, workers: int, method: str) -> None:
     """Batches from any number of workers, however they start, are those of the process itself."""
-    dataset = MapDataset(root, "train", (*samples.ALL_FIELDS, twice_the_start), problems="random", augment=True)
+    dataset = MapDataset(
+        root, "train", (*samples.ALL_FIELDS, twice_the_start), problems="random", augment=True
+    )
     _ = dataset[0]  # opened before the workers start
     expected = list(DataLoader(dataset, 16))
     loader = DataLoader(dataset, 16, num_workers=workers, multiprocessing_context=method)
@@ -682,10 +846,10 @@ def test_online_workers_change_nothing() -> None:
         samples.assert_all_same(list(loader), expected)
 
 
-# --- damaged and hostile files ----------------------------------------------------------------------------------------
+# --- damaged and hostile files ------------------------------------------------------------------
 
 
-def rewrite(manifest: Manifest, root: Path, **changes: Any) -> None:  # noqa: ANN401
+def rewrite(manifest: Manifest, root: Path, **changes: Any) -> None:
     """Write the manifest with another first entry, its own hash sound."""
     entry = replace(manifest.shards[0], **changes)
     (root / MANIFEST).write_text(replace(manifest, shards=(entry, *manifest.shards[1:])).to_json())
@@ -750,7 +914,12 @@ def test_manifests_that_lead_elsewhere_are_refused(root: str, tmp_path: Path) ->
     copy = tmp_path / "maps"
     shutil.copytree(root, copy)
     manifest = read_manifest(copy)
-    for name in ("../maps-000000000000-000000000016.h5", "/etc/passwd", "manifest.json", "a/maps-0-1.h5"):
+    for name in (
+        "../maps-000000000000-000000000016.h5",
+        "/etc/passwd",
+        "manifest.json",
+        "a/maps-0-1.h5",
+    ):
         rewrite(manifest, copy, name=name)
         with pytest.raises(ShardError, match="is not the name of a shard"):
             MapDataset(copy)
@@ -762,7 +931,11 @@ def test_manifests_that_count_otherwise_are_refused(root: str, tmp_path: Path) -
     shutil.copytree(root, copy)
     manifest = read_manifest(copy)
     counts = manifest.shards[0].counts
-    rewrite(manifest, copy, counts={**counts, "train": {**counts["train"], "route": counts["train"]["route"] + 1}})
+    rewrite(
+        manifest,
+        copy,
+        counts={**counts, "train": {**counts["train"], "route": counts["train"]["route"] + 1}},
+    )
     with pytest.raises(ShardError, match="the manifest says"):
         MapDataset(copy)[0]
 
@@ -793,7 +966,9 @@ def test_a_map_of_more_rooms_than_stated_is_refused(sound: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("name", SPECS)
 def test_damaged_paths_are_refused(roots: dict[str, str], name: str) -> None:
-    """Moves of any value give a path inside the map from start to goal, or an error: nothing beyond the map is used."""
+    """Moves of any value give a path inside the map from start to goal, or an error: nothing beyond
+    the map is used.
+    """
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "maps"
         shutil.copytree(roots[name], copy)
@@ -804,7 +979,7 @@ def test_damaged_paths_are_refused(roots: dict[str, str], name: str) -> None:
         refused, messages = 0, set[str]()
         for trial in range(8):
 
-            def member(file: Any, key: str, array: Array, _: Path, trial: int = trial) -> None:  # noqa: ANN401
+            def member(file: Any, key: str, array: Array, _: Path, trial: int = trial) -> None:
                 changed = array.copy()
                 where = source.integers(0, len(array), size=(1, 5, len(array))[trial % 3])
                 changed[where] = 0x77 if trial == 7 else source.integers(0, 256, size=len(where))
@@ -813,7 +988,9 @@ def test_damaged_paths_are_refused(roots: dict[str, str], name: str) -> None:
             hostile.write(shard, contents, shard, {"astar_moves": member, "bfs_moves": member})
             rewrite(manifest, copy, bytes=shard.stat().st_size)
             for search in ("bfs", "astar"):
-                dataset = MapDataset(copy, fields=("path", "path_mask", "start", "goal"), search=search)
+                dataset = MapDataset(
+                    copy, fields=("path", "path_mask", "start", "goal"), search=search
+                )
                 for k in range(20):
                     try:
                         sample = dataset[k]

@@ -1,4 +1,6 @@
-"""Every field of a sample equals slow plain Python, on maps of any size, for all movements and both planners."""
+"""Every field of a sample equals slow plain Python, on maps of any size, for all movements and both
+planners.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ from mapdata.datasets.fields import Paths, Rooms, room_matrices
 Array = npt.NDArray[Any]
 planners = pytest.mark.parametrize("search", ["bfs", "astar"])
 
-SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
+SEARCHES: dict[str, reference.Search] = {
+    "bfs": reference.reference_bfs,
+    "astar": reference.reference_astar,
+}
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (13, 13), (11, 17), (4, 70), (3, 129)]
 DENSITIES = (0.0, 0.1, 0.2, 0.3, 0.45, 1.0)
 
@@ -42,13 +47,17 @@ class Problem(NamedTuple):
 
 @cache
 def problems_of(shape: tuple[int, int]) -> list[Problem]:
-    """Return problems of one size: scattered, a serpentine, walled in, and one whose start is its goal."""
+    """Return problems of one size: scattered, a serpentine, walled in, and one whose start is its
+    goal.
+    """
     source = np.random.default_rng(shape)
     grids = [(source.random(shape) < density).astype(np.uint8) for density in DENSITIES]
     grids += [serpentine(*shape, source), grids[1].copy()]
     problems = []
     for k, grid in enumerate(grids):
-        start, goal = [(int(row), int(column)) for row, column in source.integers(0, shape, size=(2, 2))]
+        start, goal = [
+            (int(row), int(column)) for row, column in source.integers(0, shape, size=(2, 2))
+        ]
         goal = start if k == len(grids) - 1 else goal
         grid[start] = grid[goal] = 0
         problems.append(Problem(grid, start, goal))
@@ -78,7 +87,7 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
     )
 
 
-# --- around the goal --------------------------------------------------------------------------------------------------
+# --- around the goal ----------------------------------------------------------------------------
 
 
 @movements
@@ -97,8 +106,12 @@ def test_fields_around_the_goal(shape: tuple[int, int], movement: Movement) -> N
             ratio[cell] = 1 if cell == problem.goal else least / reference.as_float(cost, movement)
         np.testing.assert_array_equal(FIELDS["cost_to_go"](batch)[k, 0], field)
         np.testing.assert_allclose(FIELDS["heuristic_ratio"](batch)[k, 0], ratio, rtol=1e-6)
-        np.testing.assert_array_equal(FIELDS["optimal_mask"](batch)[k, 0], optimal_cells(problem, movement))
-        np.testing.assert_array_equal(FIELDS["optimal_moves"](batch)[k, 0], moves_to_goal(problem, movement))
+        np.testing.assert_array_equal(
+            FIELDS["optimal_mask"](batch)[k, 0], optimal_cells(problem, movement)
+        )
+        np.testing.assert_array_equal(
+            FIELDS["optimal_moves"](batch)[k, 0], moves_to_goal(problem, movement)
+        )
 
 
 def optimal_cells(problem: Problem, movement: Movement) -> Array:
@@ -114,7 +127,9 @@ def optimal_cells(problem: Problem, movement: Movement) -> Array:
 
 
 def moves_to_goal(problem: Problem, movement: Movement) -> Array:
-    """Return, per cell, the bits of the moves N, E, S, W, NE, SE, SW, NW that lower the cost by their own."""
+    """Return, per cell, the bits of the moves N, E, S, W, NE, SE, SW, NW that lower the cost by
+    their own.
+    """
     bits = np.zeros(problem.grid.shape, np.uint8)
     to_goal = reference.reference_distances(problem.rows(), problem.goal, movement)
     steps = reference.STRAIGHT + reference.DIAGONAL
@@ -140,7 +155,9 @@ def test_only_what_is_asked_for_is_computed(movement: Movement) -> None:
 
 @movements
 def test_following_optimal_moves_leads_to_the_goal(movement: Movement) -> None:
-    """Any of the moves, from any cell that the goal can be reached from, costs what the field says."""
+    """Any of the moves, from any cell that the goal can be reached from, costs what the field
+    says.
+    """
     problem = problems_of((13, 13))[3]
     moves = FIELDS["optimal_moves"](batch_of([problem], movement))[0, 0]
     to_goal = reference.reference_field(problem.rows(), problem.goal, movement)
@@ -156,7 +173,7 @@ def test_following_optimal_moves_leads_to_the_goal(movement: Movement) -> None:
         assert reference.path_cost(path, movement) == pytest.approx(to_goal[row, column], rel=1e-6)
 
 
-# --- of the path ------------------------------------------------------------------------------------------------------
+# --- of the path --------------------------------------------------------------------------------
 
 
 @planners
@@ -166,7 +183,11 @@ def test_fields_of_the_path(shape: tuple[int, int], movement: Movement, search: 
     """`path`, `length`, `cost`, `hardness`, `iterations` and the masks."""
     problems = problems_of(shape)
     batch = batch_of(problems, movement, search)
-    found = {name: FIELDS[name](batch) for name in FIELDS if name not in ("connection_matrix", "seed_points")}
+    found = {
+        name: FIELDS[name](batch)
+        for name in FIELDS
+        if name not in ("connection_matrix", "seed_points")
+    }
     assert found["path"].shape[1] % 16 == 0
     assert found["path"].shape[1] - 16 < max(found["length"]) <= found["path"].shape[1]
     for k, problem in enumerate(problems):
@@ -192,7 +213,9 @@ def test_fields_of_the_path(shape: tuple[int, int], movement: Movement, search: 
 
 
 def hardness_of(problem: Problem, movement: Movement) -> float:
-    """Return optimal cost over heuristic, whichever planner is served: 1 when start = goal, -1 without a path."""
+    """Return optimal cost over heuristic, whichever planner is served: 1 when start = goal, -1
+    without a path.
+    """
     best = reference.reference_distances(problem.rows(), problem.goal, movement).get(problem.start)
     least = reference.heuristic(problem.start, problem.goal, movement)
     if best is None or least == (0, 0):
@@ -204,7 +227,9 @@ def hardness_of(problem: Problem, movement: Movement) -> float:
 @movements
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_path_probability(shape: tuple[int, int], movement: Movement, search: str) -> None:
-    """TransPath's map from scipy's distances: L / (d(start, n) + d(n, goal) + d(n, path)), below 0.95 set to 0."""
+    """TransPath's map from scipy's distances: L / (d(start, n) + d(n, goal) + d(n, path)), below
+    0.95 set to 0.
+    """
     problems = problems_of(shape)
     found = FIELDS["path_probability"](batch_of(problems, movement, search))
     for k, problem in enumerate(problems):
@@ -212,12 +237,16 @@ def test_path_probability(shape: tuple[int, int], movement: Movement, search: st
         expected = np.zeros(shape)
         near = np.zeros(shape, np.bool_)
         if path:
-            distances = scipy_distances(problem.grid, [problem.start, problem.goal, *path], movement)
+            distances = scipy_distances(
+                problem.grid, [problem.start, problem.goal, *path], movement
+            )
             through = distances[0] + distances[1] + distances[2:].min(axis=0)
             best = distances[1][problem.start]
             ratio = np.where(through > 0, best / np.where(through > 0, through, 1), 1.0)
             reached = distances[0] >= 0
-            near = reached & (abs(ratio - 0.95) < 1e-9)  # on the threshold, where rounding may decide
+            near = reached & (
+                abs(ratio - 0.95) < 1e-9
+            )  # on the threshold, where rounding may decide
             expected = np.where(reached & (ratio >= 0.95), ratio, 0)
         np.testing.assert_allclose(found[k, 0][~near], expected[~near], rtol=1e-6)
         assert set(found[k, 0][near].tolist()) <= {0, np.float32(0.95)}
@@ -245,11 +274,13 @@ def test_max_length() -> None:
         assert path.shape == (1, room, 2)
         assert len(samples.cells_of(torch.from_numpy(path[0]))) == length
     batch.max_length = length - 1
-    with pytest.raises(ValueError, match=f"max_length: a path of {length} cells does not fit into {length - 1}"):
+    with pytest.raises(
+        ValueError, match=f"max_length: a path of {length} cells does not fit into {length - 1}"
+    ):
         FIELDS["path"](batch)
 
 
-# --- of the rooms -----------------------------------------------------------------------------------------------------
+# --- of the rooms -------------------------------------------------------------------------------
 
 
 @planners
@@ -261,13 +292,15 @@ def test_room_matrices_equal_the_reference(movement: Movement, search: str) -> N
     for k in range(len(maps)):
         n = int(maps.rooms[k])
         seed_points = [(int(row), int(column)) for row, column in maps.seed_points[k, :n]]
-        truth = reference.reference_matrix(SEARCHES[search], maps.occupancy[k].tolist(), seed_points, movement)
+        truth = reference.reference_matrix(
+            SEARCHES[search], maps.occupancy[k].tolist(), seed_points, movement
+        )
         np.testing.assert_array_equal(found[k, :n, :n], truth.astype(np.float32))
         assert (found[k, n:] == -2).all()
         assert (found[k, :, n:] == -2).all()
 
 
-# --- of a dataset -----------------------------------------------------------------------------------------------------
+# --- of a dataset -------------------------------------------------------------------------------
 
 
 def cells_seen(sample: Sample) -> torch.Tensor:
@@ -323,31 +356,41 @@ def test_every_field_is_in_the_table() -> None:
 @pytest.mark.parametrize("problems", ["route", "pairs", "random"])
 @pytest.mark.parametrize("online", [False, True])
 def test_shapes_and_types(wide: str, online: bool, problems: str, augment: bool) -> None:
-    """A batch has exactly the fields asked for, in that order, with the shapes and types of the table."""
+    """A batch has exactly the fields asked for, in that order, with the shapes and types of the
+    table.
+    """
     fields = samples.ALL_FIELDS[::-1]
     dataset: MapDataset | OnlineMapDataset
     if online:
-        dataset = OnlineMapDataset(samples.WIDE, 5, 20, fields=fields, problems=problems, augment=augment)
+        dataset = OnlineMapDataset(
+            samples.WIDE, 5, 20, fields=fields, problems=problems, augment=augment
+        )
     else:
         dataset = MapDataset(wide, fields=fields, problems=problems, augment=augment)
     batch = dataset[3 : 3 + B]
     assert batch._fields == fields
     for name, (shape, dtype) in TABLE.items():
         value = getattr(batch, name)
-        assert (tuple(value.shape), value.dtype, value.is_contiguous()) == (shape, dtype, True), name
+        assert (tuple(value.shape), value.dtype, value.is_contiguous()) == (shape, dtype, True), (
+            name
+        )
     assert (batch.path.shape[0], batch.path.shape[2], batch.path.dtype) == (B, 2, torch.int64)
     assert batch.path.shape[1] % 16 == 0
     assert batch.path.shape[1] == -(-int(batch.length.max()) // 16) * 16
     one = dataset[4]
     for name, (shape, dtype) in TABLE.items():
-        assert (tuple(getattr(one, name).shape), getattr(one, name).dtype) == (shape[1:], dtype), name
+        assert (tuple(getattr(one, name).shape), getattr(one, name).dtype) == (shape[1:], dtype), (
+            name
+        )
     assert one.path.shape == (int(one.length), 2)
 
 
 @planners
 def test_stored_matrices_and_centres(wide: str, search: str) -> None:
     """The stored connection matrix and seeds of each problem's map."""
-    dataset = MapDataset(wide, fields=("problem", "connection_matrix", "seed_points"), search=search)
+    dataset = MapDataset(
+        wide, fields=("problem", "connection_matrix", "seed_points"), search=search
+    )
     labels = labels_of_wide()
     batch = dataset[:]
     for k, i in enumerate(map_of_each_problem(labels)):
@@ -374,9 +417,14 @@ def map_of_each_problem(labels: Labels) -> list[int]:
 
 
 def test_functions_are_fields(wide: str) -> None:
-    """A function sees the batch so far and gives a field under its name; arrays and tensors are welcome."""
+    """A function sees the batch so far and gives a field under its name; arrays and tensors are
+    welcome.
+    """
     fields = ("free", "start", cells_seen, "goal", starts_as_array)
-    for dataset in (MapDataset(wide, fields=fields), OnlineMapDataset(samples.WIDE, 5, 20, fields=fields)):
+    for dataset in (
+        MapDataset(wide, fields=fields),
+        OnlineMapDataset(samples.WIDE, 5, 20, fields=fields),
+    ):
         batch = dataset[:7]
         assert batch._fields == ("free", "start", "cells_seen", "goal", "starts_as_array")
         assert torch.equal(batch.cells_seen, batch.free.flatten(1).sum(dim=1))
@@ -385,7 +433,9 @@ def test_functions_are_fields(wide: str) -> None:
 
 
 def test_padding_is_as_short_as_it_can_be(wide: str) -> None:
-    """Each batch has its own number of rows, a multiple of 16; with `max_length` all have the same."""
+    """Each batch has its own number of rows, a multiple of 16; with `max_length` all have the
+    same.
+    """
     dataset = MapDataset(wide, fields=("path", "length"))
     rows = {dataset[k : k + 1].path.shape[1] for k in range(len(dataset))}
     assert len(rows) > 1

@@ -1,4 +1,6 @@
-"""Samples become batches under any DataLoader: whole batches and stacked samples are equal, bit for bit."""
+"""Samples become batches under any DataLoader: whole batches and stacked samples are equal, bit for
+bit.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from typing import Any
 import pytest
 import torch
 from helpers import samples
-from torch.utils.data import BatchSampler, ConcatDataset, DataLoader, Dataset, SequentialSampler, Subset, random_split
+from torch.utils.data import (
+    BatchSampler,
+    ConcatDataset,
+    DataLoader,
+    Dataset,
+    SequentialSampler,
+    Subset,
+    random_split,
+)
 from torch.utils.data._utils.pin_memory import pin_memory
 
 from mapdata import MapDataset, OnlineMapDataset, Sample
@@ -31,7 +41,9 @@ def dataset(request: pytest.FixtureRequest, root: str) -> MapDataset | OnlineMap
         return OnlineMapDataset(samples.SPEC, 5, 60, "train", samples.ALL_FIELDS, augment=True)
     if request.param == "random":
         return MapDataset(root, "train", samples.ALL_FIELDS, problems="random", augment=True)
-    return MapDataset(root, fields=samples.ALL_FIELDS, max_length=90 if request.param == "fixed" else None)
+    return MapDataset(
+        root, fields=samples.ALL_FIELDS, max_length=90 if request.param == "fixed" else None
+    )
 
 
 class OneByOne(Dataset[Sample]):
@@ -49,11 +61,13 @@ class OneByOne(Dataset[Sample]):
         return self.dataset[i]
 
 
-# --- batches ----------------------------------------------------------------------------------------------------------
+# --- batches ------------------------------------------------------------------------------------
 
 
 def test_a_plain_loader_equals_stacked_samples(dataset: MapDataset | OnlineMapDataset) -> None:
-    """The fast way (`__getitems__`) and the slow way (one by one, torch's default collate) give the same batches."""
+    """The fast way (`__getitems__`) and the slow way (one by one, torch's default collate) give the
+    same batches.
+    """
     fast = list(DataLoader(dataset, 25))
     samples.assert_all_same(fast, list(DataLoader(OneByOne(dataset), 25)))
     assert all(isinstance(batch, Sample) for batch in fast)
@@ -62,7 +76,9 @@ def test_a_plain_loader_equals_stacked_samples(dataset: MapDataset | OnlineMapDa
     samples.assert_same(fast[0], dataset[:25])
 
 
-def test_shuffling_loaders_give_the_samples_of_their_sampler(dataset: MapDataset | OnlineMapDataset) -> None:
+def test_shuffling_loaders_give_the_samples_of_their_sampler(
+    dataset: MapDataset | OnlineMapDataset,
+) -> None:
     """With a generator the order is torch's, and each row is the sample of its number."""
     generator = torch.Generator().manual_seed(3)
     batches = list(DataLoader(dataset, 7, shuffle=True, generator=generator))
@@ -77,7 +93,9 @@ def test_views_of_torch(dataset: MapDataset | OnlineMapDataset) -> None:
     expected = [dataset[k] for k in chosen]
     samples.assert_same(next(iter(DataLoader(Subset(dataset, chosen), 5))), stack(expected))
     first, second = random_split(dataset, [0.5, 0.5], generator=torch.Generator().manual_seed(0))
-    numbers = [int(k) for part in (first, second) for batch in DataLoader(part, 9) for k in batch.problem]
+    numbers = [
+        int(k) for part in (first, second) for batch in DataLoader(part, 9) for k in batch.problem
+    ]
     assert sorted(numbers) == list(range(len(dataset)))
     samples.assert_same(first[2], dataset[first.indices[2]])
     both: ConcatDataset[Sample] = ConcatDataset([dataset, dataset])
@@ -110,7 +128,9 @@ class Seen:
         return sum(int(sample.problem) for sample in given)
 
 
-def test_a_collate_function_of_ones_own_sees_ordinary_samples(dataset: MapDataset | OnlineMapDataset) -> None:
+def test_a_collate_function_of_ones_own_sees_ordinary_samples(
+    dataset: MapDataset | OnlineMapDataset,
+) -> None:
     """As many as the batch has, each what `dataset[i]` is, in a sequence that behaves as a list."""
     collate = Seen()
     assert next(iter(DataLoader(dataset, 8, collate_fn=collate))) == sum(range(8))
@@ -144,7 +164,7 @@ def test_an_empty_batch(dataset: MapDataset | OnlineMapDataset) -> None:
     assert len(dataset.__getitems__([])) == 0
 
 
-# --- paths ------------------------------------------------------------------------------------------------------------
+# --- paths --------------------------------------------------------------------------------------
 
 
 def some_path(length: int) -> torch.Tensor:
@@ -153,7 +173,8 @@ def some_path(length: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(
-    ("lengths", "rows"), [((1,), 16), ((16, 3), 16), ((17, 16), 32), ((0, 2), 16), ((0, 0), 0), ((48,), 48)]
+    ("lengths", "rows"),
+    [((1,), 16), ((16, 3), 16), ((17, 16), 32), ((0, 2), 16), ((0, 0), 0), ((48,), 48)],
 )
 def test_padding_to_a_multiple_of_16(lengths: tuple[int, ...], rows: int) -> None:
     """As few rows as the longest path needs, in steps of 16, the rest -1."""
@@ -176,7 +197,7 @@ def test_padding_to_a_fixed_length() -> None:
     assert torch.equal(stack(alone).path[0, :3], some_path(3))
 
 
-# --- samples are NamedTuples ------------------------------------------------------------------------------------------
+# --- samples are NamedTuples --------------------------------------------------------------------
 
 
 def test_a_sample_is_a_named_tuple() -> None:

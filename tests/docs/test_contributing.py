@@ -1,4 +1,6 @@
-"""The examples of CONTRIBUTING.md work as they stand there, and leave no family, field or format behind."""
+"""The examples of CONTRIBUTING.md work as they stand there, and leave no family, field or format
+behind.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from mapdata.datasets import FIELDS
 
 
 def test_the_examples_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The family is built and served with the field, the format reads a file, and the planner is in a table."""
+    """The family is built and served with the field, the format reads a file, and the planner is in
+    a table.
+    """
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "contributing"}
     texts = [block.text for block in pages.blocks(ROOT / "CONTRIBUTING.md")]
@@ -29,7 +33,9 @@ def test_the_examples_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         build("halls", names["Halls"](), maps=20)
         batch = MapDataset("halls", fields=("map", "free_share"))[:8]
         assert not batch.map[:, :, 20:44, 20:44].any()
-        assert batch.free_share.tolist() == pytest.approx((1 - batch.map.float().mean(dim=(1, 2, 3))).tolist())
+        assert batch.free_share.tolist() == pytest.approx(
+            (1 - batch.map.float().mean(dim=(1, 2, 3))).tolist()
+        )
         Path("door.digits").write_text("00100\n00000\n")
         assert formats.read_any("door.digits").maps[0].grid.sum() == 1
     assert names["table"]["opt"][0] == 1

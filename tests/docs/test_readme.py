@@ -1,4 +1,6 @@
-"""What README.md shows is what happens: its Python, its commands, its recipe, its table of presets."""
+"""What README.md shows is what happens: its Python, its commands, its recipe, its table of
+presets.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,13 @@ def test_both_command_lines_stand_at_the_top() -> None:
 
 
 def test_every_block_runs() -> None:
-    """Python prints the text that follows it, commands run as they stand, and the pictures that are named are there."""
+    """Python prints the text that follows it, commands run as they stand, and the pictures that are
+    named are there.
+    """
     shown = pages.run(PAGE)
-    commands = [line for block in BLOCKS if block.language == "sh" for line in block.text.splitlines()]
+    commands = [
+        line for block in BLOCKS if block.language == "sh" for line in block.text.splitlines()
+    ]
     assert {"build", "info", "verify", "show", "report"} <= {line.split()[1] for line in commands}
     assert len(shown) == len(commands)
     for line, printed in zip(commands, shown, strict=True):
@@ -53,7 +59,11 @@ def test_the_recipe_of_ones_own_is_one() -> None:
     """A recipe needs only what differs from the defaults."""
     (text,) = (block.text for block in BLOCKS if block.language == "json")
     recipe = Recipe.load(text)
-    assert (recipe.spec.map_size, recipe.spec.movement.connectivity, recipe.maps) == ((48, 96), 8, 500)
+    assert (recipe.spec.map_size, recipe.spec.movement.connectivity, recipe.maps) == (
+        (48, 96),
+        8,
+        500,
+    )
 
 
 def test_table_of_presets() -> None:
@@ -65,7 +75,11 @@ def test_table_of_presets() -> None:
         for name, spec in PRESETS.items()
         if isinstance(spec, MapSpec)
     }
-    assert all(spec.room_rows == spec.room_columns for spec in PRESETS.values() if isinstance(spec, MapSpec))
+    assert all(
+        spec.room_rows == spec.room_columns
+        for spec in PRESETS.values()
+        if isinstance(spec, MapSpec)
+    )
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
@@ -74,4 +88,6 @@ def test_files_that_are_named_exist(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if "://" not in link]
     named = re.findall(r"`((?:mapdata|docs|tests|benchmarks|scripts)/[\w./]*)`", text)
-    assert [name for name in links + named if not name.endswith("x.py") and not (ROOT / name).exists()] == []
+    assert [
+        name for name in links + named if not name.endswith("x.py") and not (ROOT / name).exists()
+    ] == []

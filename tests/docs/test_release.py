@@ -1,4 +1,6 @@
-"""What a release holds: a wheel of `mapdata` alone that works outside the checkout, and sources that can be tested."""
+"""What a release holds: a wheel of `mapdata` alone that works outside the checkout, and sources
+that can be tested.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,11 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("release") / "mapdata"
     copy.mkdir()
     for path in ROOT.iterdir():
-        if path.is_dir() and path.name not in UNTOLD and not path.name.endswith(("_cache", ".egg-info")):
+        if (
+            path.is_dir()
+            and path.name not in UNTOLD
+            and not path.name.endswith(("_cache", ".egg-info"))
+        ):
             shutil.copytree(path, copy / path.name, ignore=shutil.ignore_patterns("__pycache__"))
         elif path.is_file():
             shutil.copy(path, copy)
@@ -66,7 +72,11 @@ def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     wanted = files(ROOT, ".ci", "benchmarks", "docs", "mapdata", "models", "scripts", "tests")
-    wanted |= {path.name for path in ROOT.glob("*.*") if path.is_file() and path.suffix in {".md", ".toml", ".txt"}}
+    wanted |= {
+        path.name
+        for path in ROOT.glob("*.*")
+        if path.is_file() and path.suffix in {".md", ".toml", ".txt"}
+    }
     assert wanted | {"LICENSE", "CITATION.cff", "mkdocs.yml"} <= names
     assert not [name for name in names if "__pycache__" in name]
 
@@ -75,7 +85,9 @@ OUTSIDE = """
 import sys
 site, checkout, *verbs = sys.argv[1:]
 sys.path[:] = [site, *(path for path in sys.path if path not in ("", checkout))]
-sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in getattr(finder, "__module__", "")]
+sys.meta_path[:] = [
+    finder for finder in sys.meta_path if "editable" not in getattr(finder, "__module__", "")
+]
 import mapdata
 from mapdata.cli import main
 for name in mapdata.__all__:
@@ -85,10 +97,12 @@ for verb in verbs:
         main(verb.split())
     except SystemExit as stop:
         assert not stop.code, verb
-ours = [module for name, module in sys.modules.items() if name.split(".")[0] in ("mapdata", "models", "scripts")]
+packages = ("mapdata", "models", "scripts")
+ours = [module for name, module in sys.modules.items() if name.split(".")[0] in packages]
 assert not [module.__file__ for module in ours if not module.__file__.startswith(site)]
 """
-"""Uses the wheel unpacked in a folder, and nothing of the checkout but a .venv that may lie in it."""
+"""Uses the wheel unpacked in a folder, and nothing of the checkout but a .venv that may lie in it.
+"""
 
 
 @pytest.mark.parametrize(
@@ -96,13 +110,22 @@ assert not [module.__file__ for module in ours if not module.__file__.startswith
     [
         ("--version", "build --help"),
         pytest.param(  # compiles all kernels: their files are elsewhere
-            ("build maps --maps 20", "verify maps", "show maps --index 3", "report maps -o report.html"),
+            (
+                "build maps --maps 20",
+                "verify maps",
+                "show maps --index 3",
+                "report maps -o report.html",
+            ),
             marks=pytest.mark.slow,
         ),
     ],
 )
-def test_the_wheel_works_outside_the_checkout(verbs: tuple[str, ...], dist: Path, tmp_path: Path) -> None:
-    """Unpacked elsewhere all public names are there and the command runs; nothing comes from the checkout."""
+def test_the_wheel_works_outside_the_checkout(
+    verbs: tuple[str, ...], dist: Path, tmp_path: Path
+) -> None:
+    """Unpacked elsewhere all public names are there and the command runs; nothing comes from the
+    checkout.
+    """
     (wheel,) = dist.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")

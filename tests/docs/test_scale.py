@@ -1,4 +1,6 @@
-"""What docs/scale.md shows: its plan follows from its rates, its sizes are real, its scripts are what they say."""
+"""What docs/scale.md shows: its plan follows from its rates, its sizes are real, its scripts are
+what they say.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +21,19 @@ PAGE = (Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf
 BLOCKS: list[tuple[str, str]] = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 RATES = {
     name: (int(rate.replace(",", "")), int(size.replace(",", "")))
-    for name, rate, size in re.findall(r"^\| `(\w+)` \| ([\d,]+) \| ([\d,]+) \|$", PAGE, re.MULTILINE)
+    for name, rate, size in re.findall(
+        r"^\| `(\w+)` \| ([\d,]+) \| ([\d,]+) \|$", PAGE, re.MULTILINE
+    )
 }
 
 
 def test_the_plan_follows_from_the_rates() -> None:
     """Core hours, minutes, bytes and files of each row are computed from the table above it."""
-    rows = re.findall(r"^\| 10\^(\d) \| `(\w+)` \| (.*) \| (.*) \| (.*) GB \| (.*) \| (.*) \|$", PAGE, re.MULTILINE)
+    rows = re.findall(
+        r"^\| 10\^(\d) \| `(\w+)` \| (.*) \| (.*) \| (.*) GB \| (.*) \| (.*) \|$",
+        PAGE,
+        re.MULTILINE,
+    )
     assert len(rows) == 6
     for power, name, hours, minutes, size, shard, files in rows:
         maps, (rate, each) = 10 ** int(power), RATES[name]
@@ -40,22 +48,31 @@ def test_a_map_has_so_many_bytes(name: str, tmp_path: Path) -> None:
     """A real build agrees, within a twentieth."""
     maps = 100 if name == "dungeon128" else 1000
     manifest = build(tmp_path / "maps", MapSpec.preset(name), maps=maps)
-    assert sum(entry.bytes for entry in manifest.shards) / maps == pytest.approx(RATES[name][1], rel=0.05)
+    assert sum(entry.bytes for entry in manifest.shards) / maps == pytest.approx(
+        RATES[name][1], rel=0.05
+    )
 
 
 def commands() -> list[list[str]]:
     """Return the commands that build a part, as the shell splits them."""
     return [
-        shlex.split(line.strip(" -")) for line in PAGE.splitlines() if "mapdata build" in line and "--part $" in line
+        shlex.split(line.strip(" -"))
+        for line in PAGE.splitlines()
+        if "mapdata build" in line and "--part $" in line
     ]
 
 
 @pytest.mark.parametrize("k", range(2))
 def test_parts_of_the_page_make_the_whole(k: int, tmp_path: Path) -> None:
-    """The commands of the SLURM script and of the indexed job, with fewer maps, from the first part to the last."""
+    """The commands of the SLURM script and of the indexed job, with fewer maps, from the first part
+    to the last.
+    """
     program, verb, _, *flags = commands()[k]
     assert (program, verb) == ("mapdata", "build")
-    values = dict(zip(flags[::2], flags[1::2], strict=True)) | {"--maps": "20", "--shard-size": "10"}
+    values = dict(zip(flags[::2], flags[1::2], strict=True)) | {
+        "--maps": "20",
+        "--shard-size": "10",
+    }
     variable, count = values.pop("--part").split("/")
     assert (variable, count) == (("$SLURM_ARRAY_TASK_ID", "$JOB_COMPLETION_INDEX")[k], "100")
     root, others = str(tmp_path / "maps"), [text for flag in values.items() for text in flag]
@@ -79,7 +96,9 @@ def test_the_scripts_are_sound() -> None:
 
 
 @pytest.mark.parametrize("part", ["1", "3/3", "-1/3", "a/b", "1/0"])
-def test_parts_that_cannot_be(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_parts_that_cannot_be(
+    part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One line that says how they are counted."""
     with pytest.raises(SystemExit, match="2"):
         main(["build", str(tmp_path / "maps"), f"--part={part}"])

@@ -1,4 +1,6 @@
-"""The table of planners: metrics by hand, cheats found out, intervals, the classical rows near their known values."""
+"""The table of planners: metrics by hand, cheats found out, intervals, the classical rows near
+their known values.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ DETOUR = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2)]
 
 
 def three(movement: Movement = Movement()) -> Problems:
-    """Return three problems from (0, 0): around a wall (L* 4, E* 5, hard), along the top (6, 7), down (3, 4)."""
+    """Return three problems from (0, 0): around a wall (L* 4, E* 5, hard), along the top (6, 7),
+    down (3, 4).
+    """
     grids = np.zeros((3, 4, 4), np.uint8)
     grids[0, 0, 1] = 1
     grids[1, :3, 1] = 1
@@ -70,13 +74,17 @@ def row(table: pd.DataFrame, planner: str, subset: str) -> dict[str, Any]:
 
 
 def test_the_metrics_by_hand() -> None:
-    """One detour with twice the expansions, one optimal path with half of them, one failure after one cell."""
+    """One detour with twice the expansions, one optimal path with half of them, one failure after
+    one cell.
+    """
     problems = three()
     assert problems.optimal.cost.tolist() == [4, 5, 3]
     assert problems.optimal.iterations.tolist() == [5, 6, 4]
     best = [(3, 1), (3, 2), (2, 2), (2, 3), (1, 3), (0, 3)]
     planner = Scripted([(DETOUR, 10), (best, 3), ([(0, 0), (3, 0)], 1)])
-    every, hard = (row(evaluate([planner], problems), "scripted", subset) for subset in ("all", "hard"))
+    every, hard = (
+        row(evaluate([planner], problems), "scripted", subset) for subset in ("all", "hard")
+    )
     expected = {
         "n": 3,
         "success": 2 / 3,
@@ -87,7 +95,15 @@ def test_the_metrics_by_hand() -> None:
         "hmean": 2 / (3 + 3 / 1.25),
     }
     assert {name: every[name] for name in expected} == pytest.approx(expected, rel=1e-12)
-    expected = {"n": 1, "success": 1, "opt": 0, "cost_ratio": 1.5, "expansion_ratio": 2, "p_exp": 0, "hmean": 0}
+    expected = {
+        "n": 1,
+        "success": 1,
+        "opt": 0,
+        "cost_ratio": 1.5,
+        "expansion_ratio": 2,
+        "p_exp": 0,
+        "hmean": 0,
+    }
     assert {name: hard[name] for name in expected} == expected
 
 
@@ -112,7 +128,11 @@ def test_cheats_fail(path: list[tuple[float, float]], movement: Movement) -> Non
     problems = three(movement)
     one = Problems(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
     found = row(evaluate([Scripted([(path, 1)])], one, bootstrap=5), "scripted", "all")
-    assert (found["success"], found["opt"], found["expansion_ratio"]) == (0, 0, 1 / one.optimal.iterations[0])
+    assert (found["success"], found["opt"], found["expansion_ratio"]) == (
+        0,
+        0,
+        1 / one.optimal.iterations[0],
+    )
     assert np.isnan(found["cost_ratio"])
 
 
@@ -124,10 +144,14 @@ def test_a_path_of_another_rank_fails() -> None:
         assert row(evaluate([planner], problems, bootstrap=5), "functional", "all")["success"] == 0
 
 
-@pytest.mark.parametrize("movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"])
+@pytest.mark.parametrize(
+    "movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"]
+)
 def test_the_row_of_astar_is_exact(movement: Movement) -> None:
     """Everything is measured with A*: 1, 1, 1, 1, 0, 0, and so are both ends of its intervals."""
-    table = evaluate(classical(movement), Problems.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20)
+    table = evaluate(
+        classical(movement), Problems.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20
+    )
     for subset in ("all", "hard"):
         found = row(table, "A*", subset)
         for suffix in ("", "_low", "_high"):
@@ -139,13 +163,17 @@ def test_the_row_of_astar_is_exact(movement: Movement) -> None:
 
 
 def test_the_table() -> None:
-    """Two rows a planner, planners in their order; without plan_batch there is no time in batches."""
+    """Two rows a planner, planners in their order; without plan_batch there is no time in
+    batches.
+    """
     planners: list[Planner] = [*classical(Movement()), Scripted([(DETOUR, 1), ([], 1), ([], 1)])]
     table = evaluate(planners, three(), bootstrap=10)
     assert table["planner"].tolist() == [planner.name for planner in planners] * 2
     assert table["subset"].tolist() == ["all"] * 8 + ["hard"] * 8
     columns = ["planner", "subset", "n", *METRICS, "ms", "ms_batched"]
-    assert table.columns.tolist() == columns + [f"{name}_{end}" for name in METRICS for end in ("low", "high")]
+    assert table.columns.tolist() == columns + [
+        f"{name}_{end}" for name in METRICS for end in ("low", "high")
+    ]
     assert (table["ms"] > 0).all()
     assert table["ms_batched"].isna().tolist() == ([False] * 7 + [True]) * 2
     text = to_text(table)
@@ -156,7 +184,9 @@ def test_the_table() -> None:
 
 def test_no_hard_problem() -> None:
     """The row is there, with n = 0 and NaN."""
-    easy = Problems(np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement())
+    easy = Problems(
+        np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement()
+    )
     table = evaluate(classical(Movement()), easy, bootstrap=5)
     found = row(table, "A*", "hard")
     assert found["n"] == 0
@@ -165,7 +195,9 @@ def test_no_hard_problem() -> None:
 
 
 def test_the_interval_is_that_of_a_share() -> None:
-    """For a share the percentile interval is close to the normal one, and the same with the same seed."""
+    """For a share the percentile interval is close to the normal one, and the same with the same
+    seed.
+    """
     problems = Problems.sample(MapSpec(), 2, 400)
     wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
 
@@ -174,7 +206,9 @@ def test_the_interval_is_that_of_a_share() -> None:
         return Plan(found.path[:-1] if goal in wrong else found.path, found.iterations)
 
     planner = Functional(plan)
-    found, again, other = (row(evaluate([planner], problems, seed=seed), "functional", "all") for seed in (0, 0, 1))
+    found, again, other = (
+        row(evaluate([planner], problems, seed=seed), "functional", "all") for seed in (0, 0, 1)
+    )
     share = found["success"]
     half = 1.96 * (share * (1 - share) / 400) ** 0.5
     assert 0.6 < share <= 0.75
@@ -182,7 +216,10 @@ def test_the_interval_is_that_of_a_share() -> None:
     assert found["success_high"] == pytest.approx(share + half, abs=0.008)
     timeless = [name for name in found if not name.startswith("ms")]
     assert [found[name] for name in timeless] == [again[name] for name in timeless]
-    assert found["success_low"] != other["success_low"] or found["success_high"] != other["success_high"]
+    assert (
+        found["success_low"] != other["success_low"]
+        or found["success_high"] != other["success_high"]
+    )
 
 
 def test_what_a_planner_does_to_its_arguments_stays_with_it() -> None:
@@ -229,13 +266,21 @@ def test_bad_arguments_are_refused() -> None:
 def test_the_classical_rows_are_where_they_were(
     movement: Movement, greedy: float, weighted: float, limit: float
 ) -> None:
-    """Hmean on hard problems of "dungeon", as a prototype with another A* order measured it on other maps."""
-    table = evaluate(classical(movement), Problems.sample(DUNGEON, 77, 600, movement=movement), bootstrap=10)
-    for planner, expected in (("greedy best-first", greedy), ("weighted A* (2)", weighted), ("limit", limit)):
+    """Hmean on hard problems of "dungeon", as a prototype with another A* order measured it on
+    other maps.
+    """
+    table = evaluate(
+        classical(movement), Problems.sample(DUNGEON, 77, 600, movement=movement), bootstrap=10
+    )
+    for planner, expected in (
+        ("greedy best-first", greedy),
+        ("weighted A* (2)", weighted),
+        ("limit", limit),
+    ):
         assert row(table, planner, "hard")["hmean"] == pytest.approx(expected, abs=0.03)
 
 
-# --- the script -------------------------------------------------------------------------------------------------------
+# --- the script ---------------------------------------------------------------------------------
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "evaluate_planners.py"
 
@@ -245,10 +290,21 @@ def run(*arguments: str) -> None:
     runpy.run_path(str(SCRIPT))["main"](list(arguments))
 
 
-def test_the_script_writes_a_list_of_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_writes_a_list_of_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """JSON, CSV and figure; the same numbers on a second run; the table in the terminal."""
     outputs = {name: tmp_path / f"out.{name}" for name in ("json", "csv", "png")}
-    arguments = ["--preset", "dungeon", "--maps", "12", "--seed", "77", "--json", str(outputs["json"])]
+    arguments = [
+        "--preset",
+        "dungeon",
+        "--maps",
+        "12",
+        "--seed",
+        "77",
+        "--json",
+        str(outputs["json"]),
+    ]
     run(*arguments, "--csv", str(outputs["csv"]), "--figure", str(outputs["png"]))
     rows = json.loads(outputs["json"].read_text())
     assert isinstance(rows, list)
@@ -301,7 +357,9 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
     ],
     ids=" ".join,
 )
-def test_the_script_says_what_is_wrong_in_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_says_what_is_wrong_in_one_line(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit code 2 and one line, no traceback."""
     with pytest.raises(SystemExit) as error:
         run(*arguments)
@@ -311,7 +369,9 @@ def test_the_script_says_what_is_wrong_in_one_line(arguments: list[str], capsys:
 
 
 def test_the_figure_shows_every_planner() -> None:
-    """One mark with its own shape or colour and one name a planner, and axes that say what they are."""
+    """One mark with its own shape or colour and one name a planner, and axes that say what they
+    are.
+    """
     table = evaluate(classical(Movement()), three(), bootstrap=5)
     axes = plot_planners(table, subset="all")
     handles, names = axes.get_legend_handles_labels()

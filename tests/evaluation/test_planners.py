@@ -1,4 +1,6 @@
-"""The classical planners: the reference's search with another f, scipy's costs, Pohl's bound, and bad input refused."""
+"""The classical planners: the reference's search with another f, scipy's costs, Pohl's bound, and
+bad input refused.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,12 @@ from mapdata import MapSpec, Plan, Problems, astar, bfs, check_path
 from mapdata.evaluation import BestFirst, Limit, Search, classical
 from mapdata.spec import Movement
 
-MOVEMENTS = [Movement(), Movement(8), Movement(8, corner_cutting=True), Movement(8, diagonal_cost=1)]
+MOVEMENTS = [
+    Movement(),
+    Movement(8),
+    Movement(8, corner_cutting=True),
+    Movement(8, diagonal_cost=1),
+]
 movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-cutting", "8-one"])
 WEIGHTS = [(0, True), (1, True), (1.5, True), (2, True), (1, False)]
 
@@ -38,10 +45,14 @@ def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
 def reference_best_first(
     grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, counts_way: bool
 ) -> Plan:
-    """Pop the least f = g + weight * h, among equal f the most recently pushed: exact fractions, plain Python."""
+    """Pop the least f = g + weight * h, among equal f the most recently pushed: exact fractions,
+    plain Python.
+    """
 
     def f(cost: reference.Pair, cell: Cell) -> Fraction:
-        estimate = Fraction(weight) * reference.weigh(reference.heuristic(cell, goal, movement), movement)
+        estimate = Fraction(weight) * reference.weigh(
+            reference.heuristic(cell, goal, movement), movement
+        )
         return estimate + (reference.weigh(cost, movement) if counts_way else 0)
 
     rows = grid.tolist()
@@ -56,7 +67,8 @@ def reference_best_first(
             cost = reference.add(costs[cell], step)
             known = neighbour in taken or neighbour in costs
             if neighbour in taken or (
-                known and reference.weigh(cost, movement) >= reference.weigh(costs[neighbour], movement)
+                known
+                and reference.weigh(cost, movement) >= reference.weigh(costs[neighbour], movement)
             ):
                 continue
             costs[neighbour], parents[neighbour] = cost, cell
@@ -69,13 +81,21 @@ def reference_best_first(
 def assert_same(found: Plan, expected: Plan) -> None:
     """Compare paths and expansions."""
     np.testing.assert_array_equal(found.path, expected.path)
-    assert (found.path.shape[1], found.expansions, type(found.expansions)) == (2, expected.expansions, int)
+    assert (found.path.shape[1], found.expansions, type(found.expansions)) == (
+        2,
+        expected.expansions,
+        int,
+    )
 
 
 @movements
 @pytest.mark.parametrize(("weight", "counts_way"), WEIGHTS)
-def test_best_first_equals_the_reference(movement: Movement, weight: float, counts_way: bool) -> None:
-    """Path and expansions, cell by cell: Dijkstra, A*, weighted A* and greedy search, with and without a path."""
+def test_best_first_equals_the_reference(
+    movement: Movement, weight: float, counts_way: bool
+) -> None:
+    """Path and expansions, cell by cell: Dijkstra, A*, weighted A* and greedy search, with and
+    without a path.
+    """
     planner = BestFirst("it", movement, weight, counts_way)
     for grid, start, goal in grids(60, 1):
         expected = reference_best_first(grid, start, goal, movement, weight, counts_way)
@@ -87,14 +107,18 @@ def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
     """With f = g + h the generic search takes the very cells that the format's A* takes."""
     problems = Problems.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
     plans = BestFirst("A*", movement, 1).plan_batch(problems.grids, problems.starts, problems.goals)
-    same = Search("A*", movement, "astar").plan_batch(problems.grids, problems.starts, problems.goals)
+    same = Search("A*", movement, "astar").plan_batch(
+        problems.grids, problems.starts, problems.goals
+    )
     for found, expected in zip(plans, same, strict=True):
         assert_same(found, expected)
 
 
 @movements
 def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
-    """The cost of Dijkstra's path is the shortest distance on scipy's graph; no path where scipy finds none."""
+    """The cost of Dijkstra's path is the shortest distance on scipy's graph; no path where scipy
+    finds none.
+    """
     planner = BestFirst("Dijkstra", movement, 0)
     for grid, start, goal in grids(60, 2):
         path = planner.plan(grid, start, goal).path
@@ -107,8 +131,13 @@ def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
 def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
     """The cost is at most max(1, weight) times the optimal one."""
     problems = Problems.sample(MapSpec.preset("dungeon"), 6, 100, movement=movement)
-    plans = BestFirst("weighted", movement, weight).plan_batch(problems.grids, problems.starts, problems.goals)
-    costs = [check_path(grid, plan.path, movement) for grid, plan in zip(problems.grids, plans, strict=True)]
+    plans = BestFirst("weighted", movement, weight).plan_batch(
+        problems.grids, problems.starts, problems.goals
+    )
+    costs = [
+        check_path(grid, plan.path, movement)
+        for grid, plan in zip(problems.grids, plans, strict=True)
+    ]
     ratios = costs / problems.optimal.cost
     assert ratios.max() <= max(1, weight) + 1e-12
     assert (ratios.max() > 1) == (weight > 1)
@@ -116,11 +145,23 @@ def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
 
 @movements
 def test_the_rows_that_come_along(movement: Movement) -> None:
-    """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched answer the same."""
+    """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched
+    answer the same.
+    """
     problems = Problems.sample(MapSpec(), 7, 30, movement=movement)
-    ends = list(zip(map(tuple, problems.starts.tolist()), map(tuple, problems.goals.tolist()), strict=True))
+    ends = list(
+        zip(map(tuple, problems.starts.tolist()), map(tuple, problems.goals.tolist()), strict=True)
+    )
     rows = {planner.name: planner for planner in classical(movement)}
-    assert list(rows) == ["BFS", "Dijkstra", "A*", "weighted A* (1.5)", "weighted A* (2)", "greedy best-first", "limit"]
+    assert list(rows) == [
+        "BFS",
+        "Dijkstra",
+        "A*",
+        "weighted A* (1.5)",
+        "weighted A* (2)",
+        "greedy best-first",
+        "limit",
+    ]
     for planner in rows.values():
         batch = planner.plan_batch(problems.grids, problems.starts, problems.goals)
         for grid, (start, goal), expected in zip(problems.grids, ends, batch, strict=True):
@@ -133,7 +174,9 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
 
 
 def test_no_path_and_start_is_goal() -> None:
-    """A wall between gives an empty path after all cells of the start's side; start = goal is one cell."""
+    """A wall between gives an empty path after all cells of the start's side; start = goal is one
+    cell.
+    """
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 6] = 1
     for planner in classical():
@@ -144,12 +187,17 @@ def test_no_path_and_start_is_goal() -> None:
 
 
 def test_a_large_grid_works_and_a_too_large_one_is_refused() -> None:
-    """On the largest maps costs fit into 64 bits; where a weighted one would not, the grid is refused."""
+    """On the largest maps costs fit into 64 bits; where a weighted one would not, the grid is
+    refused.
+    """
     grid = np.zeros((1024, 1024), np.uint8)
     grid[1::2] = 1
     grid[np.arange(1, 1024, 2), np.where(np.arange(512) % 2, 0, 1023)] = 0
     found = BestFirst("weighted", Movement(8), 5).plan(grid, (0, 0), (1022, 1023))
-    assert check_path(grid, found.path, Movement(8)) == astar(grid, (0, 0), (1022, 1023), Movement(8)).cost
+    assert (
+        check_path(grid, found.path, Movement(8))
+        == astar(grid, (0, 0), (1022, 1023), Movement(8)).cost
+    )
     with pytest.raises(ValueError, match="too large"):
         BestFirst("weighted", Movement(), 2).plan(np.zeros((1, 2**20), np.uint8), (0, 0), (0, 1))
 

@@ -8,7 +8,15 @@ import pytest
 
 from mapdata import MapSpec, build
 
-SPEC = MapSpec((20, 70), (3, 6), (3, 9), (3, 14), passage_width=(1, 2), skip_probability=0.4, splits=(0.5, 0.25, 0.25))
+SPEC = MapSpec(
+    (20, 70),
+    (3, 6),
+    (3, 9),
+    (3, 14),
+    passage_width=(1, 2),
+    skip_probability=0.4,
+    splits=(0.5, 0.25, 0.25),
+)
 
 
 @pytest.fixture(scope="session")

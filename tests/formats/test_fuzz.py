@@ -39,7 +39,8 @@ def seed_points() -> dict[str, dict[str, bytes]]:
     """Return the files of a small good source of each kind; the first one is changed."""
     pgm = b"P5\n# c\n4 3\n255\n" + (255 * (1 - GRID)).tobytes()
     yaml = (
-        b"image: a.pgm\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+        b"image: a.pgm\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\nnegate: 0\n"
+        b"occupied_thresh: 0.65\nfree_thresh: 0.2\n"
     )
     text = b"type octile\nheight 3\nwidth 4\nmap\n..@@\n.S@W\n...G\n"
     scen = b"version 1\n0\ta.map\t4\t3\t0\t0\t3\t2\t4.41421356\n"
@@ -67,10 +68,18 @@ def seed_points() -> dict[str, dict[str, bytes]]:
     }
 
 
-FORMATS = {"yaml": "ros", "map": "movingai", "scen": "movingai", "csv": "paper", "planning": "planning-datasets"}
+FORMATS = {
+    "yaml": "ros",
+    "map": "movingai",
+    "scen": "movingai",
+    "csv": "paper",
+    "planning": "planning-datasets",
+}
 CHANGES = st.lists(
     st.tuples(
-        st.integers(0, 2**16), st.sampled_from(["flip", "set", "cut", "insert", "delete"]), st.binary(max_size=6)
+        st.integers(0, 2**16),
+        st.sampled_from(["flip", "set", "cut", "insert", "delete"]),
+        st.binary(max_size=6),
     ),
     max_size=4,
 )

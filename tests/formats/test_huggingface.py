@@ -20,7 +20,9 @@ os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
 
 
 @pytest.mark.filterwarnings("ignore")  # of the libraries under it, not ours to mend
-def test_the_real_library_opens_it(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_real_library_opens_it(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Splits, rows, types and values; the picture shows free white."""
     datasets = pytest.importorskip("datasets", reason="pip install datasets")
     pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")

@@ -29,13 +29,17 @@ def grids(folder: Path, **options: object) -> list[list[list[int]]]:
 
 
 def test_pictures_of_all_kinds(tmp_path: Path) -> None:
-    """PNG of 1, 8, 16 bits, palette, alpha, BMP, JPEG, PGM: dark is occupied, transparent is not."""
+    """PNG of 1, 8, 16 bits, palette, alpha, BMP, JPEG, PGM: dark is occupied, transparent is
+    not.
+    """
     grey = Image.fromarray(DARK)
     for k, mode in enumerate(("1", "L", "RGB", "RGBA", "P", "LA")):
         grey.convert(mode, dither=Image.Dither.NONE).save(tmp_path / f"{k}.png")
     Image.fromarray(DARK.astype(np.uint16) * 257).save(tmp_path / "6.png")
     grey.save(tmp_path / "7.bmp")
-    grey.convert("RGB").resize((32, 24), Image.Resampling.NEAREST).save(tmp_path / "8.jpg", quality=95)
+    grey.convert("RGB").resize((32, 24), Image.Resampling.NEAREST).save(
+        tmp_path / "8.jpg", quality=95
+    )
     (tmp_path / "9.pgm").write_bytes(b"P5 4 3 255\n" + DARK.tobytes())
     hole = Image.fromarray(np.dstack([np.zeros((3, 4, 3), np.uint8), GRID * 255]))
     hole.save(tmp_path / "10.png")
@@ -48,23 +52,34 @@ def test_threshold_and_inversion(tmp_path: Path) -> None:
     assert grids(tmp_path) == [[[1, 1, 0, 0]]]
     assert grids(tmp_path, threshold=0.2) == [[[1, 0, 0, 0]]]
     assert grids(tmp_path, threshold=0.9, invert=True) == [[[0, 0, 0, 1]]]
-    for options in ({"threshold": 1.5}, {"threshold": float("nan")}, {"fit": "stretch"}, {"fit": "crop"}):
+    for options in (
+        {"threshold": 1.5},
+        {"threshold": float("nan")},
+        {"fit": "stretch"},
+        {"fit": "crop"},
+    ):
         with pytest.raises(ValueError, match=r"threshold|fit"):
             read_any(tmp_path, **options)
 
 
 def test_resize_and_crop(tmp_path: Path) -> None:
-    """Resizing averages the brightness of the cells; cropping takes the middle; what is too small is left out."""
+    """Resizing averages the brightness of the cells; cropping takes the middle; what is too small
+    is left out.
+    """
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "a.png")
     assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()]
-    assert grids(tmp_path, size=(2, 4), fit="crop") == [np.kron(GRID, np.ones((2, 2), int))[2:4, 2:6].tolist()]
+    assert grids(tmp_path, size=(2, 4), fit="crop") == [
+        np.kron(GRID, np.ones((2, 2), int))[2:4, 2:6].tolist()
+    ]
     found = read(tmp_path, size=(7, 4), fit="crop")
     assert found.maps == []
     assert found.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
 
 
 def test_arrays(tmp_path: Path) -> None:
-    """.npy and .npz, one grid or a stack; bool, whole numbers, probabilities, Fortran order: 1 is occupied."""
+    """.npy and .npz, one grid or a stack; bool, whole numbers, probabilities, Fortran order: 1 is
+    occupied.
+    """
     stack = np.stack([GRID, 1 - GRID])
     np.save(tmp_path / "a.npy", stack)
     np.save(tmp_path / "b.npy", np.asfortranarray(GRID.astype(bool)))
@@ -77,7 +92,9 @@ def test_arrays(tmp_path: Path) -> None:
 
 
 def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
-    """train, validation and test folders are kept; map2 comes before map10; hidden and linked folders are not read."""
+    """train, validation and test folders are kept; map2 comes before map10; hidden and linked
+    folders are not read.
+    """
     for k, folder in enumerate(("Train", "validation", "test/deep", ".hidden")):
         (tmp_path / folder).mkdir(parents=True)
         for name in ("map10.png", "map2.PNG"):
@@ -129,7 +146,10 @@ def hostile(folder: Path) -> dict[str, str]:
         "gif.png": (b"GIF89a\x01\0\x01\0\0\0\0;", "not a PNG"),
         "cut.jpg": (jpeg[: len(jpeg) // 2], "damaged picture"),
         "cut.bmp": (bmp[:60], "damaged picture"),
-        "lie.bmp": (bmp[:18] + struct.pack("<ii", 60000, 60000) + bmp[26:], "expected at most|exceeds limit"),
+        "lie.bmp": (
+            bmp[:18] + struct.pack("<ii", 60000, 60000) + bmp[26:],
+            "expected at most|exceeds limit",
+        ),
         "lie.pgm": (b"P5 1000 1000 255\nx", "has 1 bytes of pixels"),
         "pickle.npy": (npy((1,), b"\x80\x04N.", "|O"), "pickled objects are never opened"),
         "lie.npy": (npy((2**20, 2**20), b""), "but has"),
@@ -149,7 +169,9 @@ def hostile(folder: Path) -> dict[str, str]:
 
 
 def test_hostile_files_are_left_out(tmp_path: Path) -> None:
-    """Bombs, lies, stubs and pickles among good ones: each is named with its reason, the good ones are read."""
+    """Bombs, lies, stubs and pickles among good ones: each is named with its reason, the good ones
+    are read.
+    """
     cases = hostile(tmp_path)
     Image.fromarray(DARK).save(tmp_path / "good.png")
     found = read(tmp_path, Limits(unpacked=2**25))
@@ -180,7 +202,9 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
 def test_bombs_take_no_memory(tmp_path: Path) -> None:
-    """Pictures of 88 and 400 megapixels and an archive of 128 MiB: refused in less than 50 MB more."""
+    """Pictures of 88 and 400 megapixels and an archive of 128 MiB: refused in less than 50 MB
+    more.
+    """
     import subprocess
     import zipfile
 
@@ -194,7 +218,9 @@ def test_bombs_take_no_memory(tmp_path: Path) -> None:
         for _ in range(2):
             member.write(bytes(2**26))
     files = [str(tmp_path / name) for name in ("a.png", "b.png", "c.npz")]
-    done = subprocess.run([sys.executable, "-c", MEMORY, *files], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", MEMORY, *files], capture_output=True, text=True, check=True
+    )
     *errors, grown = done.stdout.splitlines()
     assert len(errors) == 3
     assert int(grown) < 50
@@ -209,14 +235,25 @@ def test_brightness_is_exact(tmp_path: Path) -> None:
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two sizes become two datasets; what was left out is told a line each; flags of other formats are refused."""
+    """Two sizes become two datasets; what was left out is told a line each; flags of other formats
+    are refused.
+    """
     (tmp_path / "in").mkdir()
     Image.fromarray(DARK).save(tmp_path / "in" / "a.png")
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "in" / "b.png")
     (tmp_path / "in" / "c.png").write_bytes(png(9400, 9400))
     Image.fromarray(np.zeros((3, 4), np.uint8)).save(tmp_path / "in" / "d.png")
     assert recognise(tmp_path / "in") == "images"
-    code, _, err = cli(capsys, "import", tmp_path / "in", tmp_path / "out", "--seed-points", 3, "--resolution", 0.02)
+    code, _, err = cli(
+        capsys,
+        "import",
+        tmp_path / "in",
+        tmp_path / "out",
+        "--seed-points",
+        3,
+        "--resolution",
+        0.02,
+    )
     assert code == 0
     assert err.count("left out: ") == 2
     assert "d.png: has no two connected free cells (0 free in all)" in err
@@ -249,12 +286,17 @@ def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
     Image.fromarray(1 - GRID).save(tmp_path / "mask.png")
     found = read(tmp_path, invert=True)
     assert found.maps == []
-    assert "brightest pixel is 1 of 255, nothing is above --images.threshold 0.5" in found.left_out[0][1]
+    assert (
+        "brightest pixel is 1 of 255, nothing is above --images.threshold 0.5"
+        in found.left_out[0][1]
+    )
     assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
 
 
 def test_stacks_with_a_channel(tmp_path: Path) -> None:
-    """(N, 1, H, W), as torch has it, is a stack; two channels are not; a limit counts the cells of one map."""
+    """(N, 1, H, W), as torch has it, is a stack; two channels are not; a limit counts the cells of
+    one map.
+    """
     np.savez(tmp_path / "a.npz", maps=np.stack([GRID, 1 - GRID])[:, None], labels=np.arange(2))
     assert grids(tmp_path) == [GRID.tolist(), (1 - GRID).tolist()]
     assert read(tmp_path, Limits(pixels=11)).maps == []

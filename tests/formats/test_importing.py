@@ -1,4 +1,6 @@
-"""Imported grids: seed points by the page of the format, one dataset a size, and a root that only goes on."""
+"""Imported grids: seed points by the page of the format, one dataset a size, and a root that only
+goes on.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,13 @@ SPLIT, POINTS = 2, 5
 
 
 def test_a_dataset_of_grids(tmp_path: Path) -> None:
-    """Seeds and splits are the draws of streams 5 and 2; rooms unknown; verify, MapDataset and the recipe's absence."""
+    """Seeds and splits are the draws of streams 5 and 2; rooms unknown; verify, MapDataset and the
+    recipe's absence.
+    """
     grids = random_grids(7)
-    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=4, seed=2**63 + 1, shard_size=3)
+    (made,) = import_maps(
+        tmp_path / "out", collection(*grids), seed_points=4, seed=2**63 + 1, shard_size=3
+    )
     assert verify(made.root) == []
     assert made.manifest.identity is None
     with pytest.raises(ValueError, match="no recipe"):
@@ -41,7 +47,9 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
                 seed_points.append(list(divmod(cells.pop(word * len(cells) >> 32), 70)))
             assert maps.seed_points[k].tolist() == seed_points
             word = reference.block(2**63 + 1, i, 0, SPLIT, 0)[0]
-            assert maps.split[k] == (word >= reference.threshold(0.8)) + (word >= reference.threshold(0.9))
+            assert maps.split[k] == (word >= reference.threshold(0.8)) + (
+                word >= reference.threshold(0.9)
+            )
         assert (maps.sizes == -1).all()
         assert (maps.directions == -1).all()
         assert (maps.passage_width == -1).all()
@@ -55,10 +63,14 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
 
 
 def test_the_content_is_what_it_was(tmp_path: Path) -> None:
-    """A golden hash: draws, labels and layout of imported maps do not change from one version to the next."""
+    """A golden hash: draws, labels and layout of imported maps do not change from one version to
+    the next.
+    """
     rows, columns = np.indices((9, 33))
     grids = [np.asarray((rows * (k + 3) + columns * 5) % 7 == 0, np.uint8) for k in range(3)]
-    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=3, seed=11, movement=Movement(8))
+    (made,) = import_maps(
+        tmp_path / "out", collection(*grids), seed_points=3, seed=11, movement=Movement(8)
+    )
     assert made.manifest.content_hash == GOLDEN
 
 
@@ -66,7 +78,9 @@ GOLDEN = "c59b4fc7739def46dd4178e26c9fb987247ed352c62f6c0f5206307f9ef168e7"
 
 
 def test_small_components_and_given_seeds(tmp_path: Path) -> None:
-    """Less cells than seeds: all of them; given seeds come first; grids without two connected cells are left out."""
+    """Less cells than seeds: all of them; given seeds come first; grids without two connected cells
+    are left out.
+    """
     two: Bytes = np.array([[0, 0, 1, 0]], np.uint8)
     source = collection(two, np.ones((1, 4), np.uint8), np.array([[0, 1, 0, 1]], np.uint8))
     source.maps.append(ForeignMap("given", two, seed_points=np.array([[0, 3]])))
@@ -79,12 +93,19 @@ def test_small_components_and_given_seeds(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("seed_points", "why"),
-    [([[0, 9]], "outside the map"), ([[-1, 0]], "outside the map"), ([[0, 2]], "on an occupied cell"), ([], "0 rooms")],
+    [
+        ([[0, 9]], "outside the map"),
+        ([[-1, 0]], "outside the map"),
+        ([[0, 2]], "on an occupied cell"),
+        ([], "0 rooms"),
+    ],
 )
 def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path: Path) -> None:
     """Seed points that cannot be: the map is left out, with the reason."""
     grid: Bytes = np.array([[0, 0, 1]], np.uint8)
-    bad = ForeignMap("bad", grid, seed_points=np.array(seed_points, np.int64).reshape(-1, 2), rooms_known=True)
+    bad = ForeignMap(
+        "bad", grid, seed_points=np.array(seed_points, np.int64).reshape(-1, 2), rooms_known=True
+    )
     source = Collection([bad, ForeignMap("good", grid)])
     import_maps(tmp_path / "out", source)
     assert source.left_out[0][0] == "bad"
@@ -92,11 +113,17 @@ def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path
 
 
 def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
-    """One dataset a size, and a resolution; one given resolution joins them; tiles bring all to one size."""
+    """One dataset a size, and a resolution; one given resolution joins them; tiles bring all to one
+    size.
+    """
     source = collection(*random_grids(2, 8, 8), *random_grids(1, 16, 9))
     source.maps.append(ForeignMap("fine", random_grids(1, 8, 8)[0], resolution=0.05))
     made = import_maps(tmp_path / "a", source)
-    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["16x9", "8x8-0.05m", "8x8-0.1m"]
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
+        "16x9",
+        "8x8-0.05m",
+        "8x8-0.1m",
+    ]
     assert [one.manifest.maps for one in made] == [2, 1, 1]
     assert len(import_maps(tmp_path / "b", source, resolution=0.2)) == 2
     (tiled,) = import_maps(tmp_path / "c", source, resolution=0.2, tile=(8, 8))
@@ -106,15 +133,23 @@ def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
 
 
 def test_the_same_import_goes_on(tmp_path: Path) -> None:
-    """A second time nothing changes; a lost shard or manifest is made again; another import is refused."""
+    """A second time nothing changes; a lost shard or manifest is made again; another import is
+    refused.
+    """
     grids = random_grids(5)
     (made,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
-    before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")}
+    before = {
+        path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")
+    }
     import_maps(tmp_path / "out", collection(*grids), shard_size=2)
-    assert {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")} == before
+    assert {
+        path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")
+    } == before
     next(iter(made.root.glob("*.h5"))).unlink()
     import_maps(tmp_path / "out", collection(*grids), shard_size=2)
-    assert {path.name: path.read_bytes() for path in made.root.glob("*.h5")} == {n: d for n, (d, _) in before.items()}
+    assert {path.name: path.read_bytes() for path in made.root.glob("*.h5")} == {
+        n: d for n, (d, _) in before.items()
+    }
     assert verify(made.root) == []
     for source, options in (
         (collection(*grids), {"shard_size": 3}),
@@ -172,7 +207,9 @@ def test_numbers_of_the_source(tmp_path: Path) -> None:
 
 
 def test_maps_are_kept_as_bits() -> None:
-    """100,000 maps of 512 x 512 cells are 3.3 GB in memory, not 26; what is not a grid is refused."""
+    """100,000 maps of 512 x 512 cells are 3.3 GB in memory, not 26; what is not a grid is
+    refused.
+    """
     grid = random_grids(1, 5, 13)[0]
     one = ForeignMap("x", grid)
     assert one.grid.tolist() == grid.tolist()

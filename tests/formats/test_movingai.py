@@ -1,4 +1,6 @@
-"""MovingAI: files as they stand on the web, lengths against scipy, and everything that is wrong with a file."""
+"""MovingAI: files as they stand on the web, lengths against scipy, and everything that is wrong
+with a file.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from mapdata.shards import read_manifest
 MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
 LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]
 WATER = [[1, 1, 1, 1, 0, 0], [1, 1, 1, 1, 0, 0], [1, 1, 1, 1, 0, 0], [1, 1, 1, 1, 1, 1]]
-# By hand; x before y. Around the tree (x 1, y 2) no corner is cut; nothing leads from land to water.
+# By hand; x before y. Around the tree (x 1, y 2) no corner is cut; nothing leads from land to
+# water.
 SCEN = (
     "version 1\n"
     "0\tcave.map\t6\t4\t0\t0\t0\t3\t3\n"
@@ -64,7 +67,9 @@ def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
 
 
 def test_scen_forms(tmp_path: Path) -> None:
-    """Tabs, spaces, CRLF, the old form without header and sizes, names with spaces; x is the column."""
+    """Tabs, spaces, CRLF, the old form without header and sizes, names with spaces; x is the
+    column.
+    """
     new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2, 1e-4)
     path = tmp_path / "a.scen"
     path.write_bytes(b"version 1.0\r\n3\tdao/big cave.map\t6\t4\t1\t3\t5\t0\t12.0711\r\n\r\n")
@@ -74,7 +79,8 @@ def test_scen_forms(tmp_path: Path) -> None:
     path.write_text("3 dao/cave.map 1 3 5 0 12.0711\n")
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=1, size=None)]
     path.write_text(
-        "\nversion 1\n3 dao/cave.map 1 3 5 0 12.0711\n\n////\n  article{sturtevant2012,\n  volume={4},\n}\n"
+        "\nversion 1\n3 dao/cave.map 1 3 5 0 12.0711\n\n////\n  article{sturtevant2012,\n  "
+        "volume={4},\n}\n"
     )
     assert read_scen(path) == [new._replace(map="dao/cave.map", line=3, size=None)]
 
@@ -98,20 +104,29 @@ def test_scen_forms(tmp_path: Path) -> None:
 def test_printed_lengths(printed: list[str], says: int, tmp_path: Path) -> None:
     """Lengths agree as exactly as a file prints them, whatever root of two it counts with."""
     side = 13
-    (tmp_path / "a.map").write_text(f"type octile\nheight {side}\nwidth {side}\nmap\n" + ("." * side + "\n") * side)
+    (tmp_path / "a.map").write_text(
+        f"type octile\nheight {side}\nwidth {side}\nmap\n" + ("." * side + "\n") * side
+    )
     ends = ("7\t7", "12\t12", "0\t2")
-    lines = (f"0\ta.map\t{side}\t{side}\t0\t0\t{end}\t{text}\n" for end, text in zip(ends, printed, strict=True))
+    lines = (
+        f"0\ta.map\t{side}\t{side}\t0\t0\t{end}\t{text}\n"
+        for end, text in zip(ends, printed, strict=True)
+    )
     (tmp_path / "a.scen").write_text("version 1\n" + "".join(lines))
     assert check_scen(tmp_path / "a.scen").agreed == says
 
 
 def test_long_published_lengths() -> None:
-    """Lengths of 1,500 cells and 600 diagonals, counted with nine decimals of the root as the benchmark does."""
+    """Lengths of 1,500 cells and 600 diagonals, counted with nine decimals of the root as the
+    benchmark does.
+    """
     for straight, diagonal in ((687, 600), (1, 1023), (1500, 1)):
         exact, theirs = straight + diagonal * math.sqrt(2), straight + diagonal * 1.414213562
         assert agrees(Problem(0, "", None, (0, 0), (1, 1), f"{theirs:.8f}", 1, 1e-8), exact)
         for wrong in (-2e-6, 2e-8):
-            assert not agrees(Problem(0, "", None, (0, 0), (1, 1), f"{exact + wrong:.8f}", 1, 1e-8), exact)
+            assert not agrees(
+                Problem(0, "", None, (0, 0), (1, 1), f"{exact + wrong:.8f}", 1, 1e-8), exact
+            )
 
 
 def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -136,7 +151,9 @@ def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture
         ("0\t0\t0\t3\t3\n", "0\t0\t0\t3\t0\n", "says 0, found 3.0"),
     ],
 )
-def test_wrong_lengths(old: str, new: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_lengths(
+    old: str, new: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One wrong length of seven: named with its line, exit code 1."""
     assert SCEN.count(old) == 1
     code, out, err = cli(capsys, "check-scen", files(tmp_path, SCEN.replace(old, new)))
@@ -149,7 +166,9 @@ def test_wrong_lengths(old: str, new: str, says: str, tmp_path: Path, capsys: py
 @SETTINGS
 @given(GRIDS, st.data())
 def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
-    """Every pair of a random map, printed in the three precisions of the web, agrees; a bit more does not."""
+    """Every pair of a random map, printed in the three precisions of the web, agrees; a bit more
+    does not.
+    """
     free = np.argwhere(grid == 0).tolist()
     if not free:
         return
@@ -157,18 +176,24 @@ def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
     distances = lengths(grid, (start[0], start[1]), cut=False, diagonal=math.sqrt(2))
     folder = Path(tempfile.mkdtemp())
     rows = "\n".join("".join(".@"[cell] for cell in row) for row in grid.tolist())
-    (folder / "a.map").write_text(f"type octile\nheight {grid.shape[0]}\nwidth {grid.shape[1]}\nmap\n{rows}\n")
+    (folder / "a.map").write_text(
+        f"type octile\nheight {grid.shape[0]}\nwidth {grid.shape[1]}\nmap\n{rows}\n"
+    )
     lines = []
     for row, column in free:
         length = distances[row, column] if np.isfinite(distances[row, column]) else 0.0
         for text in (f"{length:.6g}", f"{length:.8f}", f"{length:.16f}"):
-            lines.append(f"0\ta.map\t{grid.shape[1]}\t{grid.shape[0]}\t{start[1]}\t{start[0]}\t{column}\t{row}\t{text}")
+            lines.append(
+                f"0\ta.map\t{grid.shape[1]}\t{grid.shape[0]}\t{start[1]}\t{start[0]}\t{column}\t{row}\t{text}"
+            )
     (folder / "a.scen").write_text("version 1\n" + "\n".join(lines))
     report = check_scen(folder / "a.scen")
     assert report.agreed == report.total == 3 * len(free)
     row, column = data.draw(st.sampled_from(free))
     if 0 < distances[row, column] < math.inf:
-        problem = Problem(0, "", None, (0, 0), (1, 1), f"{distances[row, column] + 2e-8:.8f}", 1, 1e-8)
+        problem = Problem(
+            0, "", None, (0, 0), (1, 1), f"{distances[row, column] + 2e-8:.8f}", 1, 1e-8
+        )
         assert not agrees(problem, float(distances[row, column]))
 
 
@@ -267,7 +292,18 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     scens = sorted((tmp_path / "out").rglob("*.scen"))
     assert len(scens) == 24
     assert cli(capsys, "check-scen", *scens)[0] == 0
-    assert cli(capsys, "import", tmp_path / "out", tmp_path / "back", "--movingai.scen", "--seed-points", 99)[0] == 0
+    assert (
+        cli(
+            capsys,
+            "import",
+            tmp_path / "out",
+            tmp_path / "back",
+            "--movingai.scen",
+            "--seed-points",
+            99,
+        )[0]
+        == 0
+    )
     assert cli(capsys, "verify", tmp_path / "back")[0] == 0
     before = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
     after = read_shard(tmp_path / "back" / read_manifest(tmp_path / "back").shards[0].name).maps
@@ -276,8 +312,12 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         for k, grid in enumerate(maps.occupancy):
             at = known[grid.tobytes()]
             assert maps.split[k] == after.split[at]
-            seed_points = list(dict.fromkeys(map(tuple, maps.seed_points[k, : maps.rooms[k]].tolist())))
-            assert list(map(tuple, after.seed_points[at, : after.rooms[at]].tolist())) == seed_points
+            seed_points = list(
+                dict.fromkeys(map(tuple, maps.seed_points[k, : maps.rooms[k]].tolist()))
+            )
+            assert (
+                list(map(tuple, after.seed_points[at, : after.rooms[at]].tolist())) == seed_points
+            )
 
 
 def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,6 @@
-"""The paper's release: out and in again is the same content; other people's headers; what is wrong with it."""
+"""The paper's release: out and in again is the same content; other people's headers; what is wrong
+with it.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def release(root: Path, tmp_path: Path) -> Path:
 @settings(SETTINGS, max_examples=12)
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
 def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
-    """Any spec, movement and size: the content hash comes back, so every label does, and nothing disagrees."""
+    """Any spec, movement and size: the content hash comes back, so every label does, and nothing
+    disagrees.
+    """
     with tempfile.TemporaryDirectory() as folder:
         before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
         export(Path(folder, "a"), Path(folder, "b"), "paper")
@@ -62,7 +66,9 @@ def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
 
 
 def test_what_is_written(root: Path, release: Path) -> None:
-    """1-bit pictures, black where free; a line holds what the shard holds; the route's joints stand once."""
+    """1-bit pictures, black where free; a line holds what the shard holds; the route's joints stand
+    once.
+    """
     rows = rows_of(release)
     labels = read_shard(root / read_manifest(root).shards[0].name)
     picture = Image.open(release / "images" / "map7.png")
@@ -73,13 +79,21 @@ def test_what_is_written(root: Path, release: Path) -> None:
     assert (row["item"], row["label"], row["resolution"]) == ("7", "map7", "0.1")
     assert row["seed_rows"] == str(labels.maps.seed_points[7, :n, 0].tolist())
     route = labels.route("astar", 7)
-    cells = list(zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True))
-    assert len(cells) == sum(map(len, route)) - sum(1 for one, other in pairwise(route) if len(one) and len(other))
-    assert all(abs(r - s) + abs(c - d) == 1 for (r, c), (s, d) in pairwise(cells)) or not all(map(len, route))
+    cells = list(
+        zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True)
+    )
+    assert len(cells) == sum(map(len, route)) - sum(
+        1 for one, other in pairwise(route) if len(one) and len(other)
+    )
+    assert all(abs(r - s) + abs(c - d) == 1 for (r, c), (s, d) in pairwise(cells)) or not all(
+        map(len, route)
+    )
 
 
 def test_joined() -> None:
-    """A joint stands once, that of two seed points on one cell too; after a missing segment the next one begins."""
+    """A joint stands once, that of two seed points on one cell too; after a missing segment the
+    next one begins.
+    """
     one, other, stay = np.array([[0, 0], [0, 1]]), np.array([[0, 1], [1, 1]]), np.array([[0, 1]])
     none = np.empty((0, 2), np.int64)
     assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
@@ -106,7 +120,9 @@ PRINTED = {
 
 
 def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
-    """The paper's own words as headers, lists as numpy prints them, booleans as words, pictures as RGB beside it."""
+    """The paper's own words as headers, lists as numpy prints them, booleans as words, pictures as
+    RGB beside it.
+    """
     rows = rows_of(release)
     for row in rows:
         for name in ("seed_rows", "bfs_iterations"):
@@ -116,7 +132,9 @@ def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
         row["size_rows"] = row["size_rows"].replace("[", "(").replace("]", ".0)")
         row["astar_connection_matrix"] = row["astar_connection_matrix"].replace("],", "]\n")
         row["label"] += ".PNG"
-    write_rows(release, [{PRINTED.get(name, name): text for name, text in row.items()} for row in rows])
+    write_rows(
+        release, [{PRINTED.get(name, name): text for name, text in row.items()} for row in rows]
+    )
     for picture in (release / "images").iterdir():
         Image.open(picture).convert("RGB").save(release / picture.name)
         picture.unlink()
@@ -126,7 +144,9 @@ def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
     assert (made.checked, made.disagreements) == (24, {})
 
 
-def test_disagreements_are_counted(release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_disagreements_are_counted(
+    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Wrong iterations on two maps and a wrong matrix on one: told, and our labels stand."""
     rows = rows_of(release)
     for k in (3, 4):
@@ -143,7 +163,9 @@ def test_disagreements_are_counted(release: Path, tmp_path: Path, capsys: pytest
 
 
 def test_splits_and_rooms_are_optional(release: Path, tmp_path: Path) -> None:
-    """Without sizes, directions, splits and labels the maps still become a dataset; splits are drawn."""
+    """Without sizes, directions, splits and labels the maps still become a dataset; splits are
+    drawn.
+    """
     needed = ("item", "seed_rows", "seed_columns")
     write_rows(release, [{name: row[name] for name in needed} for row in rows_of(release)])
     (made,) = import_maps(tmp_path / "back", read_any(release))
@@ -198,7 +220,10 @@ def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
     (release / "images" / "map2.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     found = read(release)
     assert [name for name, _ in found.left_out] == ["map0", "map1", "map2"]
-    assert "expected at most 16777216" in found.left_out[0][1] or "exceeds limit" in found.left_out[0][1]
+    assert (
+        "expected at most 16777216" in found.left_out[0][1]
+        or "exceeds limit" in found.left_out[0][1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -258,10 +283,14 @@ def test_cells_never_crash(text: str) -> None:
 
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_tables_of_other_programs(separator: str, root: Path, release: Path) -> None:
-    """Semicolons or tabs, a byte order mark, CRLF, quotes everywhere, paths for names, JPEG or BMP pictures."""
+    """Semicolons or tabs, a byte order mark, CRLF, quotes everywhere, paths for names, JPEG or BMP
+    pictures.
+    """
     rows = [{**row, "label": f"C:\\maps\\{row['label']}.bmp"} for row in rows_of(release)]
     with open(release / "maps.csv", "w", encoding="utf-8-sig", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), delimiter=separator, lineterminator="\r\n", quoting=csv.QUOTE_ALL)
+        writer = csv.DictWriter(
+            file, list(rows[0]), delimiter=separator, lineterminator="\r\n", quoting=csv.QUOTE_ALL
+        )
         writer.writeheader()
         writer.writerows(rows)
     for path in (release / "images").iterdir():
@@ -275,6 +304,9 @@ def test_tables_of_other_programs(separator: str, root: Path, release: Path) -> 
 
 def test_a_table_without_names(release: Path) -> None:
     """Without the names or numbers of the pictures it is refused."""
-    write_rows(release, [{name: row[name] for name in ("seed_rows", "seed_columns")} for row in rows_of(release)])
+    write_rows(
+        release,
+        [{name: row[name] for name in ("seed_rows", "seed_columns")} for row in rows_of(release)],
+    )
     with pytest.raises(FormatError, match="no column 'label' among"):
         read(release)

@@ -1,4 +1,6 @@
-"""planning-datasets: neural-astar's loader (its rule written down once more) reads what we write, and the other way."""
+"""planning-datasets: neural-astar's loader (its rule written down once more) reads what we write,
+and the other way.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ MOVES = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class Loader:
-    """What the data set class of neural-astar (src/neural_astar/utils/data.py, 2023) does with a file."""
+    """What the data set class of neural-astar (src/neural_astar/utils/data.py, 2023) does with a
+    file.
+    """
 
     def __init__(self, path: Path, split: str) -> None:
         """Open one split; every array becomes float32."""
@@ -37,8 +41,12 @@ class Loader:
                 file[f"arr_{first + k}"].astype(np.float32) for k in range(4)
             )
 
-    def item(self, k: int, interval: int, random: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return map, start, goal and path of map k, with a start from one of the three percentile intervals."""
+    def item(
+        self, k: int, interval: int, random: np.random.Generator
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return map, start, goal and path of map k, with a start from one of the three percentile
+        intervals.
+        """
         values = self.distances[k].ravel()
         inside = values[values > values.min()]
         bounds = np.percentile(inside, 100.0 * (1 - np.array([0.55, 0.70, 0.85, 1.0])))
@@ -61,7 +69,9 @@ class Loader:
 
 
 def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
-    """Every map of every split, with starts from every interval: the path has as many cells as its distance says."""
+    """Every map of every split, with starts from every interval: the path has as many cells as its
+    distance says.
+    """
     export(root, tmp_path / "maps.npz", "planning-datasets")
     assert recognise(tmp_path / "maps.npz") == "planning-datasets"
     random, total = np.random.default_rng(0), 0
@@ -95,7 +105,11 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     def key(split: int, seed: npt.NDArray[np.int64], grid: Bytes) -> tuple[int, list[int], bytes]:
         return int(split), seed.tolist(), grid.tobytes()
 
-    before = [key(*one) for m in truth for one in zip(m.split, m.seed_points[:, 0], m.occupancy, strict=True)]
+    before = [
+        key(*one)
+        for m in truth
+        for one in zip(m.split, m.seed_points[:, 0], m.occupancy, strict=True)
+    ]
     assert sorted(map(key, after.split, after.seed_points[:, 0], after.occupancy)) == sorted(before)
 
 
@@ -126,7 +140,9 @@ def test_maps_without_starts_are_left_out() -> None:
 
 
 def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDArray[np.generic]]:
-    """Return the arrays of a file as planning-datasets writes them: float64, all free, goal upper left."""
+    """Return the arrays of a file as planning-datasets writes them: float64, all free, goal upper
+    left.
+    """
     arrays: dict[str, npt.NDArray[np.generic]] = {}
     for code in range(3):
         goals = np.zeros((count, 1, rows, columns))
@@ -140,7 +156,9 @@ def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDAr
 
 
 def test_files_in_the_wild(tmp_path: Path) -> None:
-    """float64 as published, 1 is free; a wrong distance is counted, a bad goal left out; one split alone will do."""
+    """float64 as published, 1 is free; a wrong distance is counted, a bad goal left out; one split
+    alone will do.
+    """
     arrays = sound()
     arrays["arr_0"][0, 3, 3] = 0
     arrays["arr_3"][0, 0, 3, 3] = -16
@@ -153,17 +171,22 @@ def test_files_in_the_wild(tmp_path: Path) -> None:
     assert [one.split for one in found.maps] == [0, 0, 1, 1, 2]
     assert found.notes == ["distances of 4 of 5 maps are what our search finds"]
     assert [why for _, why in found.left_out] == ["its goal is not one free cell"]
-    np.savez(tmp_path / "b.npz", **{name: arrays[name] for name in ("arr_0", "arr_1", "arr_2", "arr_3")})  # type: ignore[arg-type]
+    four = {name: arrays[name] for name in ("arr_0", "arr_1", "arr_2", "arr_3")}
+    np.savez(tmp_path / "b.npz", **four)  # type: ignore[arg-type]
     (made,) = import_maps(tmp_path / "back", read(tmp_path / "b.npz"))
     assert made.manifest.maps == 2
 
 
 @pytest.mark.parametrize("movement", [None, Movement(8)])
-def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | None, tmp_path: Path) -> None:
+def test_other_peoples_mazes_feed_training_and_evaluation(
+    movement: Movement | None, tmp_path: Path
+) -> None:
     """From the .npz to batches of every split, and to a table in which A* is optimal."""
     arrays = sound(12, 9, 9)
     for code in range(3):
-        arrays[f"arr_{4 * code}"][:, 1::2, ::2] = 0  # bars with gaps: the stated distances are wrong, and counted so
+        arrays[f"arr_{4 * code}"][:, 1::2, ::2] = (
+            0  # bars with gaps: the stated distances are wrong, and counted so
+        )
     np.savez(tmp_path / "mazes.npz", **arrays)  # type: ignore[arg-type]
     found = read(tmp_path / "mazes.npz")
     import_maps(tmp_path / "mazes", found, seed_points=4)
@@ -175,7 +198,11 @@ def test_other_peoples_mazes_feed_training_and_evaluation(movement: Movement | N
         assert sum(len(batch[0]) for batch in batches) == 12 * 3
         assert batches[0][2].shape == (8, 1, 9, 9)
     rule = movement or MOVEMENT
-    table = evaluate(classical(rule), Problems.read(tmp_path / "mazes", problems=Random(), movement=rule), bootstrap=10)
+    table = evaluate(
+        classical(rule),
+        Problems.read(tmp_path / "mazes", problems=Random(), movement=rule),
+        bootstrap=10,
+    )
     best = table[(table["planner"] == "A*") & (table["subset"] == "all")].iloc[0]
     assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
 
@@ -193,7 +220,9 @@ def test_a_folder_of_environments(tmp_path: Path) -> None:
         f"{tmp_path / 'forest.npz'}: test 1",
         f"{tmp_path / 'mazes.npz'}: train 0",
     ]
-    assert [(Path(name).name, why[:23]) for name, why in found.left_out] == [("bad.npz", "holds no array 'arr_3',")]
+    assert [(Path(name).name, why[:23]) for name, why in found.left_out] == [
+        ("bad.npz", "holds no array 'arr_3',")
+    ]
     assert found.notes == ["distances of 12 of 12 maps are what our search finds"]
 
 
@@ -242,9 +271,18 @@ def archives(folder: Path) -> dict[str, tuple[Path, str]]:
         "flipped": (flipped, "not a sound .npz|not an array|but has"),
         "text": (text, "not a sound .npz"),
         "outside": (outside, "expected arr_0 to arr_11"),
-        "nan": (other("nan", arr_0=npy((2, 4, 4), np.full(32, np.nan).tobytes(), "<f8")), "expected 0 to 1"),
-        "grey": (other("grey", arr_0=npy((2, 4, 4), np.full(32, 0.5).tobytes(), "<f8")), "expected only 0 and 1"),
-        "flat": (other("flat", arr_0=npy((32,), np.ones(32).tobytes(), "<f8")), "expected \\(N, H, W\\)"),
+        "nan": (
+            other("nan", arr_0=npy((2, 4, 4), np.full(32, np.nan).tobytes(), "<f8")),
+            "expected 0 to 1",
+        ),
+        "grey": (
+            other("grey", arr_0=npy((2, 4, 4), np.full(32, 0.5).tobytes(), "<f8")),
+            "expected only 0 and 1",
+        ),
+        "flat": (
+            other("flat", arr_0=npy((32,), np.ones(32).tobytes(), "<f8")),
+            "expected \\(N, H, W\\)",
+        ),
         "goals": (other("goals", arr_1=npy((1, 1, 4, 4), bytes(128), "<f8")), "arr_1 has shape"),
         "missing": (npz(folder / "one.npz", arr_0=good["arr_0"]), "holds no array 'arr_1'"),
     }
@@ -264,7 +302,9 @@ def test_hostile_archives(tmp_path: Path) -> None:
 
 
 def test_a_lying_directory(tmp_path: Path) -> None:
-    """The directory of the archive says fewer bytes than there are: no more than it says is unpacked."""
+    """The directory of the archive says fewer bytes than there are: no more than it says is
+    unpacked.
+    """
     path = npz(tmp_path / "a.npz", arr_0=npy((2**24,), bytes(2**24)))
     data = path.read_bytes()
     size = (2**24 + 128).to_bytes(4, "little")

@@ -1,4 +1,6 @@
-"""The registry: recognising, refusing, and an export that appears whole or not at all; docs/formats.md runs."""
+"""The registry: recognising, refusing, and an export that appears whole or not at all;
+docs/formats.md runs.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def test_the_page_names_the_papers_columns(root: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", sorted(functions("write")))
-def test_an_export_is_whole_or_nothing(kind: str, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_export_is_whole_or_nothing(
+    kind: str, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """When a shard cannot be read half-way, no target and nothing else is left."""
     if kind == "huggingface":
         pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")
@@ -77,7 +81,9 @@ def test_an_export_is_whole_or_nothing(kind: str, root: Path, tmp_path: Path, mo
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_cannot_be_exported(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_exported(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """No dataset, an unfinished or damaged one, a target in use, an unknown format."""
     with pytest.raises(DatasetNotFoundError):
         export(tmp_path / "none", tmp_path / "out", "ros")
@@ -103,7 +109,9 @@ def test_what_cannot_be_exported(root: Path, tmp_path: Path, capsys: pytest.Capt
 
 
 def test_recognising(root: Path, tmp_path: Path) -> None:
-    """Each format that can be both written and read is recognised again; nothing and nonsense are refused."""
+    """Each format that can be both written and read is recognised again; nothing and nonsense are
+    refused.
+    """
     for kind in sorted(set(functions("write")) & set(functions("read"))):
         target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
         export(root, target, kind)
@@ -112,7 +120,10 @@ def test_recognising(root: Path, tmp_path: Path) -> None:
     assert recognise(tmp_path / "stack.npy") == "images"
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "a.txt").write_text("x")
-    for source, says in ((tmp_path / "none", "no such file"), (tmp_path / "text", "no file of a known format")):
+    for source, says in (
+        (tmp_path / "none", "no such file"),
+        (tmp_path / "text", "no file of a known format"),
+    ):
         with pytest.raises(FormatError, match=says):
             recognise(source)
     with pytest.raises(FormatError, match="text: holds no map of format ros"):
@@ -124,13 +135,18 @@ def test_recognising(root: Path, tmp_path: Path) -> None:
 
 
 def test_pictures_beside_another_table(tmp_path: Path) -> None:
-    """Beside map0.png, as in the authors' release, its polarity is the other: the user says what it is."""
+    """Beside map0.png, as in the authors' release, its polarity is the other: the user says what it
+    is.
+    """
     Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "a.png")
     (tmp_path / "data.csv").write_text("name,rows\na,4\n")
     assert recognise(tmp_path) == "images"
     (tmp_path / "a.png").rename(tmp_path / "map0.png")
     assert recognise(tmp_path) == "paper"
-    with pytest.raises(FormatError, match="no column 'seed_rows' among name, rows; --format images reads the pictures"):
+    with pytest.raises(
+        FormatError,
+        match="no column 'seed_rows' among name, rows; --format images reads the pictures",
+    ):
         read_any(tmp_path)
     assert len(read_any(tmp_path, "images").maps) == 1
 
@@ -154,7 +170,9 @@ def read_letters(source: Path, limits: Limits, *, wall: str = "x") -> Collection
         wall: the letter of
             occupied cells.
     """
-    cells = np.array([[letter == wall for letter in line] for line in source.read_text().split()], np.uint8)
+    cells = np.array(
+        [[letter == wall for letter in line] for line in source.read_text().split()], np.uint8
+    )
     return Collection([ForeignMap(source.name, cells)])
 
 
@@ -174,7 +192,9 @@ def test_a_format_of_ones_own(
     assert code == 0
     assert "letters:\n  Read rows of letters." in out
     assert "the letter of occupied cells (default: x)" in " ".join(out.split())
-    assert cli(capsys, "import", tmp_path / "a.map", tmp_path / "out", "--letters.wall", "#")[0] == 0
+    assert (
+        cli(capsys, "import", tmp_path / "a.map", tmp_path / "out", "--letters.wall", "#")[0] == 0
+    )
     shard = next((tmp_path / "out").glob("*.h5"))
     assert read_shard(shard).maps.occupancy[0].tolist() == [[0, 0, 0, 0], [0, 1, 0, 0]]
 
@@ -184,17 +204,27 @@ def test_a_format_of_ones_own(
     [
         ("SRC: got an empty name", ["", "out"]),
         ("ROOT: got an empty name", ["stack.npy", ""]),
-        ("--images.size: got '0x5', expected ROWSxCOLUMNS", ["stack.npy", "out", "--images.size", "0x5"]),
+        (
+            "--images.size: got '0x5', expected ROWSxCOLUMNS",
+            ["stack.npy", "out", "--images.size", "0x5"],
+        ),
         ("size: got 2000x5, expected 1 to 1024", ["stack.npy", "out", "--images.size", "2000x5"]),
         ("--max-pixels: got 0, expected at least 1", ["stack.npy", "out", "--max-pixels", "0"]),
         ("has 6 x 6 pixels, expected at most 35", ["stack.npy", "out", "--max-pixels", "35"]),
         ("fit: does nothing without size", ["stack.npy", "out", "--images.fit", "crop"]),
         ("--images.fit: invalid choice: 'scale'", ["stack.npy", "out", "--images.fit", "scale"]),
-        ("--ros.unknown: does nothing for format images", ["stack.npy", "out", "--ros.unknown", "free"]),
+        (
+            "--ros.unknown: does nothing for format images",
+            ["stack.npy", "out", "--ros.unknown", "free"],
+        ),
     ],
 )
 def test_usage_of_import(
-    says: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    says: str,
+    arguments: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """One line that names the flag or the file, exit code 2, and nothing is made."""
     monkeypatch.chdir(tmp_path)
@@ -205,7 +235,9 @@ def test_usage_of_import(
     assert [path.name for path in tmp_path.iterdir()] == ["stack.npy"]
 
 
-def test_an_export_to_no_name(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_export_to_no_name(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """An empty name is refused; a name without .npz is named as the user wrote it."""
     assert "DST: got an empty name" in cli(capsys, "export", root, "", "--format", "ros")[2]
     code, _, err = cli(capsys, "export", root, tmp_path / "x", "--format", "planning-datasets")

@@ -1,4 +1,6 @@
-"""ROS maps: the servers' own rule pixel by pixel, pictures as they exist, and what is wrong with a yaml."""
+"""ROS maps: the servers' own rule pixel by pixel, pictures as they exist, and what is wrong with a
+yaml.
+"""
 
 from __future__ import annotations
 
@@ -40,11 +42,15 @@ def write(folder: Path, picture: bytes = P5, name: str = "map.pgm", **fields: st
     """Write a map; fields replace or add lines of its yaml."""
     (folder / name).write_bytes(picture)
     lines = dict(line.split(": ", 1) for line in YAML.format(image=name).splitlines())
-    (folder / "map.yaml").write_text("".join(f"{key}: {text}\n" for key, text in {**lines, **fields}.items()))
+    (folder / "map.yaml").write_text(
+        "".join(f"{key}: {text}\n" for key, text in {**lines, **fields}.items())
+    )
     return folder / "map.yaml"
 
 
-@pytest.mark.parametrize("image", [P5, P2, P5_16, P2_MAX], ids=["P5", "P2", "16 bit", "maximum 127"])
+@pytest.mark.parametrize(
+    "image", [P5, P2, P5_16, P2_MAX], ids=["P5", "P2", "16 bit", "maximum 127"]
+)
 def test_pgm(image: bytes, tmp_path: Path) -> None:
     """Bytes and text, comments anywhere in the header, two bytes a pixel, another maximum."""
     found = read_map(write(tmp_path, image))
@@ -63,18 +69,23 @@ def test_pictures(mode: str, kind: str, tmp_path: Path) -> None:
     """Grey, colour, palette, 16 bits, and alpha, which the servers count as a white channel."""
     grey = Image.fromarray(np.array(ROWS, np.uint8))
     picture = (
-        Image.fromarray((np.array(ROWS, np.uint16) * 257).astype(np.uint16)) if mode == "I;16" else grey.convert(mode)
+        Image.fromarray((np.array(ROWS, np.uint16) * 257).astype(np.uint16))
+        if mode == "I;16"
+        else grey.convert(mode)
     )
     picture.save(tmp_path / f"map.{kind}")
     found = read_map(write(tmp_path, (tmp_path / f"map.{kind}").read_bytes(), f"map.{kind}"))
     expected = np.array(CELLS)
     if mode in ("RGBA", "LA") and kind == "png":
-        # (3 * 205 + 255) / 4 = 217.5 is below the free threshold, which is what both servers make of it
+        # (3 * 205 + 255) / 4 = 217.5 is below the free threshold, which is what both servers make
+        # of it
         expected[1, 0] = 0
     assert found.cells.tolist() == expected.tolist()
 
 
-def slow(pixel: tuple[int, ...], white: int, mode: str, negate: bool, low: float, high: float) -> int:
+def slow(
+    pixel: tuple[int, ...], white: int, mode: str, negate: bool, low: float, high: float
+) -> int:
     """Return map_server's value of one pixel, written after its C++."""
     colours = pixel[:3]
     channels = pixel if mode == "trinary" else colours
@@ -114,12 +125,22 @@ def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: 
 
 
 def test_negate_and_thresholds(tmp_path: Path) -> None:
-    """Negate turns black and white round; thresholds are strict; YAML 1.1 reads 5e-2 as text, we as a number."""
+    """Negate turns black and white round; thresholds are strict; YAML 1.1 reads 5e-2 as text, we as
+    a number.
+    """
     assert read_map(write(tmp_path, negate="1")).cells.tolist() == [[100, 100, 0], [100, 100, 100]]
-    assert read_map(write(tmp_path, negate="true")).cells.tolist() == [[100, 100, 0], [100, 100, 100]]
-    assert read_map(write(tmp_path, occupied_thresh="1.0")).cells.tolist() == [[0, 0, -1], [-1, 0, 0]]
+    assert read_map(write(tmp_path, negate="true")).cells.tolist() == [
+        [100, 100, 0],
+        [100, 100, 100],
+    ]
+    assert read_map(write(tmp_path, occupied_thresh="1.0")).cells.tolist() == [
+        [0, 0, -1],
+        [-1, 0, 0],
+    ]
     assert read_map(write(tmp_path, resolution="5e-2")).resolution == 0.05
-    assert read_map(write(tmp_path, mode="scale")).cells[1, 0] == 0  # (50 / 255 - 0.196) / 0.454 is 0.02 %
+    assert (
+        read_map(write(tmp_path, mode="scale")).cells[1, 0] == 0
+    )  # (50 / 255 - 0.196) / 0.454 is 0.02 %
     assert read_map(write(tmp_path, mode="scale", free_thresh="0.1")).cells[1, 0] == 17
 
 
@@ -139,7 +160,9 @@ def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert code == 2
     assert "16.7% of its cells are unknown: say --ros.unknown occupied or --ros.unknown free" in err
     for word, value in (("occupied", 1), ("free", 0)):
-        code, out, _ = cli(capsys, "import", path, tmp_path / word, "--ros.unknown", word, "--seed-points", 2)
+        code, out, _ = cli(
+            capsys, "import", path, tmp_path / word, "--ros.unknown", word, "--seed-points", 2
+        )
         assert code == 0
         assert f"16.7% of the cells were unknown and are now {word}" in out
         manifest = read_manifest(tmp_path / word)
@@ -151,9 +174,16 @@ def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each kind of picture gives the grids, the splits and the resolution back."""
     truth = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
-    grids = sorted((int(s), g.tobytes()) for maps in truth for s, g in zip(maps.split, maps.occupancy, strict=True))
+    grids = sorted(
+        (int(s), g.tobytes())
+        for maps in truth
+        for s, g in zip(maps.split, maps.occupancy, strict=True)
+    )
     for kind in ("pgm", "png", "bmp"):
-        assert cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--ros.image", kind)[0] == 0
+        assert (
+            cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--ros.image", kind)[0]
+            == 0
+        )
         found = read(tmp_path / kind)
         assert not found.left_out
         assert sorted((one.split or 0, one.grid.tobytes()) for one in found.maps) == grids
@@ -212,7 +242,9 @@ def test_hostile_yaml(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_missing_fields(missing: str, tmp_path: Path) -> None:
     """The field is named."""
     path = write(tmp_path)
-    path.write_text("".join(line for line in path.read_text().splitlines(True) if not line.startswith(missing)))
+    path.write_text(
+        "".join(line for line in path.read_text().splitlines(True) if not line.startswith(missing))
+    )
     with pytest.raises(FormatError, match=f"has no field '{missing}'"):
         read_map(path)
 
@@ -220,9 +252,19 @@ def test_missing_fields(missing: str, tmp_path: Path) -> None:
 def test_yaml_that_is_none(tmp_path: Path) -> None:
     """A list, nothing, deep nesting, a thousand million laughs: one line, at once."""
     laughs = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
-        f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+        f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n"
+        for old, new in zip("abcdefgh", "bcdefghi", strict=True)
     )
-    for text in ("", "- 1\n", "[" * 2000, laughs, laughs + "image: *i\n", "\0", "a: b\n---\nc: d\n", "? [1]\n: 2\n"):
+    for text in (
+        "",
+        "- 1\n",
+        "[" * 2000,
+        laughs,
+        laughs + "image: *i\n",
+        "\0",
+        "a: b\n---\nc: d\n",
+        "? [1]\n: 2\n",
+    ):
         (tmp_path / "map.yaml").write_text(text)
         with pytest.raises(FormatError):
             read_map(tmp_path / "map.yaml")
@@ -275,9 +317,12 @@ def test_limits(tmp_path: Path) -> None:
 
 @SETTINGS
 @given(
-    arrays.arrays(np.int8, (2, 3), elements=st.sampled_from([-1, 0, 40, 100])), st.sampled_from(["occupied", "free"])
+    arrays.arrays(np.int8, (2, 3), elements=st.sampled_from([-1, 0, 40, 100])),
+    st.sampled_from(["occupied", "free"]),
 )
 def test_to_grid(cells: npt.NDArray[np.int8], unknown: str) -> None:
     """0 is free, 100 occupied, all else what was said."""
     grid = to_grid(cells, unknown, "x")
-    assert grid.tolist() == [[{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()]
+    assert grid.tolist() == [
+        [{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()
+    ]

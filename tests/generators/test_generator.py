@@ -1,4 +1,6 @@
-"""The registry of generators: names in JSON, presets, versions of the format, and a family of one's own."""
+"""The registry of generators: names in JSON, presets, versions of the format, and a family of one's
+own.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,18 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from mapdata import Generator, Maps, MapSpec, Maze, Movement, build, generate, identity, read_shard, verify
+from mapdata import (
+    Generator,
+    Maps,
+    MapSpec,
+    Maze,
+    Movement,
+    build,
+    generate,
+    identity,
+    read_shard,
+    verify,
+)
 from mapdata.arrays import Ints
 from mapdata.generators import GENERATORS, PRESETS, register, with_seed_points
 
@@ -66,7 +79,9 @@ def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: P
     manifest = build(tmp_path / "maps", stripes(), maps=2)
     GENERATORS.pop("stripes")
     try:
-        with pytest.raises(ValueError, match="generator: got 'stripes', expected one of rooms, maze"):
+        with pytest.raises(
+            ValueError, match="generator: got 'stripes', expected one of rooms, maze"
+        ):
             read_shard(tmp_path / "maps" / manifest.shards[0].name)
     finally:
         GENERATORS["stripes"] = stripes
@@ -80,7 +95,9 @@ def test_registering_refuses_what_cannot_work() -> None:
         """Another family of the same name."""
 
     class Plain(Stripes):
-        """No dataclass of its own, so not frozen by itself, but it inherits: it may be registered."""
+        """No dataclass of its own, so not frozen by itself, but it inherits: it may be
+        registered.
+        """
 
     with pytest.raises(ValueError, match="'rooms' is the name of MapSpec"):
         register(Impostor)
@@ -95,7 +112,9 @@ def test_presets_of_one_family_and_of_all() -> None:
     """A family knows its own, `Generator` all."""
     assert MapSpec.preset("dungeon").rooms == (8, 16)
     assert Generator.preset("maze") == Maze.preset("maze") == Maze()
-    with pytest.raises(ValueError, match="preset: got 'maze', expected one of paper, narrow, dungeon, dungeon128"):
+    with pytest.raises(
+        ValueError, match="preset: got 'maze', expected one of paper, narrow, dungeon, dungeon128"
+    ):
         MapSpec.preset("maze")
 
 
@@ -119,7 +138,9 @@ def test_bad_specs_are_refused(values: object, why: str) -> None:
 def test_version_1_says_what_it_always_said() -> None:
     """Specs of Algorithm 1 say no generator, and their identities stay; others are of version 2."""
     assert "generator" not in MapSpec().to_dict()
-    assert identity(MapSpec(), 7) == "d1b8a4aa131547ef781bcafb680990d01786599565f1ecbf05d9d2c7a680f20c"
+    assert (
+        identity(MapSpec(), 7) == "d1b8a4aa131547ef781bcafb680990d01786599565f1ecbf05d9d2c7a680f20c"
+    )
     assert (MapSpec().format_version, Maze().format_version) == (1, 2)
     assert MapSpec.from_dict({"generator": "rooms"}) == MapSpec()
     assert Generator.from_json(Maze(corridor=3).to_json()) == Maze(corridor=3)

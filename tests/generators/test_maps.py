@@ -18,7 +18,11 @@ SETTINGS = settings(max_examples=100)
 
 @SETTINGS
 @given(
-    arrays.arrays(np.uint8, st.tuples(st.just(2), st.integers(1, 4), st.integers(1, 130)), elements=st.integers(0, 1))
+    arrays.arrays(
+        np.uint8,
+        st.tuples(st.just(2), st.integers(1, 4), st.integers(1, 130)),
+        elements=st.integers(0, 1),
+    )
 )
 def test_pack(grids: Bytes) -> None:
     """Bit k of word j is column 64 j + k; spare bits are 0."""

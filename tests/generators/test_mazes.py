@@ -1,4 +1,6 @@
-"""Mazes: equal to a slow reference, spanning trees by scipy, and a dataset like any other in every verb and field."""
+"""Mazes: equal to a slow reference, spanning trees by scipy, and a dataset like any other in every
+verb and field.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from mapdata import MapDataset, Maze, Movement, OnlineMapDataset, Problems, build, generate, identity, label, verify
+from mapdata import (
+    MapDataset,
+    Maze,
+    Movement,
+    OnlineMapDataset,
+    Problems,
+    build,
+    generate,
+    identity,
+    label,
+    verify,
+)
 from mapdata.cli import main
 from mapdata.shards import Recipe, read_manifest
 
@@ -39,7 +52,9 @@ def mazes(draw: st.DrawFn) -> Maze:
 @SETTINGS
 @given(mazes(), st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1))
 def test_any_maze_equals_the_reference(spec: Maze, seed: int, index: int) -> None:
-    """Grid, seed points and split, for all widths, sizes that the lattice does not fill, large seeds and indices."""
+    """Grid, seed points and split, for all widths, sizes that the lattice does not fill, large
+    seeds and indices.
+    """
     maps = generate(spec, seed, [index])
     grid = reference_maze(spec, seed, index)
     free = [(int(row), int(column)) for row, column in np.argwhere(np.array(grid) == 0)]
@@ -87,7 +102,10 @@ def test_seed_points_lie_far_apart() -> None:
         return float(gaps[np.triu_indices(len(points), 1)].min())
 
     spread = [nearest(points) for points in maps.seed_points]
-    uniform = [nearest(np.argwhere(grid == 0)[source.choice((grid == 0).sum(), 5)]) for grid in maps.occupancy]
+    uniform = [
+        nearest(np.argwhere(grid == 0)[source.choice((grid == 0).sum(), 5)])
+        for grid in maps.occupancy
+    ]
     assert np.mean(spread) > 1.7 * np.mean(uniform)
 
 
@@ -110,7 +128,7 @@ def test_bad_values_are_refused(values: dict[str, object], why: str) -> None:
         Maze(**values)  # type: ignore[arg-type]
 
 
-# --- a dataset like any other ---------------------------------------------------------------------------------------
+# --- a dataset like any other -------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +176,9 @@ def test_every_field_is_served(root: Path) -> None:
     again = MapDataset(root, None, ("map", "start", "goal", "path"), movement=Movement(8))[:]
     assert (again.path[:, 0] == again.start).all()
     stored = MapDataset(root, None, ("map", "start", "goal", "problem"), problems="random")[:]
-    online = OnlineMapDataset(SPEC, 7, 30, fields=("map", "start", "goal", "problem"), problems="random")[:]
+    online = OnlineMapDataset(
+        SPEC, 7, 30, fields=("map", "start", "goal", "problem"), problems="random"
+    )[:]
     assert_same(stored, online)
     assert torch.equal(stored.map[:, 0], torch.from_numpy(generate(SPEC, 7, range(30)).occupancy))
 
@@ -176,7 +196,9 @@ def test_planners_are_compared_on_mazes() -> None:
     assert len(Problems.sample(Maze(reopened=0.1), seed=3, maps=5)) == 5
 
 
-def test_every_verb_takes_mazes(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_verb_takes_mazes(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Build, info, card, verify, show, report and exports; nobody speaks of rooms or passages."""
 
     def run(*arguments: object) -> str:

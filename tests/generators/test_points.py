@@ -1,4 +1,6 @@
-"""Seed points of maps that have none: the largest component is scipy's, the draws those of docs/format.md."""
+"""Seed points of maps that have none: the largest component is scipy's, the draws those of
+docs/format.md.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,18 @@ from mapdata.arrays import Bytes
 from mapdata.generators import draw_points, largest_component
 
 SETTINGS = settings(max_examples=100)
-GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1))
+GRIDS = arrays.arrays(
+    np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1)
+)
 POINTS = 5
 
 
 @SETTINGS
 @given(GRIDS, st.booleans())
 def test_largest_component(grid: Bytes, cut: bool) -> None:
-    """The component is scipy's largest, of equals the one that holds the first cell in row-major order."""
+    """The component is scipy's largest, of equals the one that holds the first cell in row-major
+    order.
+    """
     labels, count = ndimage.label(grid == 0, np.ones((3, 3)) if cut else None)
     cells = largest_component(grid, 2 if cut else 1)
     assert np.array_equal(cells, largest_component(grid, 2 if cut else 0))

@@ -18,7 +18,17 @@ from mapdata.spec import Movement
 
 SETTINGS = settings(max_examples=300)
 PRESETS = ["paper", "narrow", "dungeon", "dungeon128"]
-FIELDS = ["index", "occupancy", "rooms", "passage_width", "seed_points", "sizes", "directions", "connected", "split"]
+FIELDS = [
+    "index",
+    "occupancy",
+    "rooms",
+    "passage_width",
+    "seed_points",
+    "sizes",
+    "directions",
+    "connected",
+    "split",
+]
 
 
 def padded(pairs: Sequence[tuple[int, int]], rows: int) -> npt.NDArray[np.int64]:
@@ -42,13 +52,19 @@ def assert_equals_reference(maps: Maps, place: int, spec: MapSpec, seed: int) ->
     assert maps.split[place] == expected.split
 
 
-# --- equal to the reference -------------------------------------------------------------------------------------------
+# --- equal to the reference ---------------------------------------------------------------------
 
 
 @SETTINGS
-@given(specs(), st.integers(0, 2**64 - 1), st.lists(st.integers(0, 1000) | st.integers(0, 2**63 - 1), max_size=4))
+@given(
+    specs(),
+    st.integers(0, 2**64 - 1),
+    st.lists(st.integers(0, 1000) | st.integers(0, 2**63 - 1), max_size=4),
+)
 def test_any_spec_equals_the_reference(spec: MapSpec, seed: int, indices: list[int]) -> None:
-    """Every field of every map, for odd sizes, single rows, wide maps, rooms as large as the map, skip 0 and 1."""
+    """Every field of every map, for odd sizes, single rows, wide maps, rooms as large as the map,
+    skip 0 and 1.
+    """
     maps = generate(spec, seed, indices)
     assert maps.index.tolist() == indices
     assert maps.movement == spec.movement
@@ -86,7 +102,7 @@ def test_shapes_and_types(count: int) -> None:
     assert maps.movement == Movement(8)
 
 
-# --- a pure function of (spec, seed, index) ---------------------------------------------------------------------------
+# --- a pure function of (spec, seed, index) -----------------------------------------------------
 
 
 def test_a_map_does_not_depend_on_its_batch() -> None:
@@ -96,7 +112,9 @@ def test_a_map_does_not_depend_on_its_batch() -> None:
     for order in ([2, 1, 0, 5, 4, 3], [3, 3, 4], [1]):
         again = generate(spec, 9, indices[order].tolist())
         for name in FIELDS:
-            np.testing.assert_array_equal(getattr(again, name), getattr(together, name)[order], err_msg=name)
+            np.testing.assert_array_equal(
+                getattr(again, name), getattr(together, name)[order], err_msg=name
+            )
     strided = generate(spec, 9, np.repeat(indices, 2)[::2])
     np.testing.assert_array_equal(strided.occupancy, together.occupancy)
 
@@ -111,23 +129,36 @@ def test_generating_again_leaves_the_first_maps_alone() -> None:
 
 
 def test_maps_are_distinct() -> None:
-    """A thousand maps asked are a thousand maps, and another seed (in either half) gives another thousand."""
+    """A thousand maps asked are a thousand maps, and another seed (in either half) gives another
+    thousand.
+    """
     seed_points = [0, 1, 2**32, 2**63]
-    grids = np.concatenate([generate(MapSpec(), seed, range(1000)).occupancy for seed in seed_points])
+    grids = np.concatenate(
+        [generate(MapSpec(), seed, range(1000)).occupancy for seed in seed_points]
+    )
     assert len(np.unique(np.packbits(grids.reshape(len(grids), -1), axis=1), axis=0)) == len(grids)
 
 
 @pytest.mark.parametrize(
     ("seed", "indices", "culprit"),
-    [(-1, [0], "seed"), (2**64, [0], "seed"), (0, [3, -2], "ind.*-2"), (0, [2**63], "ind.*9223372036854775808")],
+    [
+        (-1, [0], "seed"),
+        (2**64, [0], "seed"),
+        (0, [3, -2], "ind.*-2"),
+        (0, [2**63], "ind.*9223372036854775808"),
+    ],
 )
-def test_numbers_beyond_the_generator_are_refused(seed: int, indices: list[int], culprit: str) -> None:
-    """A seed of more than 64 bits would share another's maps, and an index is 0 or a positive int64."""
+def test_numbers_beyond_the_generator_are_refused(
+    seed: int, indices: list[int], culprit: str
+) -> None:
+    """A seed of more than 64 bits would share another's maps, and an index is 0 or a positive
+    int64.
+    """
     with pytest.raises(ValueError, match=culprit):
         generate(MapSpec(), seed, indices)
 
 
-# --- the draws are what the paper says --------------------------------------------------------------------------------
+# --- the draws are what the paper says ----------------------------------------------------------
 
 COUNT = 20_000
 
@@ -161,7 +192,9 @@ def test_numbers_of_rooms_and_widths_are_uniform(paper: Maps) -> None:
 
 @pytest.mark.parametrize("room", range(9))
 def test_seeds_and_sizes_are_uniform(paper: Maps, room: int) -> None:
-    """Seed points over all rows and columns, sides over 14-33, for the first room and for the ninth."""
+    """Seed points over all rows and columns, sides over 14-33, for the first room and for the
+    ninth.
+    """
     drawn = paper.rooms > room
     for axis in range(2):
         assert_uniform(paper.seed_points[drawn, room, axis], 0, 63)
@@ -169,7 +202,9 @@ def test_seeds_and_sizes_are_uniform(paper: Maps, room: int) -> None:
 
 
 def test_rows_and_columns_are_independent(paper: Maps) -> None:
-    """Seed rows say nothing about seed columns, nor heights about widths, nor a map about the next."""
+    """Seed rows say nothing about seed columns, nor heights about widths, nor a map about the
+    next.
+    """
     seed_points, sizes = paper.seed_points[:, 0], paper.sizes[:, 0]
     pairs = [
         (seed_points[:, 0] // 8, seed_points[:, 1] // 8),
@@ -185,7 +220,9 @@ def test_rows_and_columns_are_independent(paper: Maps) -> None:
 
 @pytest.mark.parametrize("passage", range(8))
 def test_ten_percent_and_a_fair_coin(paper: Maps, passage: int) -> None:
-    """No passage in ten percent, else horizontal or vertical first with equal chance; nothing else occurs."""
+    """No passage in ten percent, else horizontal or vertical first with equal chance; nothing else
+    occurs.
+    """
     directions = paper.directions[paper.rooms > passage + 1, passage]
     kinds = [(-1, -1), (1, 0), (0, 1)]
     found = np.array([(directions == kind).all(axis=1).sum() for kind in kinds])
@@ -197,12 +234,17 @@ def test_ten_percent_and_a_fair_coin(paper: Maps, passage: int) -> None:
 def test_skip_probability_is_obeyed(probability: float) -> None:
     """Never at 0, always at 1, and in its share between."""
     maps = generate(MapSpec(skip_probability=probability), 4, range(5000))
-    skipped, passages = int((maps.rooms - 1).sum() - maps.connected.sum()), int((maps.rooms - 1).sum())
+    skipped, passages = (
+        int((maps.rooms - 1).sum() - maps.connected.sum()),
+        int((maps.rooms - 1).sum()),
+    )
     assert stats.binomtest(skipped, passages, probability).pvalue > 1e-4
 
 
 def test_a_probability_is_a_sharp_integer_threshold() -> None:
-    """A passage is skipped, and a map is for training, when the word is below p * 2**32, not when it equals it."""
+    """A passage is skipped, and a map is for training, when the word is below p * 2**32, not when
+    it equals it.
+    """
     skip, split = block(5, 9, 0, 0, 2)[0], block(5, 9, 0, 2, 0)[0]
     for more, happens in ((0, False), (1, True)):
         train = (split + more) / 2**32
@@ -212,40 +254,50 @@ def test_a_probability_is_a_sharp_integer_threshold() -> None:
         assert maps.split[0] == (0 if happens else 2)
 
 
-@pytest.mark.parametrize("splits", [(0.8, 0.1, 0.1), (0.5, 0.0, 0.5), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+@pytest.mark.parametrize(
+    "splits", [(0.8, 0.1, 0.1), (0.5, 0.0, 0.5), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+)
 def test_splits_have_their_shares(splits: tuple[float, float, float]) -> None:
     """Each split has its fraction of the maps, and a fraction of 0 has none."""
     found = np.bincount(generate(MapSpec(splits=splits), 4, range(5000)).split, minlength=3)
     used = np.array(splits) > 0
     assert len(found) == 3
     assert not found[~used].any()
-    assert used.sum() == 1 or stats.chisquare(found[used], 5000 * np.array(splits)[used]).pvalue > 1e-4
+    assert (
+        used.sum() == 1 or stats.chisquare(found[used], 5000 * np.array(splits)[used]).pvalue > 1e-4
+    )
 
 
 def test_a_split_belongs_to_the_index_alone() -> None:
     """Other rooms or sizes leave the splits as they are, and they say nothing about the rooms."""
     maps = generate(MapSpec(), 8, range(5000))
-    np.testing.assert_array_equal(maps.split, generate(MapSpec.preset("dungeon"), 8, range(5000)).split)
+    np.testing.assert_array_equal(
+        maps.split, generate(MapSpec.preset("dungeon"), 8, range(5000)).split
+    )
     table = np.zeros((3, 8), dtype=np.int64)
     np.add.at(table, (maps.split, maps.rooms - 2), 1)
     assert stats.chi2_contingency(table).pvalue > 1e-4
 
 
-# --- geometry ---------------------------------------------------------------------------------------------------------
+# --- geometry -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_seed_is_free(name: str) -> None:
     """All seeds lie on the map, on free cells."""
     maps = generate(MapSpec.preset(name), 3, range(1000))
-    for occupancy, rooms, seed_points in zip(maps.occupancy, maps.rooms, maps.seed_points, strict=True):
+    for occupancy, rooms, seed_points in zip(
+        maps.occupancy, maps.rooms, maps.seed_points, strict=True
+    ):
         rows, columns = seed_points[:rooms].T
         assert (seed_points[:rooms] >= 0).all()
         assert not occupancy[rows, columns].any()
 
 
 def test_rooms_do_not_wrap_round_the_border() -> None:
-    """Without passages a cell is free exactly when its coordinates lie in some room: no slice, no wrap."""
+    """Without passages a cell is free exactly when its coordinates lie in some room: no slice, no
+    wrap.
+    """
     spec = MapSpec(skip_probability=1.0, map_size=(33, 70))
     maps = generate(spec, 12, range(500))
     row, column = np.ogrid[:33, :70]
@@ -253,7 +305,10 @@ def test_rooms_do_not_wrap_round_the_border() -> None:
     for place in range(500):
         free = np.zeros((33, 70), dtype=np.bool_)
         for q in range(maps.rooms[place]):
-            (top, left), (height, width) = maps.seed_points[place, q] - maps.sizes[place, q] // 2, maps.sizes[place, q]
+            (top, left), (height, width) = (
+                maps.seed_points[place, q] - maps.sizes[place, q] // 2,
+                maps.sizes[place, q],
+            )
             free |= (top <= row) & (row < top + height) & (left <= column) & (column < left + width)
             clipped += top < 0 or left < 0 or top + height > 33 or left + width > 70
         np.testing.assert_array_equal(maps.occupancy[place] == 0, free)
@@ -262,7 +317,9 @@ def test_rooms_do_not_wrap_round_the_border() -> None:
 
 def test_metadata_keep_the_drawn_sizes() -> None:
     """A room that the border clips keeps its drawn rows and columns."""
-    spec = MapSpec(map_size=(20, 30), room_rows=(20, 20), room_columns=(30, 30), passage_width=(1, 1))
+    spec = MapSpec(
+        map_size=(20, 30), room_rows=(20, 20), room_columns=(30, 30), passage_width=(1, 1)
+    )
     maps = generate(spec, 12, range(50))
     for rooms, sizes in zip(maps.rooms, maps.sizes, strict=True):
         assert (sizes[:rooms] == (20, 30)).all()
@@ -271,7 +328,9 @@ def test_metadata_keep_the_drawn_sizes() -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_passages_are_free_and_their_elbows_full(name: str) -> None:
-    """Both legs are free over their whole width, and so is the T x T square at the corner, as far as the map goes."""
+    """Both legs are free over their whole width, and so is the T x T square at the corner, as far
+    as the map goes.
+    """
     spec = MapSpec.preset(name)
     maps = generate(spec, 77, range(1000))
     seen = 0
@@ -293,8 +352,16 @@ def test_passages_are_free_and_their_elbows_full(name: str) -> None:
 
 
 def test_rooms_as_small_as_they_get_still_hold_an_elbow() -> None:
-    """With rooms of one cell only the corner's square frees its outer corner: it is there, and nothing beyond it."""
-    spec = MapSpec(room_rows=(1, 1), room_columns=(1, 1), rooms=(2, 2), passage_width=(5, 5), skip_probability=0.0)
+    """With rooms of one cell only the corner's square frees its outer corner: it is there, and
+    nothing beyond it.
+    """
+    spec = MapSpec(
+        room_rows=(1, 1),
+        room_columns=(1, 1),
+        rooms=(2, 2),
+        passage_width=(5, 5),
+        skip_probability=0.0,
+    )
     maps = generate(spec, 1, range(300))
     row, column = np.ogrid[:64, :64]
     for place in range(300):

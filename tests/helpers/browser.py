@@ -1,4 +1,6 @@
-"""A headless Chromium for tests of a page: the DevTools protocol over two pipes, so no driver and no port is needed."""
+"""A headless Chromium for tests of a page: the DevTools protocol over two pipes, so no driver and
+no port is needed.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+PROGRAM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 """The browser, None where there is none."""
 
 _FLAGS = (
@@ -37,7 +41,9 @@ _START += "[os.set_inheritable(k, True) for k in (3, 4)]; os.execv(sys.argv[3], 
 
 
 class Browser:
-    """One tab. ``errors`` gathers what the console says and exceptions of the page; ``requests`` what it fetched."""
+    """One tab. ``errors`` gathers what the console says and exceptions of the page; ``requests``
+    what it fetched.
+    """
 
     def __init__(self, profile: Path) -> None:
         """Start Chromium with a new profile."""
@@ -58,7 +64,9 @@ class Browser:
         self.requests: list[str] = []
         targets = self.send("Target.getTargets")["targetInfos"]
         target = next(one["targetId"] for one in targets if one["type"] == "page")
-        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
 
@@ -66,7 +74,10 @@ class Browser:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """End Chromium."""
         self._process.kill()
@@ -85,9 +96,11 @@ class Browser:
                 raise TimeoutError(f"{path}: not ready; {self.errors}")
             time.sleep(0.02)
 
-    def run(self, script: str) -> Any:  # noqa: ANN401  (any JSON value)
+    def run(self, script: str) -> Any:
         """Return what an expression gives; promises are awaited."""
-        given = self.send("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        given = self.send(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         if "exceptionDetails" in given:
             raise RuntimeError(f"{script}: {given['exceptionDetails']}")
         return given["result"].get("value")
@@ -98,12 +111,24 @@ class Browser:
             more = {"text": "\r"} if key == "Enter" and kind == "keyDown" else {}
             self.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, **more)
 
-    def screenshot(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+    def screenshot(
+        self, path: Path, width: int = 1280, height: int = 900, dark: bool = False
+    ) -> None:
         """Write a picture of the page in a window of this size."""
-        self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.send(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
         theme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[theme])
-        path.write_bytes(base64.b64decode(self.send("Page.captureScreenshot", captureBeyondViewport=False)["data"]))
+        path.write_bytes(
+            base64.b64decode(
+                self.send("Page.captureScreenshot", captureBeyondViewport=False)["data"]
+            )
+        )
 
     def send(self, method: str, **values: object) -> dict[str, Any]:
         """Send a command of the DevTools protocol and return its result."""

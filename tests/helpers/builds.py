@@ -1,4 +1,6 @@
-"""A dataset of three shards that the tests of building share, and what they look at in its folder."""
+"""A dataset of three shards that the tests of building share, and what they look at in its
+folder.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,13 @@ SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_pro
 SEED, MAPS, SIZE = 5, 11, 4
 
 SOUND_SPEC = MapSpec(
-    (20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8)
+    (20, 70),
+    (2, 5),
+    (2, 8),
+    (3, 12),
+    passage_width=(1, 2),
+    skip_probability=0.5,
+    movement=Movement(8),
 )
 SOUND_SEED = 3
 """Three maps of these are the sound dataset that helpers/hostile.py spoils."""
@@ -37,7 +45,9 @@ def make(
     executor: Executor | None = None,
 ) -> Manifest:
     """Build the dataset of these tests."""
-    return build(root, SPEC, maps=maps, seed=SEED, shard_size=shard_size, workers=workers, executor=executor)
+    return build(
+        root, SPEC, maps=maps, seed=SEED, shard_size=shard_size, workers=workers, executor=executor
+    )
 
 
 def shard_name(start: int, stop: int) -> str:
@@ -67,11 +77,16 @@ class Stamp(NamedTuple):
 def stamps(root: Path) -> dict[str, Stamp]:
     """Return the stamps of all shards of a root."""
     found = {path.name: path.stat() for path in root.glob("maps-*.h5")}
-    return {name: Stamp(status.st_ino, status.st_mtime_ns, status.st_size) for name, status in found.items()}
+    return {
+        name: Stamp(status.st_ino, status.st_mtime_ns, status.st_size)
+        for name, status in found.items()
+    }
 
 
 def restated(text: str, change: Callable[[dict[str, Any]], object]) -> str:
-    """Return a manifest with other values and the hash that fits them, as a hostile one would have."""
+    """Return a manifest with other values and the hash that fits them, as a hostile one would
+    have.
+    """
     values = json.loads(text)
     del values["manifest_hash"]
     change(values)
@@ -82,7 +97,9 @@ def restated(text: str, change: Callable[[dict[str, Any]], object]) -> str:
 class InTheCaller(Executor):
     """Runs a task when it is submitted."""
 
-    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+    def submit(
+        self, function: Callable[..., Any], /, *arguments: object, **options: object
+    ) -> Future[Any]:
         """Run ``function`` now."""
         future: Future[Any] = Future()
         try:
@@ -94,7 +111,9 @@ class InTheCaller(Executor):
 
 @contextmanager
 def unprivileged_folder(mode: int = 0o555) -> Iterator[Path]:
-    """Give a folder of this mode to a user whom modes stop: root becomes nobody for as long as it lasts."""
+    """Give a folder of this mode to a user whom modes stop: root becomes nobody for as long as it
+    lasts.
+    """
     with tempfile.TemporaryDirectory() as outer:
         os.chmod(outer, 0o755)  # pytest's own folders are closed to other users
         folder = Path(outer) / "root"

@@ -29,11 +29,16 @@ def assert_tidy(figure: Figure) -> None:
             tick.label1
             for axis in (axes.xaxis, axes.yaxis)
             for tick in axis.get_major_ticks()
-            if axes.axison and min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
+            if axes.axison
+            and min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
         ]
         words = [axes.title, axes.xaxis.label, axes.yaxis.label, *ticks, axes.get_legend()]
         for number, word in enumerate(words):
-            if word is not None and word.get_visible() and (not isinstance(word, Text) or word.get_text()):
+            if (
+                word is not None
+                and word.get_visible()
+                and (not isinstance(word, Text) or word.get_text())
+            ):
                 boxes[k, number] = word.get_window_extent()
         if axes.axison:
             boxes[k, -1] = axes.get_window_extent()
@@ -47,8 +52,14 @@ def assert_tidy(figure: Figure) -> None:
 
 def drawn(axes: Axes, colour: str) -> list[npt.NDArray[np.int64]]:
     """Return the lines of a colour as cells (row, col)."""
-    lines = [line for line in axes.get_lines() if to_hex(line.get_color()).upper() == colour and line.get_linestyle()]
-    return [np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64) for line in lines]
+    lines = [
+        line
+        for line in axes.get_lines()
+        if to_hex(line.get_color()).upper() == colour and line.get_linestyle()
+    ]
+    return [
+        np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64) for line in lines
+    ]
 
 
 def assert_lines(found: list[npt.NDArray[np.int64]], expected: list[npt.NDArray[np.int64]]) -> None:

@@ -1,8 +1,10 @@
-"""Changes real files at random and reads them: `PYTHONPATH=tests python -m helpers.fuzzing shards` (or `formats`).
+"""Changes real files at random and reads them: `PYTHONPATH=tests python -m helpers.fuzzing shards`
+(or `formats`).
 
-A case is a function of (target, seed, number). Its files stand in the folder while it is read, so that a crash leaves
-them behind; a case that hangs ends the program with a traceback, one that takes more than 200
-MB of address space runs out of memory. Expected are data, or the one error that the reader names.
+A case is a function of (target, seed, number). Its files stand in the folder while it is read, so
+that a crash leaves them behind; a case that hangs ends the program with a traceback, one that takes
+more than 200 MB of address space runs out of memory. Expected are data, or the one error that the
+reader names.
 """
 
 from __future__ import annotations
@@ -31,7 +33,15 @@ from mapdata.shards import MANIFEST, open_shard, read_manifest
 from mapdata.shards.shard import decode
 from mapdata.spec import Movement
 
-SPEC = MapSpec((12, 20), (2, 4), (2, 5), (2, 7), passage_width=(1, 2), skip_probability=0.4, splits=(0.4, 0.3, 0.3))
+SPEC = MapSpec(
+    (12, 20),
+    (2, 4),
+    (2, 5),
+    (2, 7),
+    passage_width=(1, 2),
+    skip_probability=0.4,
+    splits=(0.4, 0.3, 0.3),
+)
 ROOM = 200 << 20
 """Address space that the cases may take, in bytes."""
 HANGS = 300
@@ -50,9 +60,13 @@ def changed(draw: random.Random, data: bytes) -> bytes:
         if what == "flip" and at < len(out):
             out[at] ^= 1 << draw.randrange(8)
         elif what == "byte":
-            out[at : at + 1] = draw.choice((b"\0", b"\xff", b"\x7f", b"-", b"9", b'"', b",", b"\n", b"[", b"e"))
+            out[at : at + 1] = draw.choice(
+                (b"\0", b"\xff", b"\x7f", b"-", b"9", b'"', b",", b"\n", b"[", b"e")
+            )
         elif what == "word":
-            word = draw.choice((0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1, len(out), at))
+            word = draw.choice(
+                (0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1, len(out), at)
+            )
             size = draw.choice((2, 4, 8))
             out[at : at + size] = (word % 256**size).to_bytes(size, draw.choice(("little", "big")))
         elif what == "copy":
@@ -63,17 +77,21 @@ def changed(draw: random.Random, data: bytes) -> bytes:
         elif what == "delete":
             del out[at : at + more]
         elif what == "number":
-            out[at:at] = draw.choice((b"-1", b"1e999", b"nan", b"99999999999999999999", b"0x1", b"65536"))
+            out[at:at] = draw.choice(
+                (b"-1", b"1e999", b"nan", b"99999999999999999999", b"0x1", b"65536")
+            )
         elif draw.random() < 0.2:
             del out[at:]
     return bytes(out)
 
 
-# --- shards -----------------------------------------------------------------------------------------------------------
+# --- shards -------------------------------------------------------------------------------------
 
 
 def shard_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each kind of shard: of both movements, as written and in HDF5's old form without checksums."""
+    """Yield the cases of each kind of shard: of both movements, as written and in HDF5's old form
+    without checksums.
+    """
     for connectivity in (4, 8):
         root = folder / f"maps{connectivity}"
         build(root, replace(SPEC, movement=Movement(connectivity)), maps=4, seed=1)
@@ -91,10 +109,14 @@ def _in_old_form(root: Path) -> None:
     with h5py.File(path, "r") as source:
         attributes, arrays = dict(source.attrs), {name: source[name][()] for name in source}
     path.unlink()
-    with h5py.File(path, "w", libver=("earliest", "v110"), alignment_threshold=1, alignment_interval=64) as target:
+    with h5py.File(
+        path, "w", libver=("earliest", "v110"), alignment_threshold=1, alignment_interval=64
+    ) as target:
         for name, value in attributes.items():
             text = isinstance(value, bytes)
-            target.attrs.create(name, value, dtype=h5py.string_dtype("utf-8", max(len(value), 1)) if text else None)
+            target.attrs.create(
+                name, value, dtype=h5py.string_dtype("utf-8", max(len(value), 1)) if text else None
+            )
         for name, array in arrays.items():
             target.create_dataset(name, data=array)
     entry = replace(manifest.shards[0], bytes=path.stat().st_size)
@@ -111,7 +133,9 @@ def _shard_case(root: Path) -> Case:
     manifest = read_manifest(root)
     entry = manifest.shards[0]
     image = (root / entry.name).read_bytes()
-    choices = [(search, Movement(connectivity)) for search in ("bfs", "astar") for connectivity in (4, 8)]
+    choices = [
+        (search, Movement(connectivity)) for search in ("bfs", "astar") for connectivity in (4, 8)
+    ]
     for choice in choices:  # compiles what there is to compile
         _read_all(root, *choice)
 
@@ -133,13 +157,15 @@ def _shard_case(root: Path) -> Case:
     return case
 
 
-# --- formats ----------------------------------------------------------------------------------------------------------
+# --- formats ------------------------------------------------------------------------------------
 
 LIMITS = Limits(pixels=2**16, unpacked=2**22)
 
 
 def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each foreign format: what mapdata exports, and small files of other kinds."""
+    """Yield the cases of each foreign format: what mapdata exports, and small files of other
+    kinds.
+    """
     root = folder / "maps"
     build(root, SPEC, maps=6, seed=2)
     for kind in ("paper", "movingai", "planning-datasets"):
@@ -153,7 +179,11 @@ def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
 
 
 def _format_case(source: Path, kind: str) -> Case:
-    paths = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.is_file())
+    paths = (
+        [source]
+        if source.is_file()
+        else sorted(path for path in source.rglob("*") if path.is_file())
+    )
     files = {str(path.relative_to(source.parent)): path.read_bytes() for path in paths}
 
     def case(draw: random.Random, folder: Path) -> str:
@@ -178,13 +208,15 @@ def _one_line(error: Exception) -> str:
     return "refused"
 
 
-# --- the loop ---------------------------------------------------------------------------------------------------------
+# --- the loop -----------------------------------------------------------------------------------
 
 TARGETS = {"shards": shard_cases, "formats": format_cases}
 
 
 def main() -> None:
-    """Run cases until there are enough of them or the time is over, and print what became of them."""
+    """Run cases until there are enough of them or the time is over, and print what became of
+    them.
+    """
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("target", choices=TARGETS)
     parser.add_argument("--cases", type=int, default=10**9)
@@ -204,7 +236,10 @@ def main() -> None:
         try:
             result = case(random.Random(f"{arguments.target} {arguments.seed} {number}"), here)
         except BaseException:
-            print(f"{arguments.target}, seed {arguments.seed}, case {number} ({kind}): see {here}", file=sys.stderr)
+            print(
+                f"{arguments.target}, seed {arguments.seed}, case {number} ({kind}): see {here}",
+                file=sys.stderr,
+            )
             raise
         faulthandler.cancel_dump_traceback_later()
         counts[f"{kind}: {result}"] += 1

@@ -30,8 +30,12 @@ def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
     return list((np.random.default_rng(0).random((count, rows, columns)) < 0.3).astype(np.uint8))
 
 
-def scipy_distances(grid: Array, cells: Sequence[Cell], movement: Movement) -> npt.NDArray[np.float64]:
-    """Return (n, H, W) distances from n cells, -1 unreachable: scipy on a graph of shifted copies of the grid."""
+def scipy_distances(
+    grid: Array, cells: Sequence[Cell], movement: Movement
+) -> npt.NDArray[np.float64]:
+    """Return (n, H, W) distances from n cells, -1 unreachable: scipy on a graph of shifted copies
+    of the grid.
+    """
     height, width = grid.shape
     free = np.pad(grid == 0, 1)
     number = np.pad(np.arange(height * width).reshape(height, width), 1)
@@ -50,7 +54,9 @@ def scipy_distances(grid: Array, cells: Sequence[Cell], movement: Movement) -> n
                 usable = usable & shifted(free, down, 0) & shifted(free, 0, right)
             rows.append(shifted(number, 0, 0)[usable])
             columns.append(shifted(number, down, right)[usable])
-            costs.append(np.full(int(usable.sum()), movement.diagonal_cost if down and right else 1.0))
+            costs.append(
+                np.full(int(usable.sum()), movement.diagonal_cost if down and right else 1.0)
+            )
     edges = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
     graph = sparse.csr_array(edges, shape=(grid.size, grid.size))
     distances = csgraph.dijkstra(graph, indices=[row * width + column for row, column in cells])

@@ -1,7 +1,8 @@
-"""Writes shards that are wrong in one way each: what `mapdata.shards.reader.open_shard` must refuse.
+"""Writes shards that are wrong in one way each: what `mapdata.shards.reader.open_shard` must
+refuse.
 
-Nothing here imports mapdata, since a hostile file comes from elsewhere. Each file is a sound shard but for one fault:
-in a dataset, in a root attribute, or in the bytes of the file.
+Nothing here imports mapdata, since a hostile file comes from elsewhere. Each file is a sound shard
+but for one fault: in a dataset, in a root attribute, or in the bytes of the file.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ class Contents(NamedTuple):
 def read_contents(path: Path) -> Contents:
     """Read a sound shard."""
     with h5py.File(path, "r") as file:
-        return Contents(dict(file.attrs), {name: file[name][()] for name in file}, path.read_bytes())
+        return Contents(
+            dict(file.attrs), {name: file[name][()] for name in file}, path.read_bytes()
+        )
 
 
 Member: TypeAlias = Callable[[h5py.File, str, Array, Path], None]
@@ -42,8 +45,12 @@ def write(
     members: Mapping[str, Member] = {},
     attributes: Mapping[str, Any] = {},
 ) -> None:
-    """Write a shard whose named members and attributes are replaced; an attribute of None is left out."""
-    with h5py.File(path, "w", libver=("v110", "v110"), alignment_threshold=1, alignment_interval=64) as file:
+    """Write a shard whose named members and attributes are replaced; an attribute of None is left
+    out.
+    """
+    with h5py.File(
+        path, "w", libver=("v110", "v110"), alignment_threshold=1, alignment_interval=64
+    ) as file:
         _write_attributes(file, sound, attributes)
         for name, array in sound.arrays.items():
             members.get(name, _plain)(file, name, array, outside)
@@ -56,7 +63,9 @@ class VariableText(str):
 
 
 def _write_attributes(file: h5py.File, sound: Contents, attributes: Mapping[str, Any] = {}) -> None:
-    fixed = isinstance(sound.attributes["format"], bytes)  # text of fixed length, as the sound shard has it
+    fixed = isinstance(
+        sound.attributes["format"], bytes
+    )  # text of fixed length, as the sound shard has it
     for name, value in (sound.attributes | dict(attributes)).items():
         if fixed and isinstance(value, (str, bytes)) and not isinstance(value, VariableText):
             data = value.encode() if isinstance(value, str) else value
@@ -69,11 +78,13 @@ def _plain(file: h5py.File, name: str, array: Array, _: Path) -> None:
     file.create_dataset(name, data=array)
 
 
-# --- datasets that lie elsewhere --------------------------------------------------------------------------------------
+# --- datasets that lie elsewhere ----------------------------------------------------------------
 
 
 def _external_storage(file: h5py.File, name: str, array: Array, outside: Path) -> None:
-    file.create_dataset(name, array.shape, array.dtype, external=[(str(outside), 0, h5py.h5f.UNLIMITED)])
+    file.create_dataset(
+        name, array.shape, array.dtype, external=[(str(outside), 0, h5py.h5f.UNLIMITED)]
+    )
 
 
 def _external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
@@ -100,7 +111,7 @@ ELSEWHERE: dict[str, Member] = {
 """Members that read as sound data from the file outside, which the guard must not even open."""
 
 
-# --- datasets that are not plain --------------------------------------------------------------------------------------
+# --- datasets that are not plain ----------------------------------------------------------------
 
 
 def _soft_link(file: h5py.File, name: str, array: Array, _: Path) -> None:
@@ -207,7 +218,9 @@ def _changed(change: Callable[[Array], Array]) -> Member:
 
 
 def _ends(*values: int) -> Callable[[Array], Array]:
-    """Return a change that puts ``values`` into the middle of offsets, whose first and last entries stay."""
+    """Return a change that puts ``values`` into the middle of offsets, whose first and last entries
+    stay.
+    """
 
     def change(array: Array) -> Array:
         array[1 : 1 + len(values)] = values
@@ -229,14 +242,18 @@ def _one_later(array: Array) -> Array:
 
 
 WRAPPING = (2**62, 2**63 - 1, -(2**63), -(2**62), 0)
-"""Offsets that leave the data, and whose differences are not negative, since those of int64 wrap round."""
+"""Offsets that leave the data, and whose differences are not negative, since those of int64 wrap
+round.
+"""
 
 PLAIN = "not plain contiguous data"
 GROW = "does not hold offsets"
 
 
 class DatasetFault(NamedTuple):
-    """What is wrong with which dataset, and what the message must say after its name (a regular expression)."""
+    """What is wrong with which dataset, and what the message must say after its name (a regular
+    expression).
+    """
 
     dataset: str
     says: str
@@ -278,27 +295,45 @@ DATASETS: dict[str, DatasetFault] = {
     "complex": DatasetFault("bfs_offsets", "not of type <i8", _typed("c8")),
     "fixed-string": DatasetFault("maps", "not of type u1", _typed("S1")),
     "opaque": DatasetFault("maps", "not of type u1", _typed(h5py.opaque_dtype("V1"))),
-    "enumeration": DatasetFault("split", "not of type u1", _typed(h5py.enum_dtype({"train": 0}, "u1"))),
-    "reference": DatasetFault("bfs_offsets", "not of type <i8", _ragged(h5py.ref_dtype, h5py.Reference())),
-    "vlen": DatasetFault("bfs_moves", "not of type u1", _ragged(h5py.vlen_dtype("u1"), np.zeros(4, np.uint8))),
-    "vlen-string": DatasetFault("bfs_moves", "not of type u1", _ragged(h5py.string_dtype(), "moves")),
+    "enumeration": DatasetFault(
+        "split", "not of type u1", _typed(h5py.enum_dtype({"train": 0}, "u1"))
+    ),
+    "reference": DatasetFault(
+        "bfs_offsets", "not of type <i8", _ragged(h5py.ref_dtype, h5py.Reference())
+    ),
+    "vlen": DatasetFault(
+        "bfs_moves", "not of type u1", _ragged(h5py.vlen_dtype("u1"), np.zeros(4, np.uint8))
+    ),
+    "vlen-string": DatasetFault(
+        "bfs_moves", "not of type u1", _ragged(h5py.string_dtype(), "moves")
+    ),
     "flat": DatasetFault("maps", "has 1 dimensions", _changed(np.ravel)),
     "deep": DatasetFault("seeds", "has 3 dimensions", _changed(lambda array: array[None])),
     "scalar": DatasetFault("split", "has 0 dimensions", _scalar),
     "null": DatasetFault("split", "has 0 dimensions", _null),
-    "a-map-more": DatasetFault("maps", "has shape", _changed(lambda array: np.concatenate((array, array[:1])))),
+    "a-map-more": DatasetFault(
+        "maps", "has shape", _changed(lambda array: np.concatenate((array, array[:1])))
+    ),
     "a-row-less": DatasetFault("maps", "has shape", _changed(lambda array: array[:, 1:])),
     "a-byte-less": DatasetFault("maps", "has shape", _changed(lambda array: array[:, :, 1:])),
     "no-maps": DatasetFault("maps", "has shape", _changed(lambda array: array[:0])),
     "a-split-less": DatasetFault("split", "has shape", _changed(lambda array: array[1:])),
     "a-seed-less": DatasetFault("seeds", "has shape", _changed(lambda array: array[1:])),
-    "seeds-of-three": DatasetFault("seeds", "has shape", _changed(lambda array: np.repeat(array, 2, axis=1)[:, :3])),
-    "a-size-more": DatasetFault("sizes", "has shape", _changed(lambda array: np.concatenate((array, array)))),
+    "seeds-of-three": DatasetFault(
+        "seeds", "has shape", _changed(lambda array: np.repeat(array, 2, axis=1)[:, :3])
+    ),
+    "a-size-more": DatasetFault(
+        "sizes", "has shape", _changed(lambda array: np.concatenate((array, array)))
+    ),
     "a-direction-less": DatasetFault("directions", "has shape", _changed(lambda array: array[1:])),
-    "an-iteration-less": DatasetFault("astar_iterations", "has shape", _changed(lambda array: array[1:])),
+    "an-iteration-less": DatasetFault(
+        "astar_iterations", "has shape", _changed(lambda array: array[1:])
+    ),
     "a-cost-less": DatasetFault("astar_straight", "has shape", _changed(lambda array: array[1:])),
     "a-move-less": DatasetFault("bfs_moves", "has shape", _changed(lambda array: array[1:])),
-    "diagonals-of-none": DatasetFault("astar_diagonal", "has shape", _changed(lambda array: np.zeros(len(array) + 1))),
+    "diagonals-of-none": DatasetFault(
+        "astar_diagonal", "has shape", _changed(lambda array: np.zeros(len(array) + 1))
+    ),
     "no-offsets": DatasetFault("bfs_offsets", "has shape", _changed(lambda array: array[:0])),
     "no-rooms": DatasetFault("room_offsets", "has shape", _changed(lambda array: array[:0])),
     "offsets-not-from-0": DatasetFault("bfs_offsets", GROW, _changed(_at(0, 1))),
@@ -307,8 +342,12 @@ DATASETS: dict[str, DatasetFault] = {
     "offsets-beyond-the-end": DatasetFault("astar_offsets", GROW, _changed(_at(1, 2**40))),
     "wrapping-offsets": DatasetFault("astar_offsets", GROW, _changed(_ends(*WRAPPING))),
     "last-offset-beyond": DatasetFault("bfs_moves", "has shape", _changed(lambda array: array[:0])),
-    "last-offset-huge": DatasetFault("bfs_offsets", "has shape", _changed(_at(-1, 2**62)), "bfs_moves"),
-    "last-offset-negative": DatasetFault("bfs_offsets", "has shape", _changed(_at(-1, -1)), "bfs_moves"),
+    "last-offset-huge": DatasetFault(
+        "bfs_offsets", "has shape", _changed(_at(-1, 2**62)), "bfs_moves"
+    ),
+    "last-offset-negative": DatasetFault(
+        "bfs_offsets", "has shape", _changed(_at(-1, -1)), "bfs_moves"
+    ),
     "rooms-not-from-0": DatasetFault("room_offsets", GROW, _changed(_at(0, 1))),
     "rooms-decreasing": DatasetFault("room_offsets", GROW, _changed(_ends(2, 1))),
     "rooms-of-none": DatasetFault("room_offsets", "disagree", _changed(_at(1, 0))),
@@ -317,16 +356,22 @@ DATASETS: dict[str, DatasetFault] = {
     "pairs-moved": DatasetFault("pair_offsets", "disagree", _changed(_one_later)),
     "seed-row-negative": DatasetFault("seeds", "cells outside the map", _changed(_at(-1, -1))),
     "seed-beyond": DatasetFault("seeds", "cells outside the map", _changed(_at(0, 32767))),
-    "seeds-transposed": DatasetFault("seeds", "cells outside the map", _changed(lambda array: array[:, ::-1])),
+    "seeds-transposed": DatasetFault(
+        "seeds", "cells outside the map", _changed(lambda array: array[:, ::-1])
+    ),
 }
-"""Faults of one dataset; the message must name it. The shard is 8-connected and has 3 maps of 20 x 70 cells."""
+"""Faults of one dataset; the message must name it. The shard is 8-connected and has 3 maps of 20 x
+70 cells.
+"""
 
 
-# --- root attributes --------------------------------------------------------------------------------------------------
+# --- root attributes ----------------------------------------------------------------------------
 
 
 class AttributeFault(NamedTuple):
-    """Other values of some attributes (None: missing), and what the message must say (a regular expression)."""
+    """Other values of some attributes (None: missing), and what the message must say (a regular
+    expression).
+    """
 
     says: str
     values: dict[str, Any]
@@ -358,16 +403,26 @@ MOVES_8 = '{"connectivity":8,"corner_cutting":false,"diagonal_cost":1.4142135623
 
 ATTRIBUTES: dict[str, AttributeFault] = {
     **{
-        f"no-{name}": AttributeFault("format" if name == "format" else f"attribute.*'{name}'", {name: None})
+        f"no-{name}": AttributeFault(
+            "format" if name == "format" else f"attribute.*'{name}'", {name: None}
+        )
         for name in REQUIRED
     },
     "another-format": AttributeFault("not a mapdata shard", {"format": "mapdata2"}),
     "format-a-number": AttributeFault("not a mapdata shard|attribute", {"format": 1}),
-    "format-a-list": AttributeFault("not a mapdata shard|attribute", {"format": ["mapdata", "mapdata"]}),
+    "format-a-list": AttributeFault(
+        "not a mapdata shard|attribute", {"format": ["mapdata", "mapdata"]}
+    ),
     "format-empty": AttributeFault("not a mapdata shard|attribute", {"format": h5py.Empty("S1")}),
-    "newer-version": AttributeFault(r"format version 3, this mapdata [\d.]+ reads 1 and 2", {"format_version": 3}),
-    "version-2": AttributeFault("format version 2, but its spec is of version 1", {"format_version": 2}),
-    "much-newer-version": AttributeFault(r"format version 4294967296, .* reads 1", {"format_version": 2**32}),
+    "newer-version": AttributeFault(
+        r"format version 3, this mapdata [\d.]+ reads 1 and 2", {"format_version": 3}
+    ),
+    "version-2": AttributeFault(
+        "format version 2, but its spec is of version 1", {"format_version": 2}
+    ),
+    "much-newer-version": AttributeFault(
+        r"format version 4294967296, .* reads 1", {"format_version": 2**32}
+    ),
     "version-0": AttributeFault(r"format version 0, .* reads 1", {"format_version": 0}),
     "version-a-text": AttributeFault(ODD, {"format_version": "one"}),
     "version-a-list": AttributeFault(ODD, {"format_version": [1, 1]}),
@@ -398,7 +453,9 @@ ATTRIBUTES: dict[str, AttributeFault] = {
     "movement-of-6": AttributeFault("connectivity", {"movement": MOVES_8.replace("8", "6")}),
     "movement-unknown": AttributeFault("speed", {"movement": '{"speed":1}'}),
     "movement-deep": AttributeFault(ODD, {"movement": "[" * 100_000}),
-    "another-movement": AttributeFault("has shape|movement", {"movement": MOVES_8.replace("8", "4", 1)}),
+    "another-movement": AttributeFault(
+        "has shape|movement", {"movement": MOVES_8.replace("8", "4", 1)}
+    ),
     "spec-no-json": AttributeFault("not JSON", {"spec": "paper"}),
     "spec-a-list": AttributeFault("expected an object", {"spec": "[]"}),
     "spec-a-number": AttributeFault(ODD, {"spec": 7}),
@@ -419,7 +476,9 @@ ATTRIBUTES: dict[str, AttributeFault] = {
     "resolution-a-text": AttributeFault(ODD, {"resolution": "fine"}),
     "resolution-a-list": AttributeFault(ODD, {"resolution": [0.1, 0.1]}),
     "size-not-the-specs": AttributeFault("map_size", {"map_size": [20, 69]}),
-    "movement-not-the-specs": AttributeFault("movement", {"movement": MOVES_8.replace("false", "true")}),
+    "movement-not-the-specs": AttributeFault(
+        "movement", {"movement": MOVES_8.replace("false", "true")}
+    ),
     "resolution-not-the-specs": AttributeFault("resolution", {"resolution": 0.2}),
     "resolution-nan": AttributeFault("resolution", {"resolution": np.nan}),
     "content-hash-a-number": AttributeFault("content_hash", {"content_hash": 5}),
@@ -427,7 +486,7 @@ ATTRIBUTES: dict[str, AttributeFault] = {
 """Faults of the root attributes. The shard is that of `DATASETS`, maps 0 to 3 of seed 3."""
 
 
-# --- bytes ------------------------------------------------------------------------------------------------------------
+# --- bytes --------------------------------------------------------------------------------------
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -441,13 +500,16 @@ BYTES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
     "picture": ("not a sound shard", lambda image: b"\x89PNG\r\n\x1a\n" + image[8:]),
     "first-half-twice": ("not a", lambda image: image[: len(image) // 2] * 2),
 }
-"""Files that are no HDF5, or half of one: (what the message must say, how the sound bytes are changed)."""
+"""Files that are no HDF5, or half of one: (what the message must say, how the sound bytes are
+changed).
+"""
 
 
 def write_beyond_the_end(path: Path, sound: Contents) -> None:
     """Write a shard whose dataset ``maps`` declares a gigabyte that lies past the end of the file.
 
-    HDF5 itself believes the file: its old superblock has no checksum, and says that the file is as long as it is.
+    HDF5 itself believes the file: its old superblock has no checksum, and says that the file is as
+    long as it is.
     """
     with h5py.File(path, "w", libver=("earliest", "v110")) as file:
         _write_attributes(file, sound)

@@ -24,7 +24,8 @@ def imported(root: Path) -> Path:
     grids[4], grids[5] = grids[0], grids[1][::-1]
     splits = (0, 0, 1, 2, 2, 1)
     maps = [
-        ForeignMap(f"{NASTY} {k}", grid, split=code) for k, (grid, code) in enumerate(zip(grids, splits, strict=True))
+        ForeignMap(f"{NASTY} {k}", grid, split=code)
+        for k, (grid, code) in enumerate(zip(grids, splits, strict=True))
     ]
     import_maps(root, Collection(maps, movement=Movement(8)), seed_points=3)
     return root

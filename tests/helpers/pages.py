@@ -19,7 +19,9 @@ DOCS = ROOT / "docs"
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, its text with included files, and the number of its first line."""
+    """A fenced block: its language, its text with included files, and the number of its first
+    line.
+    """
 
     language: str
     text: str
@@ -27,7 +29,9 @@ class Block(NamedTuple):
 
 
 def blocks(page: Path) -> list[Block]:
-    """Return the fenced blocks of a page, files that it includes in place of the lines that name them."""
+    """Return the fenced blocks of a page, files that it includes in place of the lines that name
+    them.
+    """
     text = page.read_text(encoding="utf-8")
     found = re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     return [Block(one[1], _included(one[2]), text.count("\n", 0, one.start()) + 2) for one in found]
@@ -35,13 +39,16 @@ def blocks(page: Path) -> list[Block]:
 
 def _included(text: str) -> str:
     return re.sub(
-        r'^--8<-- "(.*)"\n', lambda one: (ROOT / one[1]).read_text(encoding="utf-8"), text, flags=re.MULTILINE
+        r'^--8<-- "(.*)"\n',
+        lambda one: (ROOT / one[1]).read_text(encoding="utf-8"),
+        text,
+        flags=re.MULTILINE,
     )
 
 
 def run(page: Path) -> list[str]:
-    """Run all blocks of ``page`` in the working folder: Python in one session, commands of the shell, JSON as recipes.
-    A block of text after one of Python is what that prints.
+    """Run all blocks of ``page`` in the working folder: Python in one session, commands of the
+    shell, JSON as recipes. A block of text after one of Python is what that prints.
 
     Returns:
         What each line of shell printed.
@@ -57,7 +64,9 @@ def run(page: Path) -> list[str]:
         if language == "python":
             output = StringIO()
             with redirect_stdout(output):
-                exec(compile("\n" * (line - 1) + text, str(page), "exec", dont_inherit=True), session)
+                exec(
+                    compile("\n" * (line - 1) + text, str(page), "exec", dont_inherit=True), session
+                )
             printed = output.getvalue()
         elif language == "sh":
             shown += [shell(command, where) for command in text.splitlines()]
@@ -66,12 +75,16 @@ def run(page: Path) -> list[str]:
         elif language == "json":
             json.loads(text)
         else:
-            assert language == "bibtex", f"{where}: nothing runs {language or 'a block without a language'}"
+            assert language == "bibtex", (
+                f"{where}: nothing runs {language or 'a block without a language'}"
+            )
     return shown
 
 
 def shell(command: str, where: str) -> str:
-    """Run one line of shell, ``mapdata ...`` or ``python scripts/...``, in this process; return what it printed."""
+    """Run one line of shell, ``mapdata ...`` or ``python scripts/...``, in this process; return
+    what it printed.
+    """
     program, *arguments = shlex.split(command, comments=True)
     target = arguments.pop() if ">" in arguments else None
     arguments = [word for word in arguments if word != ">"]
@@ -85,7 +98,9 @@ def shell(command: str, where: str) -> str:
 
 
 def _exit_code(program: str, arguments: list[str], where: str) -> object:
-    assert program == "mapdata" or arguments[0].startswith("scripts/"), f"{where}: nothing runs {program}"
+    assert program == "mapdata" or arguments[0].startswith("scripts/"), (
+        f"{where}: nothing runs {program}"
+    )
     before = sys.argv
     try:
         if program == "mapdata":

@@ -30,7 +30,11 @@ def main(root: str, out: Path, devices: int) -> None:
     run.predict(model, datamodule=module(root, batch_size=BATCH), return_predictions=False)
     resumed = Model()
     again = trainer(num_sanity_val_steps=0, **ranks)
-    again.fit(resumed, datamodule=module(root, batch_size=BATCH), ckpt_path=out / "steps" / f"step={MIDDLE}.ckpt")
+    again.fit(
+        resumed,
+        datamodule=module(root, batch_size=BATCH),
+        ckpt_path=out / "steps" / f"step={MIDDLE}.ckpt",
+    )
     result = {
         "seen": [(one.epoch, one.problems) for one in model.seen],
         "resumed": [(one.epoch, one.problems) for one in resumed.seen],

@@ -1,8 +1,10 @@
-"""Slow, obviously right plain Python: what `mapdata` must equal, written from the words of the design.
+"""Slow, obviously right plain Python: what `mapdata` must equal, written from the words of the
+design.
 
-Nothing here imports `mapdata` and nothing is clever: lists, a deque, a heap, Python's unbounded integers; numpy only
-holds results. A grid is a list of rows, 1 occupied and 0 free; a cell is `(row, col)`; a cost is the exact integer pair
-`(straight, diagonal)` until it is asked for as a float.
+Nothing here imports `mapdata` and nothing is clever: lists, a deque, a heap, Python's unbounded
+integers; numpy only holds results. A grid is a list of rows, 1 occupied and 0 free; a cell is
+`(row, col)`; a cost is the exact integer pair `(straight, diagonal)` until it is asked for as a
+float.
 """
 
 from __future__ import annotations
@@ -26,26 +28,37 @@ Grid: TypeAlias = Sequence[Sequence[int]]
 Pair: TypeAlias = tuple[int, int]  # (straight, diagonal) moves: a cost, exactly
 Words: TypeAlias = tuple[int, int, int, int]
 
-# --- random numbers ---------------------------------------------------------------------------------------------------
+# --- random numbers ------------------------------------------------------------------------------
 
 WORD = 0xFFFFFFFF
 MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER = range(5)
 
 
 def philox4x32(counter: Sequence[int], key: Sequence[int]) -> Words:
-    """Philox4x32-10 as Random123 publishes it (Salmon et al., SC11): ten rounds, the key bumped between them."""
+    """Philox4x32-10 as Random123 publishes it (Salmon et al., SC11): ten rounds, the key bumped
+    between them.
+    """
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(10):
         first, second = 0xD2511F53 * c0, 0xCD9E8D57 * c2
-        c0, c1, c2, c3 = (second >> 32) ^ c1 ^ k0, second & WORD, (first >> 32) ^ c3 ^ k1, first & WORD
+        c0, c1, c2, c3 = (
+            (second >> 32) ^ c1 ^ k0,
+            second & WORD,
+            (first >> 32) ^ c3 ^ k1,
+            first & WORD,
+        )
         k0, k1 = (k0 + 0x9E3779B9) & WORD, (k1 + 0xBB67AE85) & WORD
     return c0, c1, c2, c3
 
 
 def block(seed: int, index: int, epoch: int, stream: int, number: int) -> Words:
-    """Return a block: key = the 64-bit seed, counter = (index low, index high, epoch, stream and number)."""
-    return philox4x32((index & WORD, index >> 32, epoch, stream << 24 | number), (seed & WORD, seed >> 32))
+    """Return a block: key = the 64-bit seed, counter = (index low, index high, epoch, stream and
+    number).
+    """
+    return philox4x32(
+        (index & WORD, index >> 32, epoch, stream << 24 | number), (seed & WORD, seed >> 32)
+    )
 
 
 def bounded(word: int, low: int, high: int) -> int:
@@ -58,11 +71,13 @@ def threshold(probability: float) -> int:
     return round(probability * 2**32)
 
 
-# --- Algorithm 1 ------------------------------------------------------------------------------------------------------
+# --- Algorithm 1 --------------------------------------------------------------------------------
 
 
 class ReferenceMap(NamedTuple):
-    """One map: occupancy as rows, seeds and drawn sizes a room, directions a passage, split 0 train, 1 val, 2 test."""
+    """One map: occupancy as rows, seeds and drawn sizes a room, directions a passage, split 0
+    train, 1 val, 2 test.
+    """
 
     occupancy: list[list[int]]
     passage_width: int
@@ -81,7 +96,9 @@ def carve(grid: list[list[int]], rows: range, columns: range) -> None:
 
 
 def across(seed: int, width: int) -> range:
-    """Return the cells that a room side or a passage of this width covers about its seed, before clipping."""
+    """Return the cells that a room side or a passage of this width covers about its seed, before
+    clipping.
+    """
     return range(seed - width // 2, seed - width // 2 + width)
 
 
@@ -90,16 +107,24 @@ def between(one: int, other: int) -> range:
     return range(min(one, other), max(one, other) + 1)
 
 
-def carve_passage(grid: list[list[int]], start: Cell, goal: Cell, width: int, horizontal_first: bool) -> None:
+def carve_passage(
+    grid: list[list[int]], start: Cell, goal: Cell, width: int, horizontal_first: bool
+) -> None:
     """Carve both legs of the passage between two seeds and the full square at its corner."""
     corner = (start[0], goal[1]) if horizontal_first else (goal[0], start[1])
-    carve(grid, across(corner[0], width), between(start[1], goal[1]))  # the horizontal leg lies in the corner's row
-    carve(grid, between(start[0], goal[0]), across(corner[1], width))  # the vertical leg lies in the corner's column
+    carve(
+        grid, across(corner[0], width), between(start[1], goal[1])
+    )  # the horizontal leg lies in the corner's row
+    carve(
+        grid, between(start[0], goal[0]), across(corner[1], width)
+    )  # the vertical leg lies in the corner's column
     carve(grid, across(corner[0], width), across(corner[1], width))
 
 
 def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
-    """Draw and carve one map with Algorithm 1: all rooms, then the passages between consecutive rooms."""
+    """Draw and carve one map with Algorithm 1: all rooms, then the passages between consecutive
+    rooms.
+    """
     height, width = spec.map_size
     first = block(seed, index, 0, MAP, 0)
     rooms, passage = bounded(first[0], *spec.rooms), bounded(first[1], *spec.passage_width)
@@ -118,7 +143,9 @@ def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
         horizontal_first = bounded(words[1], 0, 1) == 1
         directions.append((1, 0) if horizontal_first else (0, 1))
         carve_passage(grid, seed_points[q], seed_points[q + 1], passage, horizontal_first)
-    return ReferenceMap(grid, passage, seed_points, sizes, directions, reference_split(spec, seed, index))
+    return ReferenceMap(
+        grid, passage, seed_points, sizes, directions, reference_split(spec, seed, index)
+    )
 
 
 def reference_split(spec: Generator, seed: int, index: int) -> int:
@@ -130,7 +157,7 @@ def reference_split(spec: Generator, seed: int, index: int) -> int:
     return 1 if word < threshold(train + validation) else 2
 
 
-# --- moves and costs --------------------------------------------------------------------------------------------------
+# --- moves and costs ----------------------------------------------------------------------------
 
 STRAIGHT = ((-1, 0), (0, 1), (1, 0), (0, -1))  # N, E, S, W
 DIAGONAL = ((-1, 1), (1, 1), (1, -1), (-1, -1))  # NE, SE, SW, NW
@@ -143,7 +170,9 @@ def is_free(grid: Grid, cell: Cell) -> bool:
 
 
 def neighbours(grid: Grid, cell: Cell, movement: Movement) -> Iterator[tuple[Cell, Pair]]:
-    """Yield the cells one move away and the move's cost, in the order N, E, S, W, NE, SE, SW, NW."""
+    """Yield the cells one move away and the move's cost, in the order N, E, S, W, NE, SE, SW,
+    NW.
+    """
     row, column = cell
     for down, right in STRAIGHT:
         if is_free(grid, (row + down, column + right)):
@@ -157,8 +186,8 @@ def neighbours(grid: Grid, cell: Cell, movement: Movement) -> Iterator[tuple[Cel
 def weigh(cost: Pair, movement: Movement) -> int:
     """Order costs exactly: cost * 2**64 as an integer.
 
-    The root of 2 is cut after 64 binary places, an error below 2**-64 a diagonal move; two different pairs below 2**21
-    differ by more than 2**-24.
+    The root of 2 is cut after 64 binary places, an error below 2**-64 a diagonal move; two
+    different pairs below 2**21 differ by more than 2**-24.
     """
     one = 1 << 64
     return cost[0] * one + cost[1] * (one if movement.diagonal_cost == 1 else isqrt(2 * one * one))
@@ -177,14 +206,20 @@ def add(one: Pair, other: Pair) -> Pair:
 def heuristic(cell: Cell, goal: Cell, movement: Movement) -> Pair:
     """Return the cost of the way to the goal on an empty map: Manhattan or octile."""
     rows, columns = abs(cell[0] - goal[0]), abs(cell[1] - goal[1])
-    return (rows + columns, 0) if movement.connectivity == 4 else (abs(rows - columns), min(rows, columns))
+    return (
+        (rows + columns, 0)
+        if movement.connectivity == 4
+        else (abs(rows - columns), min(rows, columns))
+    )
 
 
-# --- searches ---------------------------------------------------------------------------------------------------------
+# --- searches -----------------------------------------------------------------------------------
 
 
 class ReferenceResult(NamedTuple):
-    """A path (empty when there is none), its cost (-1 when there is none), and the cells taken from the frontier."""
+    """A path (empty when there is none), its cost (-1 when there is none), and the cells taken from
+    the frontier.
+    """
 
     path: list[Cell]
     cost: float
@@ -216,17 +251,22 @@ def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> Re
 
 
 def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
-    """Pop the least f, among equal f the most recently pushed; a parent changes only for a smaller g."""
+    """Pop the least f, among equal f the most recently pushed; a parent changes only for a smaller
+    g.
+    """
     frontier = [(weigh(heuristic(start, goal, movement), movement), 0, start)]
     costs: dict[Cell, Pair] = {start: (0, 0)}
     parents, taken, pushes = {start: start}, set[Cell](), 0
     while frontier:
         cell = heapq.heappop(frontier)[2]
         if cell in taken:
-            continue  # a stale entry: the cell was pushed again with a smaller g, and does not count twice
+            # A stale entry: the cell was pushed again with a smaller g, and does not count twice.
+            continue
         taken.add(cell)
         if cell == goal:
-            return ReferenceResult(trace(parents, goal), as_float(costs[goal], movement), len(taken))
+            return ReferenceResult(
+                trace(parents, goal), as_float(costs[goal], movement), len(taken)
+            )
         for neighbour, step in neighbours(grid, cell, movement):
             cost = add(costs[cell], step)
             if neighbour not in costs or weigh(cost, movement) < weigh(costs[neighbour], movement):
@@ -276,7 +316,9 @@ Band: TypeAlias = tuple[float, float]
 def reference_problem(
     grid: Grid, seed: int, index: int, epoch: int, bands: Sequence[Band], movement: Movement
 ) -> ReferenceProblem | None:
-    """Sample a problem: a uniform goal, then a uniform start among those whose distance, hardness and length fit."""
+    """Sample a problem: a uniform goal, then a uniform start among those whose distance, hardness
+    and length fit.
+    """
     cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
     free = [cell for cell in cells if is_free(grid, cell)]
     for attempt in range(32 if free else 0):
@@ -300,11 +342,15 @@ def reference_problem(
 
 
 def first_bad_step(grid: Grid, path: Sequence[Cell], movement: Movement) -> int | None:
-    """Return the place in a non-empty path of the first cell that cannot be walked to, or None when all is well."""
+    """Return the place in a non-empty path of the first cell that cannot be walked to, or None when
+    all is well.
+    """
     if not is_free(grid, path[0]):
         return 0
     for place in range(1, len(path)):
-        if path[place] not in [neighbour for neighbour, _ in neighbours(grid, path[place - 1], movement)]:
+        if path[place] not in [
+            neighbour for neighbour, _ in neighbours(grid, path[place - 1], movement)
+        ]:
             return place
     return None
 
@@ -315,7 +361,7 @@ def path_cost(path: Sequence[Cell], movement: Movement) -> float:
     return as_float((len(path) - 1 - diagonal, diagonal), movement)
 
 
-# --- labels -----------------------------------------------------------------------------------------------------------
+# --- labels -------------------------------------------------------------------------------------
 
 Search: TypeAlias = Callable[[Grid, Cell, Cell, "Movement"], ReferenceResult]
 
@@ -330,5 +376,12 @@ def reference_route(
 def reference_matrix(
     search: Search, grid: Grid, seed_points: Sequence[Cell], movement: Movement
 ) -> npt.NDArray[np.float64]:
-    """Search every entry of the n x n connection matrix: the path cost between two seeds, -1 when there is no path."""
-    return np.array([[search(grid, start, goal, movement).cost for goal in seed_points] for start in seed_points])
+    """Search every entry of the n x n connection matrix: the path cost between two seeds, -1 when
+    there is no path.
+    """
+    return np.array(
+        [
+            [search(grid, start, goal, movement).cost for goal in seed_points]
+            for start in seed_points
+        ]
+    )

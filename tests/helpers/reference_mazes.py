@@ -19,7 +19,11 @@ def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
     while trail:
         row, column = trail[-1]
         around = [(row + down, column + right) for down, right in STEPS]
-        fresh = [cell for cell in around if 0 <= cell[0] < tall and 0 <= cell[1] < wide and cell not in seen]
+        fresh = [
+            cell
+            for cell in around
+            if 0 <= cell[0] < tall and 0 <= cell[1] < wide and cell not in seen
+        ]
         if not fresh:
             trail.pop()
             continue
@@ -50,10 +54,15 @@ def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
 
 
 def reference_points(cells: list[Cell], seed: int, index: int, count: int) -> list[Cell]:
-    """Return seed points that lie far apart: of 8 candidates the one with the widest gap, until there are enough."""
+    """Return seed points that lie far apart: of 8 candidates the one with the widest gap, until
+    there are enough.
+    """
 
     def gap(cell: Cell) -> float:
-        return min(((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in points), default=float("inf"))
+        return min(
+            ((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in points),
+            default=float("inf"),
+        )
 
     points: list[Cell] = []
     for k in range(min(count, len(cells))):

@@ -1,4 +1,6 @@
-"""What the tests of serving share: a small dataset on disk, and samples compared value by value, types included."""
+"""What the tests of serving share: a small dataset on disk, and samples compared value by value,
+types included.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,26 @@ from mapdata import MapSpec, Movement, Sample, build
 PADDING = -1
 """What fills a path beyond its cells."""
 
-SPEC = MapSpec((20, 20), (2, 5), (2, 8), (2, 8), passage_width=(1, 2), skip_probability=0.3, splits=(0.6, 0.2, 0.2))
+SPEC = MapSpec(
+    (20, 20),
+    (2, 5),
+    (2, 8),
+    (2, 8),
+    passage_width=(1, 2),
+    skip_probability=0.3,
+    splits=(0.6, 0.2, 0.2),
+)
 """Small square maps, a tenth of their segments without a path."""
 
-WIDE = MapSpec((9, 70), (2, 5), (2, 4), (3, 12), passage_width=(1, 2), skip_probability=0.2, movement=Movement(8))
+WIDE = MapSpec(
+    (9, 70),
+    (2, 5),
+    (2, 4),
+    (3, 12),
+    passage_width=(1, 2),
+    skip_probability=0.2,
+    movement=Movement(8),
+)
 """More columns than a machine word, stored with diagonals."""
 
 ALL_FIELDS = (
@@ -44,7 +62,9 @@ ALL_FIELDS = (
 """Every field of the design's table."""
 
 
-def build_small(root: Path, spec: MapSpec = SPEC, *, maps: int = 60, seed: int = 5, shard_size: int = 16) -> str:
+def build_small(
+    root: Path, spec: MapSpec = SPEC, *, maps: int = 60, seed: int = 5, shard_size: int = 16
+) -> str:
     """Build a dataset of several shards and return its root."""
     build(root, spec, maps=maps, seed=seed, shard_size=shard_size, workers=1)
     return str(root)

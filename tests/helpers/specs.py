@@ -14,7 +14,9 @@ MOVEMENTS = [
     Movement(8, corner_cutting=True),
     Movement(8, corner_cutting=True, diagonal_cost=1),
 ]
-movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-one", "8-cutting", "8-cutting-one"])
+movements = pytest.mark.parametrize(
+    "movement", MOVEMENTS, ids=["4", "8", "8-one", "8-cutting", "8-cutting-one"]
+)
 
 
 @st.composite
@@ -26,8 +28,13 @@ def limits(draw: st.DrawFn, low: int, high: int) -> tuple[int, int]:
 
 @st.composite
 def specs(draw: st.DrawFn) -> MapSpec:
-    """Draw a valid spec: one row, one column, odd sizes, beyond 64 and 128 columns, rooms up to the whole map."""
-    height, width = (draw(st.one_of(st.just(1), st.integers(2, 33), st.sampled_from([63, 64, 65, 129]))) for _ in "hw")
+    """Draw a valid spec: one row, one column, odd sizes, beyond 64 and 128 columns, rooms up to the
+    whole map.
+    """
+    height, width = (
+        draw(st.one_of(st.just(1), st.integers(2, 33), st.sampled_from([63, 64, 65, 129])))
+        for _ in "hw"
+    )
     train = draw(st.integers(0, 100))
     validation = draw(st.integers(0, 100 - train))
     return MapSpec(

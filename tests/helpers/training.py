@@ -1,4 +1,6 @@
-"""A model that remembers what it saw, and the Trainer that the tests of the data module run it with."""
+"""A model that remembers what it saw, and the Trainer that the tests of the data module run it
+with.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ FIELDS = ("map", "start", "goal", "problem")
 
 
 class Seen(NamedTuple):
-    """One training batch: its epoch, its problems, where they start, the type and sum of its maps."""
+    """One training batch: its epoch, its problems, where they start, the type and sum of its
+    maps.
+    """
 
     epoch: int
     problems: tuple[int, ...]
@@ -28,7 +32,8 @@ class Model(pl.LightningModule):
 
     Args:
         size: number of weights.
-        estimate: read ``trainer.estimated_stepping_batches`` when the optimizer is made, as schedulers do.
+        estimate: read ``trainer.estimated_stepping_batches`` when the optimizer is made, as
+            schedulers do.
         noise: draw global random numbers, as dropout does.
     """
 
@@ -46,7 +51,15 @@ class Model(pl.LightningModule):
     def training_step(self, batch: Sample, _: int) -> torch.Tensor:
         """Remember a batch."""
         numbers, starts = batch.problem.tolist(), batch.start.flatten().tolist()
-        self.seen.append(Seen(self.current_epoch, tuple(numbers), tuple(starts), batch.map.dtype, int(batch.map.sum())))
+        self.seen.append(
+            Seen(
+                self.current_epoch,
+                tuple(numbers),
+                tuple(starts),
+                batch.map.dtype,
+                int(batch.map.sum()),
+            )
+        )
         if self.noise:
             torch.rand(self.current_epoch + 3)
         loss: torch.Tensor = self.layer(torch.zeros(1, self.size)).sum()
@@ -85,7 +98,7 @@ class Model(pl.LightningModule):
         return torch.optim.SGD(self.parameters(), 1e-9)
 
 
-def trainer(**arguments: Any) -> pl.Trainer:  # noqa: ANN401
+def trainer(**arguments: Any) -> pl.Trainer:
     """Return a Trainer on the CPU that writes nothing."""
     quiet: dict[str, Any] = {
         "accelerator": "cpu",
@@ -98,6 +111,6 @@ def trainer(**arguments: Any) -> pl.Trainer:  # noqa: ANN401
     return pl.Trainer(**{**quiet, **arguments})
 
 
-def module(root: str | None, **arguments: Any) -> MapDataModule:  # noqa: ANN401
+def module(root: str | None, **arguments: Any) -> MapDataModule:
     """Return a data module of small batches with the fields that `Model` needs."""
     return MapDataModule(root, **{"batch_size": 8, "fields": FIELDS, **arguments})

@@ -1,4 +1,6 @@
-"""What the tests of formats share: the command line in process, truth by scipy, archives and pictures that lie."""
+"""What the tests of formats share: the command line in process, truth by scipy, archives and
+pictures that lie.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,15 @@ from mapdata.cli import main
 SETTINGS = settings(max_examples=40)
 Bytes = npt.NDArray[np.uint8]
 
-GRIDS = arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(0, 1))
+GRIDS = arrays.arrays(
+    np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(0, 1)
+)
 
 
 def cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Run ``mapdata`` with these arguments; return its exit code, output and errors without progress bars."""
+    """Run ``mapdata`` with these arguments; return its exit code, output and errors without
+    progress bars.
+    """
     code = 0
     try:
         main([str(argument) for argument in arguments])
@@ -35,11 +41,19 @@ def cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
         code = int(stop.code or 0)
     captured = capsys.readouterr()
     lines = [line.split("\r")[-1] for line in captured.err.split("\n")]
-    return code, captured.out, "\n".join(line for line in lines if "maps/s]" not in line and "shards/s]" not in line)
+    return (
+        code,
+        captured.out,
+        "\n".join(line for line in lines if "maps/s]" not in line and "shards/s]" not in line),
+    )
 
 
-def lengths(grid: Bytes, source: tuple[int, int], *, cut: bool, diagonal: float) -> npt.NDArray[np.float64]:
-    """Return the cost of the shortest 8-connected path from ``source`` to every cell, inf without one, by scipy."""
+def lengths(
+    grid: Bytes, source: tuple[int, int], *, cut: bool, diagonal: float
+) -> npt.NDArray[np.float64]:
+    """Return the cost of the shortest 8-connected path from ``source`` to every cell, inf without
+    one, by scipy.
+    """
     rows, columns = grid.shape
     edges = []
     for row, column in np.argwhere(grid == 0).tolist():
@@ -49,7 +63,13 @@ def lengths(grid: Bytes, source: tuple[int, int], *, cut: bool, diagonal: float)
                 if (down or right) and 0 <= r < rows and 0 <= c < columns and not grid[r, c]:
                     if down and right and not cut and (grid[r, column] or grid[row, c]):
                         continue
-                    edges.append((row * columns + column, r * columns + c, diagonal if down and right else 1.0))
+                    edges.append(
+                        (
+                            row * columns + column,
+                            r * columns + c,
+                            diagonal if down and right else 1.0,
+                        )
+                    )
     first, second, weights = zip(*edges, strict=True) if edges else ((), (), ())
     graph = coo_matrix((weights, (first, second)), shape=(grid.size, grid.size)).tocsr()
     distances = dijkstra(graph, indices=source[0] * columns + source[1])
@@ -67,12 +87,16 @@ def npz(path: Path, **members: bytes) -> Path:
 def npy(shape: tuple[int, ...], data: bytes, dtype: str = "|u1") -> bytes:
     """Return an .npy that says this shape and type, whatever its data."""
     head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, {"descr": dtype, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        head, {"descr": dtype, "fortran_order": False, "shape": shape}
+    )
     return head.getvalue() + data
 
 
 def png(rows: int, columns: int, body: bytes = b"", depth: int = 1) -> bytes:
-    """Return a grey PNG that says this size; without ``body`` its pixels are all black and there as it says."""
+    """Return a grey PNG that says this size; without ``body`` its pixels are all black and there as
+    it says.
+    """
     raw = body or zlib.compress(bytes((1 + math.ceil(columns * depth / 8)) * rows), 9)
     out = b"\x89PNG\r\n\x1a\n"
     for kind, data in (
@@ -80,5 +104,7 @@ def png(rows: int, columns: int, body: bytes = b"", depth: int = 1) -> bytes:
         (b"IDAT", raw),
         (b"IEND", b""),
     ):
-        out += struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        out += (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
     return out

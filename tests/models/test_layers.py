@@ -13,7 +13,9 @@ from models.layers import STRIDE, Muon, Trunk, padded, scheduled
 
 @pytest.mark.parametrize("shape", [(8, 20), (20, 8), (6, 3, 3, 3), (4, 16, 3, 3)])
 def test_a_step_of_muon_is_near_orthogonal(shape: tuple[int, ...]) -> None:
-    """The first step of each matrix is U V^T of its slope's U S V^T, up to a factor about 1 a direction."""
+    """The first step of each matrix is U V^T of its slope's U S V^T, up to a factor about 1 a
+    direction.
+    """
     torch.manual_seed(0)
     matrices = [nn.Parameter(torch.zeros(shape)) for _ in range(3)]
     optimizer = Muon(matrices, lr=1.0, weight_decay=0.0)
@@ -28,7 +30,9 @@ def test_a_step_of_muon_is_near_orthogonal(shape: tuple[int, ...]) -> None:
         assert factors.min() > 0.6
         assert factors.max() < 1.3
         singular = torch.linalg.svdvals(matrix.detach().flatten(1)) / scale
-        torch.testing.assert_close(singular.sort().values, factors.sort().values, atol=1e-3, rtol=1e-3)
+        torch.testing.assert_close(
+            singular.sort().values, factors.sort().values, atol=1e-3, rtol=1e-3
+        )
 
 
 def test_vectors_take_steps_of_adam() -> None:

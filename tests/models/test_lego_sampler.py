@@ -1,4 +1,6 @@
-"""Samplers that learn, and their bank: targets against plain searches, free samples, tiny runs, the weights."""
+"""Samplers that learn, and their bank: targets against plain searches, free samples, tiny runs, the
+weights.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +22,24 @@ import torch
 
 from mapdata import MapDataModule, MapSpec, Problems
 from models.cvae import CVAE, LocalCVAE
-from models.experience import KINDS, Bank, FixedProblems, Mining, bottlenecks, mine, near_optimal_paths
+from models.experience import (
+    KINDS,
+    Bank,
+    FixedProblems,
+    Mining,
+    bottlenecks,
+    mine,
+    near_optimal_paths,
+)
 from models.lego_sampler import Heatmap, load, select
 from models.roadmap import build_roadmap, free_at, halton, radius, sees
 from models.sampler import FIELDS, Sampler, _transformed, encode
 from models.sampler_table import compare, contenders, plot_roadmaps, plot_success, to_text
 
 ROOT = Path(__file__).parents[2]
-WEIGHTS = sorted([*ROOT.glob("models/weights/lego_*.pt"), *ROOT.glob("models/weights/shortest_path_*.pt")])
+WEIGHTS = sorted(
+    [*ROOT.glob("models/weights/lego_*.pt"), *ROOT.glob("models/weights/shortest_path_*.pt")]
+)
 DUNGEON = MapSpec.preset("dungeon")
 QUICK = Mining(dense=400, sizes=(24,))
 
@@ -45,17 +57,24 @@ def drawn(maps: int = 12) -> Problems:
     return Problems.sample(DUNGEON, seed=2718, maps=maps)
 
 
-def small(kind: type[Any], **arguments: Any) -> Any:  # noqa: ANN401
+def small(kind: type[Any], **arguments: Any) -> Any:
     """Return a small untrained sampler."""
     torch.manual_seed(0)
-    sizes: dict[str, Any] = {"width": 16, "code": 8} if kind is CVAE else {"widths": (8, 8, 8), "passes": 1}
+    sizes: dict[str, Any] = (
+        {"width": 16, "code": 8} if kind is CVAE else {"widths": (8, 8, 8), "passes": 1}
+    )
     return kind(**(sizes | arguments)).eval()
 
 
-def data(problems: int = 40, **arguments: Any) -> FixedProblems:  # noqa: ANN401
+def data(problems: int = 40, **arguments: Any) -> FixedProblems:
     """Return a data module of online maps."""
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 902, "maps": math.ceil(problems / 0.8)})
-    given: dict[str, Any] = {"batch_size": 8, "fields": FIELDS, "problems": "random", "movement": (8, False, 2**0.5)}
+    given: dict[str, Any] = {
+        "batch_size": 8,
+        "fields": FIELDS,
+        "problems": "random",
+        "movement": (8, False, 2**0.5),
+    }
     return FixedProblems(None, build=recipe, **(given | arguments))
 
 
@@ -67,11 +86,13 @@ def doors() -> npt.NDArray[np.uint8]:
     return grid
 
 
-# --- experience -----------------------------------------------------------------------------------------------------
+# --- experience ---------------------------------------------------------------------------------
 
 
 def test_bottlenecks_lie_in_the_door() -> None:
-    """What a sparse roadmap cannot avoid: where it sees no way through the wall, only the path's points in the door."""
+    """What a sparse roadmap cannot avoid: where it sees no way through the wall, only the path's
+    points in the door.
+    """
     grid, start, goal = doors(), np.array([10, 6]), np.array([10, 33])
     for seed in range(5):
         path = near_optimal_paths(grid, start, goal, Mining(), seed)[0]
@@ -80,7 +101,9 @@ def test_bottlenecks_lie_in_the_door() -> None:
         assert len(found)
         assert ((found[:, 1] > 17) & (found[:, 1] < 23)).any()
         assert len(found) < len(path) - 2
-        through = np.concatenate([sparse, [[17.5, 17.5], [17.5, 22.5]]])  # a dear way round: nothing is bought
+        through = np.concatenate(
+            [sparse, [[17.5, 17.5], [17.5, 22.5]]]
+        )  # a dear way round: nothing is bought
         assert len(bottlenecks(grid, path, through, 50, 10.0)) == 0
         assert len(bottlenecks(grid, path, through, 50, 1.0)) > 0
 
@@ -93,12 +116,16 @@ def test_bottlenecks_join_start_and_goal() -> None:
         path = near_optimal_paths(grid, *ends, Mining(), k)[0]
         sparse = halton(grid, 12, k)
         needed = bottlenecks(grid, path, sparse, 24, 10.0)
-        roadmap = build_roadmap(grid, np.concatenate([path[[0, -1]], needed, sparse]), radius(24, grid.shape))
+        roadmap = build_roadmap(
+            grid, np.concatenate([path[[0, -1]], needed, sparse]), radius(24, grid.shape)
+        )
         assert math.isfinite(roadmap.shortest_path()[0])
 
 
 def test_near_optimal_paths() -> None:
-    """Valid, the first the shortest, all within the slack; the adversary finds the other door if it is near."""
+    """Valid, the first the shortest, all within the slack; the adversary finds the other door if it
+    is near.
+    """
     grid, start, goal = doors(), np.array([22, 6]), np.array([22, 33])
     tight, loose = (Mining(slack=slack, attempts=20) for slack in (1.0, 2.0))
     used = set()
@@ -113,11 +140,18 @@ def test_near_optimal_paths() -> None:
             used.add(bool((path[(path[:, 1] > 18) & (path[:, 1] < 22), 0] > 25).any()))
         assert len(near_optimal_paths(grid, start, goal, tight, seed)) == 1
     assert used == {False, True}
-    assert near_optimal_paths(np.array([[0, 1, 0]], np.uint8), np.array([0, 0]), np.array([0, 2]), Mining(), 0) == []
+    assert (
+        near_optimal_paths(
+            np.array([[0, 1, 0]], np.uint8), np.array([0, 0]), np.array([0, 2]), Mining(), 0
+        )
+        == []
+    )
 
 
 def test_the_bank(tmp_path: Path) -> None:
-    """Mined once and read again; its rows are those of the problems, whatever the workers; other mining, other file."""
+    """Mined once and read again; its rows are those of the problems, whatever the workers; other
+    mining, other file.
+    """
     module = data(30)
     module.setup("fit")
     dataset = module.datasets["train"]
@@ -125,10 +159,15 @@ def test_the_bank(tmp_path: Path) -> None:
     again = Bank.of(dataset, tmp_path, QUICK, workers=0)
     assert bank.identity == again.identity
     assert len(list(tmp_path.iterdir())) == 1
-    assert bank.identity != Bank.of(dataset, tmp_path, Mining(dense=300, sizes=(24,)), workers=0).identity
+    assert (
+        bank.identity
+        != Bank.of(dataset, tmp_path, Mining(dense=300, sizes=(24,)), workers=0).identity
+    )
     for number in (0, 7, 29):
         sample = dataset[number]
-        truth = mine(sample.map[0].numpy(), sample.start.numpy(), sample.goal.numpy(), QUICK, number)
+        truth = mine(
+            sample.map[0].numpy(), sample.start.numpy(), sample.goal.numpy(), QUICK, number
+        )
         for kind, points in zip(KINDS, truth, strict=True):
             found, counts = again.targets(kind, [number])
             assert counts.tolist() == [len(points)]
@@ -144,14 +183,19 @@ def test_workers_change_nothing(tmp_path: Path) -> None:
     """Two processes mine what one mines."""
     module = data(230)
     module.setup("fit")
-    banks = [Bank.of(module.datasets["train"], tmp_path / str(workers), QUICK, workers) for workers in (0, 2)]
+    banks = [
+        Bank.of(module.datasets["train"], tmp_path / str(workers), QUICK, workers)
+        for workers in (0, 2)
+    ]
     files = [next((tmp_path / name).iterdir()).read_bytes() for name in ("0", "2")]
     assert banks[0].identity == banks[1].identity
     assert files[0] == files[1]
 
 
 def test_the_bank_knows_its_problems(tmp_path: Path) -> None:
-    """Another problem under a number it knows, an unknown number, an unknown kind, a broken file."""
+    """Another problem under a number it knows, an unknown number, an unknown kind, a broken
+    file.
+    """
     module = data(10)
     module.setup("fit")
     dataset = module.datasets["train"]
@@ -184,7 +228,10 @@ def test_fixed_problems_stay() -> None:
         if not fixed:
             module = MapDataModule(None, **{k: v for k, v in module.hparams.items() if k != "root"})
         loader = module.train_dataloader()
-        epochs = [[row for batch in loader for row in zip(batch.problem, batch.start, strict=True)] for _ in range(2)]
+        epochs = [
+            [row for batch in loader for row in zip(batch.problem, batch.start, strict=True)]
+            for _ in range(2)
+        ]
         orders = [[int(number) for number, _ in epoch] for epoch in epochs]
         assert orders[0] != orders[1]
         assert sorted(orders[0]) == sorted(orders[1])
@@ -193,13 +240,15 @@ def test_fixed_problems_stay() -> None:
     assert seen[False][0] != seen[False][1]
 
 
-# --- samplers -------------------------------------------------------------------------------------------------------
+# --- samplers -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", [Heatmap, CVAE, LocalCVAE])
 @pytest.mark.parametrize("shape", [(64, 64), (37, 50), (5, 3)])
 def test_samples_are_free(kind: type[Sampler], shape: tuple[int, int]) -> None:
-    """Any map size, more samples than cells even: exactly n, all in free cells, a function of the seed."""
+    """Any map size, more samples than cells even: exactly n, all in free cells, a function of the
+    seed.
+    """
     model = small(kind)
     grid = (np.random.default_rng(0).random(shape) < 0.5).astype(np.uint8)
     free = np.argwhere(grid == 0)
@@ -221,7 +270,9 @@ def test_what_is_refused(kind: type[Any]) -> None:
     with pytest.raises(ValueError, match="without a free cell"):
         model.sample(np.ones((16, 16)), (0, 0), (9, 9), 5)
     for wrong in ((4, 3), (-1, 0), (0, 16)):
-        with pytest.raises(ValueError, match=r"start: got .*expected a free cell of a map of \(16, 16\)"):
+        with pytest.raises(
+            ValueError, match=r"start: got .*expected a free cell of a map of \(16, 16\)"
+        ):
             model.sample(grid, wrong, (9, 9), 5)
         with pytest.raises(ValueError, match="goal: got"):
             model.sample(grid, (0, 0), wrong, 5)
@@ -243,7 +294,9 @@ def test_padding_changes_nothing() -> None:
 
 
 def test_choosing_cells() -> None:
-    """Without noise: the likeliest first, then those it has not made unlikely; every cell once before any twice."""
+    """Without noise: the likeliest first, then those it has not made unlikely; every cell once
+    before any twice.
+    """
     shares = np.zeros((1, 1, 20))
     shares[0, 0, [3, 4, 15]] = 0.5, 0.3, 0.2
     none = np.zeros_like(shares)
@@ -254,17 +307,29 @@ def test_choosing_cells() -> None:
     source = np.random.default_rng(0)
     many = np.repeat(shares, 4000, axis=0)
     first = select(many, source.gumbel(size=many.shape), 1, 1.0)[:, 0, 1]
-    np.testing.assert_allclose([(first == cell).mean() for cell in (3, 4, 15)], [0.5, 0.3, 0.2], atol=0.03)
+    np.testing.assert_allclose(
+        [(first == cell).mean() for cell in (3, 4, 15)], [0.5, 0.3, 0.2], atol=0.03
+    )
 
 
 def test_symmetries_move_everything_along() -> None:
-    """Points, ends and masks stay on the cells they were on, under all the symmetries and swaps that turn up."""
+    """Points, ends and masks stay on the cells they were on, under all the symmetries and swaps
+    that turn up.
+    """
     problems = drawn()
-    grids, ends = torch.from_numpy(problems.grids.copy())[:, None], [problems.starts.copy(), problems.goals.copy()]
+    grids, ends = (
+        torch.from_numpy(problems.grids.copy())[:, None],
+        [problems.starts.copy(), problems.goals.copy()],
+    )
     marks = torch.zeros_like(grids)
     for cells in ends:
         marks[torch.arange(len(grids)), 0, cells[:, 0], cells[:, 1]] = 1
-    fields = {"map": grids, "optimal_mask": marks, "start": torch.tensor(ends[0]), "goal": torch.tensor(ends[1])}
+    fields = {
+        "map": grids,
+        "optimal_mask": marks,
+        "start": torch.tensor(ends[0]),
+        "goal": torch.tensor(ends[1]),
+    }
     torch.manual_seed(0)
     kinds = set()
     for _ in range(300):
@@ -301,21 +366,35 @@ def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
     model.bank = Bank.of(module.datasets["train"], tmp_path, QUICK, workers=0)
     before = _mean_loss(model.eval(), module)
     model.train()
-    quiet: dict[str, Any] = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
+    quiet: dict[str, Any] = {
+        "enable_progress_bar": False,
+        "enable_model_summary": False,
+        "logger": False,
+    }
     run = pl.Trainer(
-        default_root_dir=tmp_path, accelerator="cpu", max_steps=60, max_epochs=-1, limit_val_batches=1, **quiet
+        default_root_dir=tmp_path,
+        accelerator="cpu",
+        max_steps=60,
+        max_epochs=-1,
+        limit_val_batches=1,
+        **quiet,
     )
     run.fit(model, module)
     assert 0 <= float(run.callback_metrics["val_success"]) <= 1
     assert _mean_loss(model.eval(), module) < 0.97 * before
     model.save(tmp_path / "weights.pt")
-    saved, again = torch.load(tmp_path / "weights.pt", weights_only=True), load(tmp_path / "weights.pt")
+    saved, again = (
+        torch.load(tmp_path / "weights.pt", weights_only=True),
+        load(tmp_path / "weights.pt"),
+    )
     assert saved["class"] == kind.__name__
     assert type(again) is kind
     assert again.targets == "lego"
     problem = drawn().grids[0], drawn().starts[0], drawn().goals[0]
     again.save(tmp_path / "weights.pt")  # the first time rounds to 16 bits
-    assert np.array_equal(again.sample(*problem, 9), load(tmp_path / "weights.pt").sample(*problem, 9))
+    assert np.array_equal(
+        again.sample(*problem, 9), load(tmp_path / "weights.pt").sample(*problem, 9)
+    )
     for one, other in zip(model.parameters(), again.parameters(), strict=True):
         assert torch.allclose(one, other, rtol=1e-3, atol=1e-6)
     torch.save({"weights": {}}, tmp_path / "other.pt")
@@ -332,7 +411,11 @@ def _mean_loss(model: Sampler, module: FixedProblems) -> float:
         points, counts = model.bank.targets("lego", batch.problem)
         owners = torch.arange(len(counts)).repeat_interleave(torch.as_tensor(counts))
         with torch.no_grad():
-            losses.append(float(model.loss(fields, torch.as_tensor(points, dtype=torch.float32), owners)["loss"]))
+            losses.append(
+                float(
+                    model.loss(fields, torch.as_tensor(points, dtype=torch.float32), owners)["loss"]
+                )
+            )
     return float(np.mean(losses))
 
 
@@ -345,11 +428,13 @@ def test_a_batch_without_targets() -> None:
     assert math.isfinite(loss["loss"].item())
 
 
-# --- the table ------------------------------------------------------------------------------------------------------
+# --- the table ----------------------------------------------------------------------------------
 
 
 def test_the_table() -> None:
-    """Success and lengths are those of plain roadmaps; the interval holds the value; a perfect sampler is perfect."""
+    """Success and lengths are those of plain roadmaps; the interval holds the value; a perfect
+    sampler is perfect.
+    """
     problems = drawn(40)
     rows = contenders({"untrained": small(Heatmap)})
     assert list(rows) == ["halton", "uniform", "gaussian", "bridge", "untrained"]
@@ -361,8 +446,12 @@ def test_the_table() -> None:
         assert (table[f"{metric}_high"] >= table[metric]).all()
     solved = 0
     for k, grid in enumerate(problems.grids):
-        places = np.concatenate([[problems.starts[k] + 0.5, problems.goals[k] + 0.5], halton(grid, 24, k)])
-        solved += math.isfinite(build_roadmap(grid, places, radius(24, grid.shape)).shortest_path()[0])
+        places = np.concatenate(
+            [[problems.starts[k] + 0.5, problems.goals[k] + 0.5], halton(grid, 24, k)]
+        )
+        solved += math.isfinite(
+            build_roadmap(grid, places, radius(24, grid.shape)).shortest_path()[0]
+        )
     at = table[(table["sampler"] == "halton") & (table["subset"] == "all") & (table["n"] == 24)]
     assert float(at["success"].iloc[0]) == pytest.approx(solved / 40)
     assert "hard: " in to_text(table)
@@ -379,7 +468,9 @@ def test_every_row_has_n_free_points() -> None:
         points = {name: row(*given, n, range(12)) for name, row in rows.items()}
         for found in points.values():
             assert found.shape == (12, n, 2)
-            assert all(free_at(grid, each).all() for grid, each in zip(problems.grids, found, strict=True))
+            assert all(
+                free_at(grid, each).all() for grid, each in zip(problems.grids, found, strict=True)
+            )
         for name in ("gaussian", "bridge", "untrained"):
             assert np.array_equal(points[name][:, : n - n // 2], points["halton"][:, : n - n // 2])
 
@@ -397,11 +488,13 @@ def test_the_figures() -> None:
     assert len(figure.axes) == 8
 
 
-# --- scripts and weights --------------------------------------------------------------------------------------------
+# --- scripts and weights ------------------------------------------------------------------------
 
 
 @pytest.fixture
-def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], Callable[[list[str]], None]]:
+def main(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[[str], Callable[[list[str]], None]]:
     """Return what gives a script's main function, which is to write into a folder of its own."""
     monkeypatch.chdir(tmp_path)
 
@@ -412,17 +505,52 @@ def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], Cal
     return of
 
 
-def test_evaluate_script(main: Callable[[str], Callable[[list[str]], None]], tmp_path: Path) -> None:
-    """The table, the JSON rows and both figures; what cannot be done is one line and exit code 2."""
+def test_evaluate_script(
+    main: Callable[[str], Callable[[list[str]], None]], tmp_path: Path
+) -> None:
+    """The table, the JSON rows and both figures; what cannot be done is one line and exit code
+    2.
+    """
     small(Heatmap).save(tmp_path / "lego_heatmap.pt")
     script = main("evaluate_sampler.py")
-    outputs = ["--json", "rows.json", "--csv", "rows.csv", "--figure", "success.png", "--pictures", "roadmaps.png"]
-    script(["--preset", "dungeon", "--maps", "6", "--seed", "5", "--sizes", "24", "--weights", ".", *outputs])
+    outputs = [
+        "--json",
+        "rows.json",
+        "--csv",
+        "rows.csv",
+        "--figure",
+        "success.png",
+        "--pictures",
+        "roadmaps.png",
+    ]
+    script(
+        [
+            "--preset",
+            "dungeon",
+            "--maps",
+            "6",
+            "--seed",
+            "5",
+            "--sizes",
+            "24",
+            "--weights",
+            ".",
+            *outputs,
+        ]
+    )
     table = pd.read_json("rows.json")
     assert {"sampler", "subset", "n", "success", "length_ratio"} <= set(table)
     assert set(table["sampler"]) == {"halton", "uniform", "gaussian", "bridge", "lego_heatmap"}
-    assert all((tmp_path / name).stat().st_size > 1000 for name in ("success.png", "roadmaps.png", "rows.csv"))
-    for wrong in (["--json", "none/rows.json"], ["--weights", "none"], ["--preset", "cave"], ["--sizes", "1"]):
+    assert all(
+        (tmp_path / name).stat().st_size > 1000
+        for name in ("success.png", "roadmaps.png", "rows.csv")
+    )
+    for wrong in (
+        ["--json", "none/rows.json"],
+        ["--weights", "none"],
+        ["--preset", "cave"],
+        ["--sizes", "1"],
+    ):
         with pytest.raises(SystemExit) as stopped:
             script(["--maps", "2", *wrong])
         assert stopped.value.code == 2
@@ -433,12 +561,27 @@ def test_evaluate_script(main: Callable[[str], Callable[[list[str]], None]], tmp
 def test_training_script(main: Callable[[str], Callable[[list[str]], None]]) -> None:
     """Its file of arguments works for every sampler; the bank is mined once; the weights load."""
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 903, "maps": 50})
-    short = {"max_steps": 4, "val_check_interval": 2, "limit_val_batches": 1, "precision": 32, "log_every_n_steps": 1}
+    short = {
+        "max_steps": 4,
+        "val_check_interval": 2,
+        "limit_val_batches": 1,
+        "precision": 32,
+        "log_every_n_steps": 1,
+    }
     flags = [f"--trainer.{name}={value}" for name, value in short.items()]
     for kind, targets in (("Heatmap", "lego"), ("CVAE", "shortest_path"), ("LocalCVAE", "lego")):
         script, file = main("train_lego_sampler.py"), f"{kind}.pt"
         model = [f"--model={kind}", f"--model.targets={targets}"]
-        script(["fit", f"--weights={file}", f"--data.build={recipe}", "--data.batch_size=8", *flags, *model])
+        script(
+            [
+                "fit",
+                f"--weights={file}",
+                f"--data.build={recipe}",
+                "--data.batch_size=8",
+                *flags,
+                *model,
+            ]
+        )
         assert type(load(file)).__name__ == kind
         assert load(file).targets == targets
     assert len(list(Path("runs/experience").iterdir())) == 1
@@ -456,7 +599,9 @@ def test_the_weights_are_there() -> None:
 @pytest.mark.slow
 def test_the_weights_that_ship() -> None:
     """They reach what the table of the README says, on problems not seen."""
-    table = compare(contenders({file.stem: load(file) for file in WEIGHTS}), drawn(600), bootstrap=1)
+    table = compare(
+        contenders({file.stem: load(file) for file in WEIGHTS}), drawn(600), bootstrap=1
+    )
     of = table.set_index(["sampler", "subset", "n"])
     assert of.success["lego_heatmap", "all", 50] > of.success["shortest_path_heatmap", "all", 50]
     assert of.success["lego_heatmap", "all", 50] > of.success["halton", "all", 100]

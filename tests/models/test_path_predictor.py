@@ -1,4 +1,6 @@
-"""The path predictor: any map size, valid paths, what it learns, resuming, the weights that ship."""
+"""The path predictor: any map size, valid paths, what it learns, resuming, the weights that
+ship.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ from models.path_predictor import FIELDS, MixedBatches, PathPredictor, legal_mov
 ROOT = Path(__file__).parents[2]
 WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"
 PAPER, DUNGEON = MapSpec.preset("paper"), MapSpec.preset("dungeon")
-WIDE = MapSpec((48, 80), rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3))
+WIDE = MapSpec(
+    (48, 80), rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3)
+)
 MOVEMENTS = [Movement(4), Movement(8), Movement(8, corner_cutting=True), Movement(8, True, 1.0)]
 
 pytestmark = pytest.mark.filterwarnings(
@@ -71,9 +75,14 @@ def module(spec: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> 
     )
 
 
-def trainer(folder: Path, **arguments: Any) -> pl.Trainer:  # noqa: ANN401
+def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
     """Return a quiet Trainer on the CPU."""
-    quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False, "num_sanity_val_steps": 0}
+    quiet = {
+        "enable_progress_bar": False,
+        "enable_model_summary": False,
+        "logger": False,
+        "num_sanity_val_steps": 0,
+    }
     return pl.Trainer(default_root_dir=folder, accelerator="cpu", **(quiet | arguments))
 
 
@@ -125,13 +134,19 @@ def _passes(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: 
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
-def test_the_loss_is_zero_for_any_optimal_policy(movement: Movement, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever of the optimal moves gets the probability: the target does not depend on how ties are broken."""
+def test_the_loss_is_zero_for_any_optimal_policy(
+    movement: Movement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of the optimal moves gets the probability: the target does not depend on how ties
+    are broken.
+    """
     data = OnlineMapDataset(DUNGEON, 3, 4, fields=FIELDS, problems="random", movement=movement)
     batch = next(iter(torch.utils.data.DataLoader(data, 4)))
     bits = 2 ** torch.arange(movement.connectivity).view(1, -1, 1, 1)
     good = (batch.optimal_moves & bits) != 0
-    model = PathPredictor(movement.connectivity, movement.corner_cutting, movement.diagonal_cost, (8, 8, 8), 1)
+    model = PathPredictor(
+        movement.connectivity, movement.corner_cutting, movement.diagonal_cost, (8, 8, 8), 1
+    )
     first = good & (good.cumsum(1) == 1)
     for policy in (good, first):
         answer = (policy * 40.0, batch.heuristic_ratio[:, 0])
@@ -152,12 +167,18 @@ def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
     walks = walk.plan_batch(drawn.grids, drawn.starts, drawn.goals)
     plans = safe.plan_batch(drawn.grids, drawn.starts, drawn.goals)
     for plan, grid, *ends in zip(
-        search.plan_batch(drawn.grids, drawn.starts, drawn.goals), drawn.grids, drawn.starts, drawn.goals, strict=True
+        search.plan_batch(drawn.grids, drawn.starts, drawn.goals),
+        drawn.grids,
+        drawn.starts,
+        drawn.goals,
+        strict=True,
     ):
         check_path(grid, plan.path, movement)
         assert np.array_equal(plan.path[[0, -1]], ends)
         assert 1 <= plan.expansions <= (grid == 0).sum()
-        assert len(plan.path) <= 2 * plan.expansions + 1  # of each two neighbours on it one was expanded
+        assert (
+            len(plan.path) <= 2 * plan.expansions + 1
+        )  # of each two neighbours on it one was expanded
     stuck = [len(plan.path) == 0 for plan in walks]
     assert any(stuck)
     for k, (alone, plan) in enumerate(zip(walks, plans, strict=True)):
@@ -168,13 +189,18 @@ def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
         else:
             assert plan.expansions == alone.expansions
             assert len(plan.path) == len(np.unique(plan.path, axis=0))
-            assert check_path(drawn.grids[k], plan.path, movement) <= (plan.expansions - 1) * movement.diagonal_cost
+            assert (
+                check_path(drawn.grids[k], plan.path, movement)
+                <= (plan.expansions - 1) * movement.diagonal_cost
+            )
 
 
 @pytest.mark.parametrize("size", [(64, 64), (37, 50)])
 def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     """One at a time or all at once, in float32 or bfloat16: the same paths, up to rounding."""
-    spec = MapSpec(size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3))
+    spec = MapSpec(
+        size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
+    )
     drawn = Problems.sample(spec, 9, 12)
     for planner in planners(PathPredictor.load(WEIGHTS)):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
@@ -206,7 +232,13 @@ def test_learns_quickly(tmp_path: Path) -> None:
     """A short run beats greedy best-first search on maps of the paper."""
     pl.seed_everything(0)
     model = PathPredictor(learning_rate=0.02)
-    steps = trainer(tmp_path, max_steps=180, limit_val_batches=0, gradient_clip_val=1.0, enable_checkpointing=False)
+    steps = trainer(
+        tmp_path,
+        max_steps=180,
+        limit_val_batches=0,
+        gradient_clip_val=1.0,
+        enable_checkpointing=False,
+    )
     steps.fit(model, MixedBatches([module(PAPER, 6), module(DUNGEON, 20)]))
     drawn = problems("paper", 60)
     table = scores([*classical(), *planners(model.eval())], drawn)
@@ -216,14 +248,20 @@ def test_learns_quickly(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_resumes(tmp_path: Path, connectivity: int) -> None:
-    """Two steps, a checkpoint, two more: as four in one go. Sizes mix; both connectivities train."""
+    """Two steps, a checkpoint, two more: as four in one go. Sizes mix; both connectivities
+    train.
+    """
 
     def fit(steps: int, ckpt: Path | None) -> PathPredictor:
         pl.seed_everything(1)
         model = PathPredictor(connectivity, widths=(8, 8, 8), passes=1)
         parts = [module(spec, 2, Movement(connectivity)) for spec in (PAPER, WIDE, DUNGEON)]
-        saver = ModelCheckpoint(tmp_path, f"{connectivity}-{{step}}", every_n_train_steps=2, save_top_k=-1)
-        run = trainer(tmp_path, max_steps=steps, callbacks=[saver], limit_val_batches=0, max_epochs=-1)
+        saver = ModelCheckpoint(
+            tmp_path, f"{connectivity}-{{step}}", every_n_train_steps=2, save_top_k=-1
+        )
+        run = trainer(
+            tmp_path, max_steps=steps, callbacks=[saver], limit_val_batches=0, max_epochs=-1
+        )
         run.fit(model, MixedBatches(parts), ckpt_path=ckpt)
         return model
 
@@ -231,7 +269,9 @@ def test_resumes(tmp_path: Path, connectivity: int) -> None:
     resumed = fit(4, half)
     for name, weight in whole.state_dict().items():
         assert torch.equal(weight, resumed.state_dict()[name]), name
-    assert PathPredictor.load_from_checkpoint(half, weights_only=True).movement == Movement(connectivity)
+    assert PathPredictor.load_from_checkpoint(half, weights_only=True).movement == Movement(
+        connectivity
+    )
 
 
 def test_saves_plain_types(tmp_path: Path) -> None:
@@ -241,13 +281,17 @@ def test_saves_plain_types(tmp_path: Path) -> None:
     saved = torch.load(tmp_path / "weights.pt", weights_only=True)
     assert saved["arguments"] == {**model.hparams, "widths": [8, 8, 8]}
     again = PathPredictor.load(tmp_path / "weights.pt")
-    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True))
+    assert all(
+        torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)
+    )
     assert again.movement == Movement(4)
 
 
 @pytest.mark.slow
 def test_the_weights_that_ship() -> None:
-    """They load safely, are small, and reach what the table of the README says, on problems not seen."""
+    """They load safely, are small, and reach what the table of the README says, on problems not
+    seen.
+    """
     assert WEIGHTS.stat().st_size < 4_000_000
     model = PathPredictor.load(WEIGHTS)
     paper = scores(planners(model), problems("paper", 100))
@@ -266,16 +310,28 @@ def test_the_weights_that_ship() -> None:
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[str]], None]:
-    """Return the main function of the training script, which is to write into a folder of its own."""
+    """Return the main function of the training script, which is to write into a folder of its
+    own.
+    """
     monkeypatch.chdir(tmp_path)
-    main: Callable[[list[str]], None] = runpy.run_path(str(ROOT / "scripts" / "train_path_predictor.py"))["main"]
+    main: Callable[[list[str]], None] = runpy.run_path(
+        str(ROOT / "scripts" / "train_path_predictor.py")
+    )["main"]
     return main
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None:
-    """Its file of arguments works; it leaves checkpoints, a CSV log, a figure an epoch, and weights."""
-    short = {"max_epochs": 2, "limit_train_batches": 2, "limit_val_batches": 2, "precision": 32, "log_every_n_steps": 1}
+    """Its file of arguments works; it leaves checkpoints, a CSV log, a figure an epoch, and
+    weights.
+    """
+    short = {
+        "max_epochs": 2,
+        "limit_train_batches": 2,
+        "limit_val_batches": 2,
+        "precision": 32,
+        "log_every_n_steps": 1,
+    }
     flags = [f"--trainer.{name}={value}" for name, value in short.items()]
     script(["fit", *flags, "--model.widths=[8,8,8]", "--model.passes=1", "--weights=weights.pt"])
     (logs,) = (tmp_path / "runs" / "path_predictor").glob("version_0")
@@ -290,7 +346,14 @@ def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None
     ("flags", "said"),
     [
         (["--weights=nowhere/weights.pt"], "there is no folder nowhere"),
-        (["--data=mapdata.MapDataModule", "--data.root=maps", "--data.movement=[4,false,1.4142135]"], "movement: got"),
+        (
+            [
+                "--data=mapdata.MapDataModule",
+                "--data.root=maps",
+                "--data.movement=[4,false,1.4142135]",
+            ],
+            "movement: got",
+        ),
     ],
 )
 def test_the_script_refuses_before_it_trains(
@@ -304,7 +367,18 @@ def test_the_script_refuses_before_it_trains(
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("movement", ["[8,false,1.4142136]", '{"connectivity":8}'])
-def test_the_script_takes_data_that_move_as_the_model(script: Callable[[list[str]], None], movement: str) -> None:
-    """A rounded sqrt(2) and names are the same movement: it goes on, to find that there are no data."""
+def test_the_script_takes_data_that_move_as_the_model(
+    script: Callable[[list[str]], None], movement: str
+) -> None:
+    """A rounded sqrt(2) and names are the same movement: it goes on, to find that there are no
+    data.
+    """
     with pytest.raises(DatasetNotFoundError):
-        script(["fit", "--data=mapdata.MapDataModule", "--data.root=maps", f"--data.movement={movement}"])
+        script(
+            [
+                "fit",
+                "--data=mapdata.MapDataModule",
+                "--data.root=maps",
+                f"--data.movement={movement}",
+            ]
+        )

@@ -1,4 +1,6 @@
-"""Roadmaps: segments against exact fractions, edges and paths against plain Python, samplers against their rules."""
+"""Roadmaps: segments against exact fractions, edges and paths against plain Python, samplers
+against their rules.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,17 @@ Point = tuple[Fraction, Fraction]
 
 
 def touches(start: Point, end: Point, cell: tuple[int, int]) -> bool:
-    """Return whether a segment meets a closed cell: what is left of it after each of the four sides cut it."""
+    """Return whether a segment meets a closed cell: what is left of it after each of the four sides
+    cut it.
+    """
     low, high = Fraction(0), Fraction(1)
     for axis in range(2):
         step = end[axis] - start[axis]
         for bound, sign in ((cell[axis], 1), (cell[axis] + 1, -1)):
-            gap, rate = sign * (start[axis] - bound), sign * step  # inside where gap + t * rate >= 0
+            gap, rate = (
+                sign * (start[axis] - bound),
+                sign * step,
+            )  # inside where gap + t * rate >= 0
             if rate == 0:
                 if gap < 0:
                     return False
@@ -51,7 +58,9 @@ def touches(start: Point, end: Point, cell: tuple[int, int]) -> bool:
     return low <= high
 
 
-places = st.integers(0, 7 * 8 - 1).filter(lambda k: k % 8).map(lambda k: Fraction(k, 8))  # not on the border of a cell
+places = (
+    st.integers(0, 7 * 8 - 1).filter(lambda k: k % 8).map(lambda k: Fraction(k, 8))
+)  # not on the border of a cell
 points = st.tuples(places, places)
 
 
@@ -67,7 +76,9 @@ def test_segments_meet_exactly_the_cells_they_touch(start: Point, end: Point, bi
 
 
 def test_segments_at_borders_and_corners() -> None:
-    """A diagonal between two occupied cells is closed; a segment along a border belongs to the cells below it."""
+    """A diagonal between two occupied cells is closed; a segment along a border belongs to the
+    cells below it.
+    """
     grid = np.array([[0, 1], [1, 0]], np.uint8)
     assert not sees(grid, [0.5, 0.5], [1.5, 1.5])[0]
     assert not sees(np.array([[0, 1], [0, 0]], np.uint8), [0.5, 0.5], [1.5, 1.5])[0]
@@ -90,12 +101,19 @@ def plain_edges(grid: Grid, places: npt.NDArray[np.float64], reach: float) -> se
 @pytest.mark.parametrize("reach", [3.0, 12.5, 100.0])
 @pytest.mark.parametrize("shape", [(64, 64), (20, 50)])
 def test_edges_are_those_of_all_pairs(shape: tuple[int, int], reach: float) -> None:
-    """Buckets forget no pair; walking finds every wall that looking closely finds, and a few corners more."""
-    spec = MapSpec(shape, rooms=(4, 9), room_rows=(5, 12), room_columns=(5, 12), passage_width=(1, 3))
+    """Buckets forget no pair; walking finds every wall that looking closely finds, and a few
+    corners more.
+    """
+    spec = MapSpec(
+        shape, rooms=(4, 9), room_rows=(5, 12), room_columns=(5, 12), passage_width=(1, 3)
+    )
     drawn = Problems.sample(spec, seed=5, maps=2)
     for grid in drawn.grids:
         roadmap = build_roadmap(grid, uniform(grid, 60, seed=2), reach)
-        found, plain = set(map(tuple, roadmap.edges.tolist())), plain_edges(grid, roadmap.points, reach)
+        found, plain = (
+            set(map(tuple, roadmap.edges.tolist())),
+            plain_edges(grid, roadmap.points, reach),
+        )
         assert found <= plain
         assert len(plain - found) <= 2 + 0.01 * len(plain)
         assert len(roadmap.neighbours) == 2 * len(found)
@@ -105,21 +123,31 @@ def test_edges_are_those_of_all_pairs(shape: tuple[int, int], reach: float) -> N
 
 
 def test_shortest_paths_are_those_of_scipy() -> None:
-    """Our search, with prices or without, costs what scipy's on a dense matrix costs; its path has that cost."""
+    """Our search, with prices or without, costs what scipy's on a dense matrix costs; its path has
+    that cost.
+    """
     source = np.random.default_rng(0)
     for k, grid in enumerate(DUNGEON.grids):
         roadmap = between(grid, DUNGEON.starts[k], DUNGEON.goals[k], halton(grid, 150, seed=k))
         n = len(roadmap.points)
-        for prices in (np.ones(n), 1 + 9 * source.random(n), np.where(source.random(n) < 0.3, np.inf, 1.0)):
+        for prices in (
+            np.ones(n),
+            1 + 9 * source.random(n),
+            np.where(source.random(n) < 0.3, np.inf, 1.0),
+        ):
             prices[:2] = 1
             dense = np.zeros((n, n))
-            for (a, b), far in zip(roadmap.edges, plain_lengths(roadmap.points, roadmap.edges), strict=True):
+            for (a, b), far in zip(
+                roadmap.edges, plain_lengths(roadmap.points, roadmap.edges), strict=True
+            ):
                 price = max(prices[a], prices[b])
                 dense[a, b] = dense[b, a] = far * price if np.isfinite(price) else 0
             truth = dijkstra(dense, indices=0)[1]
             cost, path = roadmap.priced_path(prices)
             assert cost == pytest.approx(truth)
-            assert sum(dense[a, b] for a, b in itertools.pairwise(path)) == pytest.approx(truth if len(path) else 0)
+            assert sum(dense[a, b] for a, b in itertools.pairwise(path)) == pytest.approx(
+                truth if len(path) else 0
+            )
             assert len(path) == 0 or path[[0, -1]].tolist() == [0, 1]
             if (prices == 1).all():
                 length, vertices = roadmap.shortest_path()
@@ -145,7 +173,9 @@ def test_dense_roadmaps_solve_what_grids_solve() -> None:
 
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_samplers_give_free_points(name: str) -> None:
-    """Exactly n, all free, the same for a seed and others for another; on a map of a single cell, too."""
+    """Exactly n, all free, the same for a seed and others for another; on a map of a single cell,
+    too.
+    """
     grid = DUNGEON.grids[0]
     for n in (1, 7, 300):
         found = SAMPLERS[name](grid, n, 4)
@@ -164,7 +194,9 @@ def test_samplers_give_free_points(name: str) -> None:
 
 
 def test_halton_is_even_and_uniform_is_uniform() -> None:
-    """On an empty map: both axes are uniform, and Halton's points are farther apart than random ones."""
+    """On an empty map: both axes are uniform, and Halton's points are farther apart than random
+    ones.
+    """
     empty = np.zeros((40, 80), np.uint8)
     for sampler in (halton, uniform):
         found = sampler(empty, 4000, 1)

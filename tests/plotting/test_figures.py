@@ -1,4 +1,6 @@
-"""Figures of a dataset: the gallery shows what its captions say, the distributions show every value."""
+"""Figures of a dataset: the gallery shows what its captions say, the distributions show every
+value.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
     axes, examples = plot_gallery(small), pick_examples(small)
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         assert ax.get_title() == f"{caption}\nmap{index}"
-        np.testing.assert_array_equal(ax.get_images()[0].get_array(), generate(SPEC, 5, [index]).occupancy[0])
+        np.testing.assert_array_equal(
+            ax.get_images()[0].get_array(), generate(SPEC, 5, [index]).occupancy[0]
+        )
     assert not axes[-1].axison
     assert_tidy(figure_of(axes[0]))
 
@@ -70,7 +74,9 @@ def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
     assert_tidy(figure_of(axes[0]))
 
 
-@pytest.mark.parametrize("spec", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"])
+@pytest.mark.parametrize(
+    "spec", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"]
+)
 def test_all_figures_are_tidy_and_the_same_again(tmp_path: Path, spec: MapSpec) -> None:
     """All figures are tidy and the same again."""
     root = build_small(tmp_path / "d", spec)
@@ -92,13 +98,22 @@ def test_imported_maps_are_drawn_without_rooms(tmp_path: Path) -> None:
         for index in (0, 5):
             assert_tidy(plot_figure(tmp_path / "d", kind, index=index))
     of = dataset_statistics(tmp_path / "d")
-    assert [axes.get_title().split("\n")[0] for axes in plot_gallery(of)][:2] == ["one seed point", "three seed points"]
+    assert [axes.get_title().split("\n")[0] for axes in plot_gallery(of)][:2] == [
+        "one seed point",
+        "three seed points",
+    ]
 
 
 def test_maps_with_equally_many_seed_points(tmp_path: Path) -> None:
-    """The gallery goes from easy to hard, each map once; the only number of seed points is the only tick."""
+    """The gallery goes from easy to hard, each map once; the only number of seed points is the only
+    tick.
+    """
     grids = generate(MapSpec.preset("dungeon"), 5, range(40)).occupancy
-    import_maps(tmp_path / "d", Collection([ForeignMap(str(k), grid) for k, grid in enumerate(grids)]), seed_points=4)
+    import_maps(
+        tmp_path / "d",
+        Collection([ForeignMap(str(k), grid) for k, grid in enumerate(grids)]),
+        seed_points=4,
+    )
     of = dataset_statistics(tmp_path / "d")
     examples = pick_examples(of)
     captions = [caption for caption in examples if caption.startswith("hardness")]
@@ -132,7 +147,10 @@ def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, k
     ],
 )
 def test_command_refuses(
-    small: DatasetStatistics, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+    small: DatasetStatistics,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    complaint: str,
 ) -> None:
     """Command refuses."""
     with pytest.raises(SystemExit) as ended:

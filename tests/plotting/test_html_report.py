@@ -1,4 +1,6 @@
-"""The report, opened in a real browser: filters and clicks do what they say, the paths drawn are the stored ones."""
+"""The report, opened in a real browser: filters and clicks do what they say, the paths drawn are
+the stored ones.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def root(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture
 def page(browser: Browser, root: Path, tmp_path: Path) -> Iterator[Browser]:
-    """Return the browser with the report of the dataset open, and check that nothing went wrong on it."""
+    """Return the browser with the report of the dataset open, and check that nothing went wrong on
+    it.
+    """
     path = tmp_path / "report.html"
     path.write_text(report(root), encoding="utf-8")
     browser.open(path)
@@ -52,7 +56,10 @@ def page(browser: Browser, root: Path, tmp_path: Path) -> Iterator[Browser]:
 
 def choose(page: Browser, name: str, value: object) -> list[int]:
     """Set a filter and return the numbers of the maps that are listed, on all pages."""
-    page.run(f"$({name!r}).value = {str(value)!r}; $({name!r}).dispatchEvent(new Event('input', {{bubbles: true}}))")
+    page.run(
+        f"$({name!r}).value = {str(value)!r}; $({name!r}).dispatchEvent(new Event('input', "
+        f"{{bubbles: true}}))"
+    )
     return listed(page)
 
 
@@ -124,7 +131,9 @@ def assert_shown(one: dict[str, Any], labels: Labels, i: int, rooms: bool) -> No
     assert ("passage width" in one["facts"]) == rooms
     assert one["facts"]["connected"].startswith("all" if labels.all_connected[i] else "some")
     columns = [maps.seed_points[i, :n], *([maps.sizes[i, :n]] if rooms else [])]
-    assert [[int(cell) for cell in row] for row in one["rooms"]] == np.concatenate(columns, axis=1).tolist()
+    assert [[int(cell) for cell in row] for row in one["rooms"]] == np.concatenate(
+        columns, axis=1
+    ).tolist()
     for search in ("bfs", "astar"):
         route = labels.route(search, i)
         expected = {
@@ -133,10 +142,14 @@ def assert_shown(one: dict[str, Any], labels: Labels, i: int, rooms: bool) -> No
             if len(path)
         }
         assert dict(one[search]["lines"]) == expected
-        found = np.array([[number(cell) for cell in row] for row in one[search]["matrix"]]).reshape(n, n)
+        found = np.array([[number(cell) for cell in row] for row in one[search]["matrix"]]).reshape(
+            n, n
+        )
         np.testing.assert_allclose(found, labels.matrix(search, i), atol=0.006)
     for search, column in (("bfs", -1), ("astar", -3)):
-        assert [number(row[column]) for row in one["segments"]] == labels.iterations(search, i).tolist()
+        assert [number(row[column]) for row in one["segments"]] == labels.iterations(
+            search, i
+        ).tolist()
     assert [("no path" in row) for row in one["segments"]] == [not len(path) for path in route]
     if rooms:
         assert [row[0] != "none" for row in one["segments"]] == maps.connected[i, : n - 1].tolist()
@@ -165,12 +178,18 @@ def test_filters_leave_what_they_say(page: Browser, root: Path) -> None:
     assert choose(page, "connected", 0) == of.index[~of.all_connected].tolist()
     choose(page, "connected", "")
     for value, low, high in (("1,1.05", 1, 1.05), ("1.05,1e9", 1.05, 1e9), ("2,1e9", 2, 1e9)):
-        assert choose(page, "hardness", value) == of.index[(of.hardest >= low) & (of.hardest < high)].tolist()
+        assert (
+            choose(page, "hardness", value)
+            == of.index[(of.hardest >= low) & (of.hardest < high)].tolist()
+        )
     choose(page, "hardness", "")
     least, most = 3, 4
     choose(page, "least", least)
     assert choose(page, "most", most) == of.index[(of.rooms >= least) & (of.rooms <= most)].tolist()
-    assert choose(page, "split", "train") == of.index[(of.rooms >= 3) & (of.rooms <= 4) & (of.split == 0)].tolist()
+    assert (
+        choose(page, "split", "train")
+        == of.index[(of.rooms >= 3) & (of.rooms <= 4) & (of.split == 0)].tolist()
+    )
     assert page.run("$('count').textContent").startswith(f"{len(listed(page))} of {len(of)} maps")
     page.run("document.querySelector('[type=reset]').click()")
     page.run("new Promise((done) => setTimeout(done, 20))")
@@ -184,7 +203,10 @@ def test_planners_and_segments_can_be_switched_off(page: Browser) -> None:
     """Planners and segments can be switched off."""
 
     def lines() -> list[int]:
-        return [int(page.run(f"document.querySelectorAll('#routes polyline.{p}').length")) for p in ("bfs", "astar")]
+        return [
+            int(page.run(f"document.querySelectorAll('#routes polyline.{p}').length"))
+            for p in ("bfs", "astar")
+        ]
 
     page.run("show(0)")
     both = lines()
@@ -209,7 +231,9 @@ def test_the_keyboard_is_enough(page: Browser) -> None:
     second = page.run("$('thumbs').children[1].textContent")
     assert page.run("$('name').textContent") == second
     assert page.run("document.activeElement.textContent") == second
-    assert page.run("[...$('thumbs').children].filter((button) => button.tabIndex === 0).length") == 1
+    assert (
+        page.run("[...$('thumbs').children].filter((button) => button.tabIndex === 0).length") == 1
+    )
 
 
 @needs_chromium
@@ -238,7 +262,9 @@ def test_text_from_files_stays_text(browser: Browser, tmp_path: Path) -> None:
     assert browser.run("document.title").startswith(folder.name)
     assert " ".join(NASTY.split()) in browser.run("$('card').innerText.replace(/\\s+/g, ' ')")
     # and were something to slip through, the policy stops it
-    browser.run("$('card').insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.hit = 1\">')")
+    browser.run(
+        "$('card').insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.hit = 1\">')"
+    )
     browser.run("new Promise((done) => setTimeout(done, 100))")
     assert browser.run("window.hit") is None
     assert browser.errors != []
@@ -286,9 +312,13 @@ def test_command_refuses_no_maps(root: Path, capsys: pytest.CaptureFixture[str])
 
 def test_charts_say_in_words_what_they_show(root: Path) -> None:
     """One picture a distribution, the same words beside it and in place of it."""
-    figures = re.findall(r'<figure><img src="[^"]*" alt="([^"]*)"><figcaption>([^<]*)</figcaption>', report(root))
+    figures = re.findall(
+        r'<figure><img src="[^"]*" alt="([^"]*)"><figcaption>([^<]*)</figcaption>', report(root)
+    )
     of = dataset_statistics(root)
     assert len(figures) == len(of.distributions())
     for (alt, caption), (name, values) in zip(figures, of.distributions().items(), strict=True):
         assert alt == caption
-        assert alt.startswith(f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, from")
+        assert alt.startswith(
+            f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, from"
+        )

@@ -1,4 +1,6 @@
-"""Figures of one map: what is drawn is what is stored, and nothing is cut off or covers something else."""
+"""Figures of one map: what is drawn is what is stored, and nothing is cut off or covers something
+else.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,12 @@ def test_own_figures_are_tidy(rooms: int) -> None:
     """Own figures are tidy."""
     spec = MapSpec((64, 64), (rooms, rooms), (3, 9), (3, 9), (1, 2))
     labels = some(spec, 1)
-    for axes in (plot_map(labels, 0), plot_path(labels, 0), plot_matrix(labels, 0, "bfs"), plot_path(labels, 0, "bfs")):
+    for axes in (
+        plot_map(labels, 0),
+        plot_path(labels, 0),
+        plot_matrix(labels, 0, "bfs"),
+        plot_path(labels, 0, "bfs"),
+    ):
         assert_tidy(figure_of(axes))
 
 
@@ -74,12 +81,16 @@ def test_path_shows_each_segment_with_its_iterations() -> None:
     i = int(np.flatnonzero(~labels.all_connected)[0])
     for search in ("bfs", "astar"):
         axes = plot_path(labels, i, search)
-        found = [np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64) for line in axes.get_lines()]
+        found = [
+            np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64)
+            for line in axes.get_lines()
+        ]
         assert_lines(found, labels.route(search, i))
         legend = axes.get_legend()
         assert legend is not None
         expected = [
-            f"{q + 1} to {q + 2}: {f'{len(path) - 1} moves' if len(path) else 'no path'}, {count} iterations"
+            f"{q + 1} to {q + 2}: {f'{len(path) - 1} moves' if len(path) else 'no path'}, {count} "
+            "iterations"
             for q, (path, count) in enumerate(
                 zip(labels.route(search, i), labels.iterations(search, i).tolist(), strict=True)
             )
@@ -105,9 +116,18 @@ def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) 
     i = int(np.flatnonzero(~labels.all_connected)[0])
     for search in ("bfs", "astar"):
         axes, matrix = plot_matrix(labels, i, search), labels.matrix(search, i)
-        texts = {(round(text.get_position()[1]), round(text.get_position()[0])): text.get_text() for text in axes.texts}
-        assert texts == {(r, c): f"{matrix[r, c]:.4g}" for r, c in np.argwhere(matrix >= 0).tolist()}
-        hatched = [patch.get_xy() for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_hatch()]
+        texts = {
+            (round(text.get_position()[1]), round(text.get_position()[0])): text.get_text()
+            for text in axes.texts
+        }
+        assert texts == {
+            (r, c): f"{matrix[r, c]:.4g}" for r, c in np.argwhere(matrix >= 0).tolist()
+        }
+        hatched = [
+            patch.get_xy()
+            for patch in axes.patches
+            if isinstance(patch, Rectangle) and patch.get_hatch()
+        ]
         assert {(round(y + 0.5), round(x + 0.5)) for x, y in hatched} == set(
             map(tuple, np.argwhere(matrix < 0).tolist())
         )
@@ -128,5 +148,7 @@ def test_matplotlib_is_imported_when_drawing() -> None:
     """Matplotlib is imported when drawing."""
     names = ", ".join(f"mapdata.{name}" for name in ("plotting", "shards"))
     script = f"import sys, {names}; print('matplotlib' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path.cwd())
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path.cwd()
+    )
     assert found.stdout == "False\n"

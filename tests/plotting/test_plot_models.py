@@ -1,4 +1,6 @@
-"""Figures of what models do: the paths and roadmaps drawn are those given, and nothing is cut off or covered."""
+"""Figures of what models do: the paths and roadmaps drawn are those given, and nothing is cut off
+or covered.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def test_sample_shows_what_it_holds(tmp_path: Path) -> None:
         values = sample._asdict()
         axes = plot_sample(sample)
         image = axes.get_images()[0].get_array()
-        np.testing.assert_array_equal(image, values["map"][0] if "map" in values else 1 - values["free"][0])
+        np.testing.assert_array_equal(
+            image, values["map"][0] if "map" in values else 1 - values["free"][0]
+        )
         path = np.asarray(values["path"])
         assert_lines(drawn(axes, COLOURS["astar"]), [path[path[:, 0] >= 0]])
         marks = {text.get_text(): text.get_position()[::-1] for text in axes.texts}
@@ -46,7 +50,9 @@ def test_prediction_lies_over_the_truth_and_marks_walls() -> None:
     grid = np.zeros((6, 8), np.uint8)
     grid[2, 2:5] = 1
     truth = np.array([[2, 1], [1, 1], [1, 2], [1, 3], [1, 4], [1, 5], [2, 5], [-1, -1]])
-    predicted = np.array([[2, 1], [2, 2], [2, 3], [2, 4], [2, 5], [2, 9]])  # through the wall, and out of the map
+    predicted = np.array(
+        [[2, 1], [2, 2], [2, 3], [2, 4], [2, 5], [2, 9]]
+    )  # through the wall, and out of the map
     axes = plot_prediction(grid, predicted, truth, scores=np.linspace(0, 1, 48).reshape(6, 8))
     assert_lines(drawn(axes, COLOURS["astar"]), [truth[:-1]])
     assert_lines(drawn(axes, COLOURS["bfs"]), [predicted])

@@ -1,4 +1,6 @@
-"""Problems: they are the reference's, the same from a spec and from a dataset, and what has no answer is refused."""
+"""Problems: they are the reference's, the same from a spec and from a dataset, and what has no
+answer is refused.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ CUTTING = Movement(8, corner_cutting=True)
 def same(one: Problems, other: Problems) -> bool:
     """Compare what two sets of problems hold."""
     return one.movement == other.movement and all(
-        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("grids", "starts", "goals")
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("grids", "starts", "goals")
     )
 
 
@@ -28,13 +31,27 @@ def same(one: Problems, other: Problems) -> bool:
 @pytest.mark.parametrize(
     "spec",
     [
-        MapSpec(map_size=(20, 31), rooms=(2, 5), room_rows=(2, 7), room_columns=(2, 7), passage_width=(1, 2)),
-        MapSpec(map_size=(9, 7), rooms=(2, 3), room_rows=(1, 3), room_columns=(1, 3), passage_width=(1, 1)),
+        MapSpec(
+            map_size=(20, 31),
+            rooms=(2, 5),
+            room_rows=(2, 7),
+            room_columns=(2, 7),
+            passage_width=(1, 2),
+        ),
+        MapSpec(
+            map_size=(9, 7),
+            rooms=(2, 3),
+            room_rows=(1, 3),
+            room_columns=(1, 3),
+            passage_width=(1, 1),
+        ),
     ],
     ids=["dungeon", "tiny"],
 )
 def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None:
-    """Start, goal and which maps are left out, on maps where a goal has to be sampled again and on maps without any."""
+    """Start, goal and which maps are left out, on maps where a goal has to be sampled again and on
+    maps without any.
+    """
     for problems in (Random(distance=(10, None)), Random((6, 12), (1.05, 2), (None, 11))):
         expected = []
         for index in range(12):
@@ -55,9 +72,14 @@ def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None
 
 
 def test_the_first_problems_do_not_depend_on_how_many() -> None:
-    """A longer sample begins with the shorter one, over the border of a chunk; another seed gives others."""
+    """A longer sample begins with the shorter one, over the border of a chunk; another seed gives
+    others.
+    """
     longer, shorter = Problems.sample(DUNGEON, 1, 270), Problems.sample(DUNGEON, 1, 258)
-    assert same(shorter, Problems(longer.grids[:258], longer.starts[:258], longer.goals[:258], longer.movement))
+    assert same(
+        shorter,
+        Problems(longer.grids[:258], longer.starts[:258], longer.goals[:258], longer.movement),
+    )
     assert not same(shorter, Problems.sample(DUNGEON, 2, 258))
 
 
@@ -90,7 +112,10 @@ def test_hardness_is_cost_over_heuristic() -> None:
         start, goal = tuple(drawn.starts[k].tolist()), tuple(drawn.goals[k].tolist())
         cost = astar(drawn.grids[k], start, goal, Movement(8)).cost
         estimate = reference.as_float(reference.heuristic(start, goal, Movement(8)), Movement(8))
-        assert (drawn.optimal.cost[k], drawn.hardness[k]) == (cost, pytest.approx(cost / estimate, rel=1e-12))
+        assert (drawn.optimal.cost[k], drawn.hardness[k]) == (
+            cost,
+            pytest.approx(cost / estimate, rel=1e-12),
+        )
         assert drawn.hard[k] == (cost / estimate >= HARD)
 
 
@@ -104,7 +129,9 @@ def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
     assert same(Problems.read(tmp_path), expected)
     assert same(
         Problems.read(tmp_path, 2),
-        Problems(every.grids[test[:2]], every.starts[test[:2]], every.goals[test[:2]], every.movement),
+        Problems(
+            every.grids[test[:2]], every.starts[test[:2]], every.goals[test[:2]], every.movement
+        ),
     )
     assert len(Problems.read(str(tmp_path), split="train")) > 60
     assert not np.array_equal(Problems.read(tmp_path, seed=1).starts, expected.starts)
@@ -138,14 +165,18 @@ def test_the_arrays_cannot_be_written() -> None:
 def test_what_cannot_be_evaluated_is_refused(
     grids: npt.ArrayLike, starts: npt.ArrayLike, goals: npt.ArrayLike, why: str
 ) -> None:
-    """No path, nothing to do, arrays that do not fit, bad values: named when the problems are made."""
+    """No path, nothing to do, arrays that do not fit, bad values: named when the problems are
+    made.
+    """
     with pytest.raises(ValueError, match=why):
         Problems(np.array(grids), np.array(starts), np.array(goals), Movement())
 
 
 def test_a_sample_without_problems_is_refused() -> None:
     """No number, none of the maps large enough, numbers below 1."""
-    tiny = MapSpec(map_size=(5, 5), rooms=(2, 3), room_rows=(1, 3), room_columns=(1, 3), passage_width=(1, 2))
+    tiny = MapSpec(
+        map_size=(5, 5), rooms=(2, 3), room_rows=(1, 3), room_columns=(1, 3), passage_width=(1, 2)
+    )
     for spec, maps, until_hard, why in (
         (DUNGEON, None, None, "neither maps nor until_hard"),
         (tiny, 3, None, r"no map has a problem that meets Random\(distance=\(10.0, inf\)"),

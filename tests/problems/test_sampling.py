@@ -17,13 +17,20 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
 from mapdata.search import rule_of
 
-MOVEMENTS = [Movement(), Movement(8), Movement(8, corner_cutting=True), Movement(8, diagonal_cost=1)]
+MOVEMENTS = [
+    Movement(),
+    Movement(8),
+    Movement(8, corner_cutting=True),
+    Movement(8, diagonal_cost=1),
+]
 
 
 def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement) -> Ints:
     """Sample a problem on each of the grids 0, 1, ..."""
     indices = np.arange(len(grids))
-    return sample_problems(grids, np.uint64(seed), epoch, indices, conditions.bands, *rule_of(movement))
+    return sample_problems(
+        grids, np.uint64(seed), epoch, indices, conditions.bands, *rule_of(movement)
+    )
 
 
 bands = st.none() | st.tuples(st.integers(0, 8) | st.none(), st.integers(9, 14) | st.none())
@@ -32,7 +39,9 @@ ratios = st.none() | st.tuples(st.floats(1, 1.2), st.floats(1.2, 3) | st.none())
 
 @given(
     grids=arrays.arrays(
-        np.uint8, st.tuples(st.just(2), st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)
+        np.uint8,
+        st.tuples(st.just(2), st.integers(1, 7), st.integers(1, 7)),
+        elements=st.integers(0, 1),
     ),
     seed=st.integers(0, 2**64 - 1),
     epoch=st.integers(0, 2**32 - 1),
@@ -44,7 +53,9 @@ def test_the_kernel_is_the_reference(
 ) -> None:
     """Start, goal and cost on any map under any conditions, or none where there is none."""
     for index, found in enumerate(sample(grids, seed, epoch, conditions, movement).tolist()):
-        truth = reference.reference_problem(grids[index].tolist(), seed, index, epoch, conditions.bands, movement)
+        truth = reference.reference_problem(
+            grids[index].tolist(), seed, index, epoch, conditions.bands, movement
+        )
         if truth is None:
             assert found == [-1] * 6
             continue
@@ -55,14 +66,26 @@ def test_the_kernel_is_the_reference(
 
 GOLDEN = {
     ("paper", 4, Random()): "9f6ffd0bc25bc786f98aacaf305456caa7f92eab07f6f7622f02aa961602f4ce",
-    ("paper", 8, Random(hardness=(1.05, None))): "ab56577457b504b75a5c065c868f2334e3f0704cef6715bd4a9e7906da1ae64c",
-    ("dungeon", 4, Random(distance=(10, None))): "ed931c5202fe215c9d958c3d0740e31e5dfa64a7d92c93ff80171fb0e72e4c10",
+    (
+        "paper",
+        8,
+        Random(hardness=(1.05, None)),
+    ): "ab56577457b504b75a5c065c868f2334e3f0704cef6715bd4a9e7906da1ae64c",
+    (
+        "dungeon",
+        4,
+        Random(distance=(10, None)),
+    ): "ed931c5202fe215c9d958c3d0740e31e5dfa64a7d92c93ff80171fb0e72e4c10",
     (
         "dungeon",
         8,
         Random((20, 40), (1.05, 2), (0, 38)),
     ): "ca7e921cdd101994e0e361b2ff3f516b114c6c451d62d04d5be5322193556180",
-    ("dungeon128", 8, Random(distance=(10, None))): "1f4a3c7b7c8a5fb842da29dd55620c9cf5bcff2b99f31d16fa0a7618bffc8053",
+    (
+        "dungeon128",
+        8,
+        Random(distance=(10, None)),
+    ): "1f4a3c7b7c8a5fb842da29dd55620c9cf5bcff2b99f31d16fa0a7618bffc8053",
 }
 """SHA-256 of start, goal and cost on the maps 0 to 49 of seed 77, in epoch 3."""
 
@@ -78,7 +101,9 @@ def test_the_problems_stay_what_they_are(case: tuple[str, int, Random]) -> None:
 
 @pytest.mark.parametrize("movement", MOVEMENTS[:2], ids=["4", "8"])
 def test_goals_are_uniform(movement: Movement) -> None:
-    """On a map in two halves each free cell is the goal equally often, and each start of a goal equally often."""
+    """On a map in two halves each free cell is the goal equally often, and each start of a goal
+    equally often.
+    """
     grid = np.zeros((5, 6), np.uint8)
     grid[:, 3] = 1
     grids = np.repeat(grid[None], 20_000, axis=0)
@@ -94,9 +119,15 @@ def test_goals_are_uniform(movement: Movement) -> None:
 
 def test_training_and_evaluation_ask_the_same() -> None:
     """A dataset in epoch 0 has the problems of a set of problems with its seed, map by map."""
-    spec, conditions, movement = Generator.preset("dungeon"), Random(distance=(10, None)), Movement(8)
+    spec, conditions, movement = (
+        Generator.preset("dungeon"),
+        Random(distance=(10, None)),
+        Movement(8),
+    )
     fields = ("map", "start", "goal")
-    online = OnlineMapDataset(spec, 5, 30, None, fields, problems=conditions, movement=movement, sampling_seed=5)[:]
+    online = OnlineMapDataset(
+        spec, 5, 30, None, fields, problems=conditions, movement=movement, sampling_seed=5
+    )[:]
     problems = Problems.sample(spec, 5, 30, movement=movement)
     np.testing.assert_array_equal(online.map[:, 0], problems.grids)
     np.testing.assert_array_equal(online.start, problems.starts)

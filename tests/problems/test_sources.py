@@ -1,4 +1,6 @@
-"""Problem sources: names, objects, dicts and JSON text are one, and bad ones are refused by name."""
+"""Problem sources: names, objects, dicts and JSON text are one, and bad ones are refused by
+name.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,16 @@ SAME: list[tuple[Any, Source, str]] = [
         Random(distance=(10.0, math.inf), length=(0, 40)),
         '{"random": {"distance": [10.0, null], "length": [0.0, 40.0]}}',
     ),
-    (Random(hardness=(-math.inf, 1.5)), Random(hardness=(0, 1.5)), '{"random": {"hardness": [0.0, 1.5]}}'),
+    (
+        Random(hardness=(-math.inf, 1.5)),
+        Random(hardness=(0, 1.5)),
+        '{"random": {"hardness": [0.0, 1.5]}}',
+    ),
 ]
 
 
 @pytest.mark.parametrize(("value", "source", "text"), SAME)
-def test_what_a_source_is_written_as(value: Any, source: Source, text: str) -> None:  # noqa: ANN401
+def test_what_a_source_is_written_as(value: Any, source: Source, text: str) -> None:
     """All ways to say one source give it, and its plain text gives it again."""
     assert problem_source(value) == source
     assert plain_text(source) == text
@@ -48,7 +54,7 @@ def test_bands_are_brought_to_floats() -> None:
     "band", [10, (5,), (5, 4), (1, 2, 3), (math.nan, 4), (4, math.nan), (math.inf, None), (-3, -2)]
 )
 @pytest.mark.parametrize("name", ["distance", "hardness", "length"])
-def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:  # noqa: ANN401
+def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
     """Not two numbers, or not in order."""
     with pytest.raises(ValueError, match=rf"{name}: got .*, expected \(lowest, highest\)"):
         Random(**{name: band})
@@ -64,11 +70,14 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:  # noqa: A
         ({"route": {}, "pairs": {}}, "problems: got {'route'"),
         ({"rooms": {}}, "problems: got {'rooms'"),
         ({"random": None}, "problems: random: got None"),
-        ({"random": {"min_distance": 10}}, "unknown min_distance; known are distance, hardness, length"),
+        (
+            {"random": {"min_distance": 10}},
+            "unknown min_distance; known are distance, hardness, length",
+        ),
         ({"random": {"distance": ["3", None]}}, "distance: got '3', expected a number"),
     ],
 )
-def test_bad_sources_are_refused(value: Any, says: str) -> None:  # noqa: ANN401
+def test_bad_sources_are_refused(value: Any, says: str) -> None:
     """The message holds what was got and what is known."""
     with pytest.raises(ValueError, match=says):
         problem_source(value)

@@ -1,4 +1,6 @@
-"""BFS, A*, distance fields and the path check: equal to the reference and to scipy, and bad input named."""
+"""BFS, A*, distance fields and the path check: equal to the reference and to scipy, and bad input
+named.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +24,28 @@ from mapdata.spec import Movement
 
 OCTILE, CUTTING = Movement(8), Movement(8, corner_cutting=True)
 planners = pytest.mark.parametrize(
-    ("search", "truth"), [(bfs, reference.reference_bfs), (astar, reference.reference_astar)], ids=["bfs", "astar"]
+    ("search", "truth"),
+    [(bfs, reference.reference_bfs), (astar, reference.reference_astar)],
+    ids=["bfs", "astar"],
 )
 Planner: TypeAlias = Callable[..., SearchResult]
 Truth: TypeAlias = Callable[..., reference.ReferenceResult]
 Array: TypeAlias = npt.NDArray[Any]
 
-SHAPES = [(1, 1), (1, 2), (1, 17), (17, 1), (1, 130), (130, 1), (2, 2), (5, 8), (8, 5), (9, 9), (12, 21), (16, 16)]
+SHAPES = [
+    (1, 1),
+    (1, 2),
+    (1, 17),
+    (17, 1),
+    (1, 130),
+    (130, 1),
+    (2, 2),
+    (5, 8),
+    (8, 5),
+    (9, 9),
+    (12, 21),
+    (16, 16),
+]
 SHAPES += [(20, 20), (6, 70), (70, 6), (3, 64), (3, 65), (4, 129)]
 
 
@@ -43,15 +60,23 @@ class Problem(NamedTuple):
 @st.composite
 def problems(draw: st.DrawFn) -> Problem:
     """Draw a grid of any kind: all free, scattered, a serpentine, all occupied except the ends."""
-    height, width = draw(st.sampled_from(SHAPES) | st.tuples(st.integers(1, 12), st.integers(1, 12)))
+    height, width = draw(
+        st.sampled_from(SHAPES) | st.tuples(st.integers(1, 12), st.integers(1, 12))
+    )
     source = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     kind = draw(st.sampled_from([0.0, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.6, 1.0, "serpentine"]))
     if isinstance(kind, float):
         grid = (source.random((height, width)) < kind).astype(np.uint8)
     else:
         grid = serpentine(height, width, source)
-    cells = [(int(row), int(column)) for row, column in source.integers(0, (height, width), size=(2, 2))]
-    start, goal = draw(st.sampled_from([cells, [(0, 0), (height - 1, width - 1)], [(height - 1, 0), (0, width - 1)]]))
+    cells = [
+        (int(row), int(column)) for row, column in source.integers(0, (height, width), size=(2, 2))
+    ]
+    start, goal = draw(
+        st.sampled_from(
+            [cells, [(0, 0), (height - 1, width - 1)], [(height - 1, 0), (0, width - 1)]]
+        )
+    )
     grid[start], grid[goal] = 0, 0
     return Problem(grid, start, goal)
 
@@ -65,14 +90,16 @@ def assert_same(found: SearchResult, expected: reference.ReferenceResult) -> Non
     assert (type(found.cost), type(found.iterations)) == (float, int)
 
 
-# --- equal to the reference -------------------------------------------------------------------------------------------
+# --- equal to the reference ---------------------------------------------------------------------
 
 
 @planners
 @movements
 @settings(max_examples=400)
 @given(problem=problems())
-def test_search_equals_the_reference(search: Planner, truth: Truth, movement: Movement, problem: Problem) -> None:
+def test_search_equals_the_reference(
+    search: Planner, truth: Truth, movement: Movement, problem: Problem
+) -> None:
     """Path, cost and iterations are the reference's, cell by cell, on any grid."""
     grid, start, goal = problem
     assert_same(search(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement))
@@ -84,18 +111,24 @@ def test_search_equals_the_reference(search: Planner, truth: Truth, movement: Mo
 def test_search_equals_the_reference_far_away(
     search: Planner, truth: Truth, movement: Movement, density: float
 ) -> None:
-    """Hundreds of diagonal moves: a rounded root of 2 or a sum of floats would put cells in another order."""
+    """Hundreds of diagonal moves: a rounded root of 2 or a sum of floats would put cells in another
+    order.
+    """
     grid = (np.random.default_rng(2).random((181, 257)) < density).astype(np.uint8)
     for start, goal in (((3, 5), (180, 250)), ((178, 2), (0, 256))):
         grid[start] = grid[goal] = 0
-        assert_same(search(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement))
+        assert_same(
+            search(grid, start, goal, movement), truth(grid.tolist(), start, goal, movement)
+        )
 
 
 @movements
 @settings(max_examples=200)
 @given(problem=problems())
 def test_distance_field_equals_the_reference(movement: Movement, problem: Problem) -> None:
-    """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be reached."""
+    """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be
+    reached.
+    """
     found = distance_field(problem.grid, problem.goal, movement)
     expected = reference.reference_field(problem.grid.tolist(), problem.goal, movement)
     assert found.dtype == np.float32
@@ -122,18 +155,25 @@ pairs = st.tuples(st.integers(0, 2**21), st.integers(0, 2**21))
 @given(one=pairs, other=pairs)
 def test_the_reference_orders_costs_exactly(one: Pair, other: Pair) -> None:
     """Its integers order a + b sqrt 2 as the squares of a - c and (d - b) sqrt 2 do."""
-    straight, diagonal = one[0] - other[0], other[1] - one[1]  # one < other when straight < diagonal * sqrt 2
+    straight, diagonal = (
+        one[0] - other[0],
+        other[1] - one[1],
+    )  # one < other when straight < diagonal * sqrt 2
     signed_squares = straight * abs(straight), 2 * diagonal * abs(diagonal)
-    assert (reference.weigh(one, OCTILE) < reference.weigh(other, OCTILE)) == (signed_squares[0] < signed_squares[1])
+    assert (reference.weigh(one, OCTILE) < reference.weigh(other, OCTILE)) == (
+        signed_squares[0] < signed_squares[1]
+    )
 
 
-# --- what a result is -------------------------------------------------------------------------------------------------
+# --- what a result is ---------------------------------------------------------------------------
 
 
 @planners
 @movements
 def test_no_path_is_an_empty_path(search: Planner, truth: Truth, movement: Movement) -> None:
-    """A wall between start and goal gives (0, 2), cost -1 and all cells that the start reaches; no exception."""
+    """A wall between start and goal gives (0, 2), cost -1 and all cells that the start reaches; no
+    exception.
+    """
     grid = np.zeros((5, 70), dtype=np.uint8)
     grid[:, 66] = 1
     found = search(grid, (2, 3), (4, 69), movement)
@@ -190,14 +230,16 @@ def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
     assert distance_field(grid, (0, 0))[end] == 2**21 - 1
 
 
-# --- the path check ---------------------------------------------------------------------------------------------------
+# --- the path check -----------------------------------------------------------------------------
 
 
 @movements
 @settings(max_examples=200)
 @given(problem=problems())
 def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) -> None:
-    """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost 1)."""
+    """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost
+    1).
+    """
     grid, start, goal = problem
     for search in (bfs, astar):
         found = search(grid, start, goal, movement)
@@ -214,14 +256,21 @@ def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) ->
 @movements
 @settings(max_examples=300)
 @given(problem=problems(), source=st.randoms(use_true_random=False))
-def test_check_path_agrees_with_the_reference(movement: Movement, problem: Problem, source: Random) -> None:
-    """A path with one or two cells moved by a little is refused, naming its first bad step, exactly when it is bad."""
+def test_check_path_agrees_with_the_reference(
+    movement: Movement, problem: Problem, source: Random
+) -> None:
+    """A path with one or two cells moved by a little is refused, naming its first bad step, exactly
+    when it is bad.
+    """
     grid, start, goal = problem
     walk = bfs(grid, start, goal, CUTTING).path.tolist() or [start]
     cells = [(row, column) for row, column in walk]
     for _ in range(source.randrange(3)):
         place = source.randrange(len(cells))
-        cells[place] = (cells[place][0] + source.randint(-1, 1), cells[place][1] + source.randint(-1, 1))
+        cells[place] = (
+            cells[place][0] + source.randint(-1, 1),
+            cells[place][1] + source.randint(-1, 1),
+        )
     bad = reference.first_bad_step(grid.tolist(), cells, movement)
     if bad is None:
         assert check_path(grid, np.array(cells), movement) == reference.path_cost(cells, movement)
@@ -235,7 +284,9 @@ def named(cell: Sequence[float]) -> str:
     return r"(?<![\d-])" + r"\D+?".join(re.escape(str(value)) for value in cell) + r"(?!\d)"
 
 
-WALLED = np.array([[0, 0, 0, 0, 0], [0, 1, 0, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 0]], dtype=np.uint8)
+WALLED = np.array(
+    [[0, 0, 0, 0, 0], [0, 1, 0, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 0]], dtype=np.uint8
+)
 BAD_PATHS = [
     pytest.param([(0, 0), (-1, 0), (9, 9)], Movement(), (-1, 0), id="off the grid, above"),
     pytest.param([(0, 0), (0, -1), (9, 9)], Movement(), (0, -1), id="off the grid, left"),
@@ -258,7 +309,9 @@ BAD_PATHS = [
 
 
 @pytest.mark.parametrize(("path", "movement", "bad"), BAD_PATHS)
-def test_check_path_names_the_first_bad_step(path: list[Cell], movement: Movement, bad: Cell) -> None:
+def test_check_path_names_the_first_bad_step(
+    path: list[Cell], movement: Movement, bad: Cell
+) -> None:
     """The message is one line that names the first bad cell, and not a later one."""
     with pytest.raises(ValueError, match=named(bad)) as error:
         check_path(WALLED, np.array(path), movement)
@@ -267,7 +320,9 @@ def test_check_path_names_the_first_bad_step(path: list[Cell], movement: Movemen
 
 
 def test_check_path_allows_what_the_movement_allows() -> None:
-    """The same corner is free to cut with corner cutting, and a diagonal beside no wall without it."""
+    """The same corner is free to cut with corner cutting, and a diagonal beside no wall without
+    it.
+    """
     assert check_path(WALLED, [(0, 2), (0, 1), (1, 0)], CUTTING) == 1 + 2**0.5
     assert check_path(WALLED, [(0, 3), (1, 4)], OCTILE) == 2**0.5
     assert check_path(WALLED, [(0, 3), (1, 4)], Movement(8, diagonal_cost=1)) == 1.0
@@ -294,7 +349,7 @@ def test_check_path_refuses_what_is_no_path(path: npt.ArrayLike) -> None:
     assert "\n" not in str(error.value)
 
 
-# --- grids and cells at the door --------------------------------------------------------------------------------------
+# --- grids and cells at the door ----------------------------------------------------------------
 
 
 def read_only(grid: Array) -> Array:
@@ -323,21 +378,30 @@ FLAVOURS: dict[str, Callable[[Array], Any]] = {
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_any_array_of_zeros_and_ones_is_a_grid(flavour: str) -> None:
-    """The answers do not depend on dtype, order, strides or writability, and the caller's grid is left as it was."""
+    """The answers do not depend on dtype, order, strides or writability, and the caller's grid is
+    left as it was.
+    """
     base = (np.random.default_rng(5).random((13, 71)) < 0.2).astype(np.uint8)
     base[0, 0] = base[12, 70] = 0
     grid = FLAVOURS[flavour](base.copy())
     for search in (bfs, astar):
-        found, expected = search(grid, (0, 0), (12, 70), OCTILE), search(base, (0, 0), (12, 70), OCTILE)
+        found, expected = (
+            search(grid, (0, 0), (12, 70), OCTILE),
+            search(base, (0, 0), (12, 70), OCTILE),
+        )
         np.testing.assert_array_equal(found.path, expected.path)
         assert found[1:] == expected[1:]
         assert expected.cost > 0
         assert check_path(grid, found.path, OCTILE) == check_path(base, expected.path, OCTILE)
-    np.testing.assert_array_equal(distance_field(grid, (0, 0), OCTILE), distance_field(base, (0, 0), OCTILE))
+    np.testing.assert_array_equal(
+        distance_field(grid, (0, 0), OCTILE), distance_field(base, (0, 0), OCTILE)
+    )
     np.testing.assert_array_equal(np.array(grid), base)
 
 
-@pytest.mark.parametrize("kind", [list, tuple, np.array, lambda cell: np.array(cell, dtype=np.uint8)])
+@pytest.mark.parametrize(
+    "kind", [list, tuple, np.array, lambda cell: np.array(cell, dtype=np.uint8)]
+)
 def test_cells_may_be_any_pair_of_integers(kind: Callable[[Cell], Any]) -> None:
     """Lists, tuples and arrays of any integer type are cells."""
     grid = np.zeros((3, 4), dtype=np.uint8)
@@ -373,7 +437,9 @@ BAD_GRIDS = [
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize(("grid", "value"), BAD_GRIDS)
 def test_a_bad_grid_is_refused(door: str, grid: object, value: str) -> None:
-    """Another rank, other values, no cells or too many: one line that speaks of the grid and says what was found."""
+    """Another rank, other values, no cells or too many: one line that speaks of the grid and says
+    what was found.
+    """
     with pytest.raises(ValueError, match="grid") as error:
         DOORS[door](grid)
     assert re.search(value, str(error.value))
@@ -398,7 +464,9 @@ BAD_CELLS: list[tuple[float, ...]] = [
 @pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
 @pytest.mark.parametrize("search", [bfs, astar])
 def test_a_bad_start_or_goal_is_named(search: Planner, cell: tuple[float, ...]) -> None:
-    """Outside, negative, occupied, broken, of another length: the message names which of the two, and its value."""
+    """Outside, negative, occupied, broken, of another length: the message names which of the two,
+    and its value.
+    """
     for name, ends in (("start", (cell, (0, 0))), ("goal", ((0, 0), cell))):
         with pytest.raises(ValueError, match=rf"\b{name}\b") as error:
             search(WALLED, *ends)

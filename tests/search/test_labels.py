@@ -1,4 +1,6 @@
-"""Labels: route, iterations and connection matrices equal the reference, for all presets and movements."""
+"""Labels: route, iterations and connection matrices equal the reference, for all presets and
+movements.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,15 @@ from scipy import ndimage
 from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.spec import Movement
 
-SEARCHES: dict[str, reference.Search] = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}
+SEARCHES: dict[str, reference.Search] = {
+    "bfs": reference.reference_bfs,
+    "astar": reference.reference_astar,
+}
 SPECS = {
     # Small rooms and few passages: many seeds without a path between them.
-    "islands": MapSpec((20, 24), (2, 5), (2, 6), (2, 6), passage_width=(1, 2), skip_probability=0.6),
+    "islands": MapSpec(
+        (20, 24), (2, 5), (2, 6), (2, 6), passage_width=(1, 2), skip_probability=0.6
+    ),
     # Wider than a machine word, thin: detours.
     "wide": MapSpec((9, 70), (2, 5), (1, 4), (3, 12), passage_width=(1, 2), skip_probability=0.2),
     # One row of four cells: most maps have seeds that coincide.
@@ -34,7 +41,9 @@ def seed_points_of(maps: Maps, place: int) -> list[reference.Cell]:
     return [(int(row), int(column)) for row, column in maps.seed_points[place, : maps.rooms[place]]]
 
 
-def assert_route(maps: Maps, labels: Labels, search: str, place: int) -> list[reference.ReferenceResult]:
+def assert_route(
+    maps: Maps, labels: Labels, search: str, place: int
+) -> list[reference.ReferenceResult]:
     """Compare one planner's segments and iterations on one map, and return the reference's."""
     grid, seed_points = maps.occupancy[place].tolist(), seed_points_of(maps, place)
     route = reference.reference_route(SEARCHES[search], grid, seed_points, maps.movement)
@@ -54,8 +63,14 @@ def assert_route(maps: Maps, labels: Labels, search: str, place: int) -> list[re
 
 
 def assert_equals_reference(maps: Maps, labels: Labels, place: int, every_pair: bool) -> None:
-    """Compare all labels of one map; every_pair searches each matrix entry, scipy fills the large ones faster."""
-    grid, seed_points, movement = maps.occupancy[place].tolist(), seed_points_of(maps, place), maps.movement
+    """Compare all labels of one map; every_pair searches each matrix entry, scipy fills the large
+    ones faster.
+    """
+    grid, seed_points, movement = (
+        maps.occupancy[place].tolist(),
+        seed_points_of(maps, place),
+        maps.movement,
+    )
     route = assert_route(maps, labels, "astar", place)
     assert_route(maps, labels, "bfs", place)
     if every_pair:
@@ -63,25 +78,31 @@ def assert_equals_reference(maps: Maps, labels: Labels, place: int, every_pair: 
         moves = reference.reference_matrix(reference.reference_bfs, grid, seed_points, movement)
     else:
         rows, columns = np.array(seed_points).T
-        costs = moves = scipy_distances(maps.occupancy[place], seed_points, movement)[:, rows, columns]
+        costs = moves = scipy_distances(maps.occupancy[place], seed_points, movement)[
+            :, rows, columns
+        ]
         if movement.connectivity == 8:
             hops = replace(movement, diagonal_cost=1)
             moves = scipy_distances(maps.occupancy[place], seed_points, hops)[:, rows, columns]
     for search, expected in (("astar", costs), ("bfs", moves)):
         assert labels.matrix(search, place).dtype == np.float64
-        np.testing.assert_allclose(labels.matrix(search, place), expected, rtol=0 if every_pair else 1e-12)
+        np.testing.assert_allclose(
+            labels.matrix(search, place), expected, rtol=0 if every_pair else 1e-12
+        )
     first, last = maps.segment_offsets[place : place + 2]
     assert labels.reachable[first:last].tolist() == [bool(expected.path) for expected in route]
     assert labels.all_connected[place] == (costs >= 0).all()
 
 
-# --- equal to the reference -------------------------------------------------------------------------------------------
+# --- equal to the reference ---------------------------------------------------------------------
 
 
 @movements
 @pytest.mark.parametrize("name", SPECS)
 def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
-    """Everything that `label` gives, both matrices searched entry by entry, on twenty maps of each kind."""
+    """Everything that `label` gives, both matrices searched entry by entry, on twenty maps of each
+    kind.
+    """
     maps = generate(replace(SPECS[name], movement=movement), 6, range(20))
     labels = label(maps)
     for place in range(20):
@@ -99,7 +120,9 @@ def test_presets_equal_the_reference(name: str, movement: Movement) -> None:
 
 
 def test_the_kinds_of_map_are_what_they_are_for() -> None:
-    """Coinciding seeds, segments without a path, and routes that are whole all occur in the maps above."""
+    """Coinciding seeds, segments without a path, and routes that are whole all occur in the maps
+    above.
+    """
     line = generate(SPECS["line"], 6, range(20))
     coinciding = [len(set(seed_points_of(line, place))) < line.rooms[place] for place in range(20)]
     assert sum(coinciding) > 10
@@ -108,12 +131,16 @@ def test_the_kinds_of_map_are_what_they_are_for() -> None:
     assert 0 < islands.all_connected.sum() < 20
 
 
-# --- properties, without the reference --------------------------------------------------------------------------------
+# --- properties, without the reference ----------------------------------------------------------
 
 
-@pytest.mark.parametrize("spec", [*SPECS.values(), *map(MapSpec.preset, PRESETS)], ids=[*SPECS, *PRESETS])
+@pytest.mark.parametrize(
+    "spec", [*SPECS.values(), *map(MapSpec.preset, PRESETS)], ids=[*SPECS, *PRESETS]
+)
 def test_four_connected_matrices(spec: MapSpec) -> None:
-    """BFS's and A*'s matrices are equal, symmetric, zero on the diagonal, and hold each segment's moves."""
+    """BFS's and A*'s matrices are equal, symmetric, zero on the diagonal, and hold each segment's
+    moves.
+    """
     maps = generate(spec, 21, range(200))
     labels = label(maps)
     for place in range(200):
@@ -130,7 +157,9 @@ def test_four_connected_matrices(spec: MapSpec) -> None:
 @movements
 @pytest.mark.parametrize("name", ["islands", "wide", "dungeon"])
 def test_no_connection_exactly_where_components_differ(name: str, movement: Movement) -> None:
-    """-1, `reachable` and `all_connected` follow scipy's connected components; the smallest other entry is 0."""
+    """-1, `reachable` and `all_connected` follow scipy's connected components; the smallest other
+    entry is 0.
+    """
     spec = SPECS[name] if name in SPECS else MapSpec.preset(name)
     maps = generate(replace(spec, movement=movement), 22, range(200))
     labels = label(maps)
@@ -176,8 +205,12 @@ def test_labels_do_not_depend_on_the_batch(movement: Movement) -> None:
         alone = label(generate(spec, 3, [place]))
         for search in SEARCHES:
             np.testing.assert_array_equal(alone.matrix(search, 0), together.matrix(search, place))
-            np.testing.assert_array_equal(alone.iterations(search, 0), together.iterations(search, place))
-            for one, other in zip(alone.route(search, 0), together.route(search, place), strict=True):
+            np.testing.assert_array_equal(
+                alone.iterations(search, 0), together.iterations(search, place)
+            )
+            for one, other in zip(
+                alone.route(search, 0), together.route(search, place), strict=True
+            ):
                 np.testing.assert_array_equal(one, other)
 
 
@@ -195,7 +228,9 @@ def test_another_maps_labels_are_never_given() -> None:
 
 
 def test_the_papers_shares() -> None:
-    """The design's figures: about 99 % of paper segments have a path, about 96 % of paper maps are one component."""
+    """The design's figures: about 99 % of paper segments have a path, about 96 % of paper maps are
+    one component.
+    """
     labels = label(generate(MapSpec(), 0, range(5000)))
     assert labels.reachable.mean() == pytest.approx(0.99, abs=0.006)
     assert labels.all_connected.mean() == pytest.approx(0.96, abs=0.015)

@@ -38,7 +38,9 @@ MOVEMENTS = [
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_legal_moves_equal_the_reference(movement: Movement) -> None:
-    """From every free cell exactly the moves to its neighbours are legal; from an occupied one none is asked for."""
+    """From every free cell exactly the moves to its neighbours are legal; from an occupied one none
+    is asked for.
+    """
     grid = (np.random.default_rng(1).random((9, 13)) < 0.4).astype(np.uint8)
     lattice = lattice_of(grid.shape, rule_of(movement))
     came = np.full(lattice.cells, WALL)
@@ -47,8 +49,12 @@ def test_legal_moves_equal_the_reference(movement: Movement) -> None:
     for row, column in np.argwhere(grid == 0).tolist():
         cell = cell_at(row, column, lattice)
         assert position(cell, lattice) == (row, column)
-        legal = [move for move in range(len(lattice.offsets)) if is_legal(came, cell, move, lattice)]
-        expected = [cell for cell, _ in reference.neighbours(grid.tolist(), (row, column), movement)]
+        legal = [
+            move for move in range(len(lattice.offsets)) if is_legal(came, cell, move, lattice)
+        ]
+        expected = [
+            cell for cell, _ in reference.neighbours(grid.tolist(), (row, column), movement)
+        ]
         assert [(row + STEPS[move, 0], column + STEPS[move, 1]) for move in legal] == expected
         assert [position(cell + lattice.offsets[move], lattice) for move in legal] == expected
 
@@ -68,7 +74,9 @@ def test_the_heuristic_equals_the_reference(movement: Movement) -> None:
 
 
 def test_hardness() -> None:
-    """Exactly 1 on straight paths, whatever the rounding, and from a cell to itself; -1 without a path."""
+    """Exactly 1 on straight paths, whatever the rounding, and from a cell to itself; -1 without a
+    path.
+    """
     movement = Movement(8)
     goals = np.array([[k, k // 3] for k in range(300)])
     starts = np.zeros_like(goals)
@@ -85,7 +93,9 @@ def test_the_order_of_moves() -> None:
 
 
 def test_costs_order_paths_exactly() -> None:
-    """Of any two paths on the largest grid, the closest ones included, the shorter one costs less."""
+    """Of any two paths on the largest grid, the closest ones included, the shorter one costs
+    less.
+    """
     draw = Random(0)
     pairs = [(draw.randrange(MAX_CELLS), draw.randrange(MAX_CELLS)) for _ in range(2000)]
     straight, diagonal = 1, 1

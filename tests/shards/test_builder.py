@@ -1,4 +1,6 @@
-"""Building: one content hash whatever the way, going on, extending, refusing, crashes, many builders, verifying."""
+"""Building: one content hash whatever the way, going on, extending, refusing, crashes, many
+builders, verifying.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ OTHER = replace(SPEC, skip_probability=0.2)
 KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
 """The arguments of the dataset of these tests."""
 
-SLOW = pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
+SLOW = pytest.mark.skipif(
+    "config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow"
+)
 
 
 Task: TypeAlias = Callable[..., Any]
@@ -58,9 +62,10 @@ def truth() -> str:
     return content_hash(label(generate(SPEC, SEED, range(MAPS))))
 
 
-# --- one content hash -------------------------------------------------------------------------------------------------
+# --- one content hash ---------------------------------------------------------------------------
 
-# A change of one of these values is a change of the format: it needs a new format version, and a note in the changelog.
+# A change of one of these values is a change of the format: it needs a new format version, and a
+# note in the changelog.
 GOLDEN = [
     (
         MapSpec(),
@@ -138,8 +143,12 @@ def test_golden_hashes(spec: MapSpec, seed: int, maps: int, name: str, content: 
 
 @pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize("shard_size", [1, 7, 1000])
-def test_shard_size_and_workers_do_not_matter(shard_size: int, workers: int, root: Path, truth: str) -> None:
-    """The content hash is that of the maps themselves; files lie where they should, and all is well."""
+def test_shard_size_and_workers_do_not_matter(
+    shard_size: int, workers: int, root: Path, truth: str
+) -> None:
+    """The content hash is that of the maps themselves; files lie where they should, and all is
+    well.
+    """
     manifest = make(root, shard_size=shard_size, workers=workers)
     assert manifest.content_hash == truth
     assert manifest.complete
@@ -172,7 +181,9 @@ class LastFirst(ThreadPoolExecutor):
 
 
 @pytest.mark.parametrize("executor", [InTheCaller, LastFirst, ThreadPoolExecutor])
-def test_any_executor_gives_the_same(executor: Callable[[], Executor], root: Path, truth: str) -> None:
+def test_any_executor_gives_the_same(
+    executor: Callable[[], Executor], root: Path, truth: str
+) -> None:
     """Whatever runs the shards, in whatever order, the dataset is the same file by file."""
     reference = make(root)
     images = {name: (root / name).read_bytes() for name in names(MAPS, SIZE)}
@@ -186,7 +197,9 @@ def test_any_executor_gives_the_same(executor: Callable[[], Executor], root: Pat
 
 @pytest.mark.parametrize("seed", range(4))
 def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str) -> None:
-    """Shards that other hands made, in random order and twice, become the dataset without being made again."""
+    """Shards that other hands made, in random order and twice, become the dataset without being
+    made again.
+    """
     planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
     todo = [*headers(planned)] * 2
@@ -199,7 +212,7 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
     assert listing(root) == names(MAPS, 2)
 
 
-# --- going on and growing ---------------------------------------------------------------------------------------------
+# --- going on and growing -----------------------------------------------------------------------
 
 
 def test_a_second_run_makes_nothing(root: Path) -> None:
@@ -221,14 +234,18 @@ def test_a_second_run_makes_nothing(root: Path) -> None:
     ],
 )
 def test_only_what_is_missing_is_made_again(how: str, root: Path, truth: str) -> None:
-    """A shard that is gone or has another size than the manifest says is made again, and no other one."""
+    """A shard that is gone or has another size than the manifest says is made again, and no other
+    one.
+    """
     make(root)
     before = stamps(root)
     name = shard_name(4, 8)
     image = (root / name).read_bytes()
     (root / name).unlink()
     if how != "missing":
-        (root / name).write_bytes({"truncated": image[:-1], "longer": image + b"x", "empty": b""}[how])
+        (root / name).write_bytes(
+            {"truncated": image[:-1], "longer": image + b"x", "empty": b""}[how]
+        )
     assert make(root).content_hash == truth
     assert (root / name).read_bytes() == image
     after = stamps(root)
@@ -241,7 +258,9 @@ def test_a_finished_shard_that_missed_the_manifest_is_adopted(root: Path) -> Non
     """A crash between a shard and the manifest costs nothing."""
     whole = make(root)
     before, text = stamps(root), (root / MANIFEST).read_bytes()
-    (root / MANIFEST).write_text(replace(whole, shards=whole.shards[1:2]).to_json(), encoding="utf-8")
+    (root / MANIFEST).write_text(
+        replace(whole, shards=whole.shards[1:2]).to_json(), encoding="utf-8"
+    )
     assert make(root) == whole
     assert stamps(root) == before
     assert (root / MANIFEST).read_bytes() == text
@@ -256,7 +275,9 @@ def test_a_damaged_shard_that_missed_the_manifest_is_made_again(dataset: str, ro
     with h5py.File(path, "r") as file:
         place = file[dataset].id.get_offset()
     path.write_bytes(image[:place] + bytes([image[place] ^ 4]) + image[place + 1 :])
-    (root / MANIFEST).write_text(replace(whole, shards=whole.shards[::2]).to_json(), encoding="utf-8")
+    (root / MANIFEST).write_text(
+        replace(whole, shards=whole.shards[::2]).to_json(), encoding="utf-8"
+    )
     assert make(root) == whole
     assert path.read_bytes() == image
 
@@ -282,7 +303,9 @@ def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
 
 
 def test_more_maps_extend(root: Path, tmp_path: Path) -> None:
-    """Whole shards stay as they are, a partial last one becomes whole, and the result is what one build gives."""
+    """Whole shards stay as they are, a partial last one becomes whole, and the result is what one
+    build gives.
+    """
     make(root, maps=6)
     before = stamps(root)
     extended = make(root, maps=MAPS)
@@ -298,7 +321,11 @@ def test_extending_in_steps(root: Path, truth: str) -> None:
     splits: list[int] = []
     for maps in range(1, MAPS + 1):
         manifest = make(root, maps=maps)
-        found = [code for entry in manifest.shards for code in read_shard(root / entry.name).maps.split.tolist()]
+        found = [
+            code
+            for entry in manifest.shards
+            for code in read_shard(root / entry.name).maps.split.tolist()
+        ]
         assert found[: len(splits)] == splits
         splits = found
     assert manifest.content_hash == truth
@@ -311,7 +338,7 @@ def test_extending_removes_the_partial_shard(root: Path) -> None:
     assert listing(root) == names(MAPS, SIZE)
 
 
-# --- refusals ---------------------------------------------------------------------------------------------------------
+# --- refusals -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -324,7 +351,9 @@ def test_extending_removes_the_partial_shard(root: Path) -> None:
     ],
     ids=["spec", "seed", "shard size", "fewer maps"],
 )
-def test_another_dataset_under_the_root_is_refused(says: list[str], arguments: dict[str, Any], root: Path) -> None:
+def test_another_dataset_under_the_root_is_refused(
+    says: list[str], arguments: dict[str, Any], root: Path
+) -> None:
     """The message names what the root holds and what was asked for; nothing changes."""
     make(root)
     before, text = stamps(root), (root / MANIFEST).read_bytes()
@@ -451,7 +480,7 @@ def test_recipes_come_from_presets_files_and_text(tmp_path: Path) -> None:
     assert Recipe.load(text) == Recipe.load(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
 
 
-# --- crashes ----------------------------------------------------------------------------------------------------------
+# --- crashes ------------------------------------------------------------------------------------
 
 
 class FailsAfter(InTheCaller):
@@ -475,9 +504,13 @@ class FailsAfter(InTheCaller):
         raise self.error
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")], ids=["stop", "full"])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), OSError(28, "No space left on device")], ids=["stop", "full"]
+)
 @pytest.mark.parametrize("tasks", [0, 1, 2])
-def test_a_stopped_build_continues(error: BaseException, tasks: int, root: Path, truth: str) -> None:
+def test_a_stopped_build_continues(
+    error: BaseException, tasks: int, root: Path, truth: str
+) -> None:
     """What was finished is listed when the error comes out, and is not made again."""
     with pytest.raises(type(error)):
         make(root, workers=None, executor=FailsAfter(tasks, error))
@@ -502,7 +535,9 @@ def test_a_builder_does_not_lose_what_another_one_finished(root: Path) -> None:
 
 
 def test_without_progress_there_is_no_tqdm(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bar that is not shown is not made: a builder killed inside tqdm's lock would stop all others of its fork."""
+    """A bar that is not shown is not made: a builder killed inside tqdm's lock would stop all
+    others of its fork.
+    """
 
     def tqdm(*_: object, **__: object) -> None:
         raise AssertionError("a bar was made")

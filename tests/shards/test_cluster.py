@@ -1,4 +1,6 @@
-"""Dask: a real cluster of processes over TCP, whose workers are killed and join while a build runs."""
+"""Dask: a real cluster of processes over TCP, whose workers are killed and join while a build
+runs.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,9 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
-    """Three of its workers are killed and one joins while it builds: nothing is lost, the files are the same."""
+    """Three of its workers are killed and one joins while it builds: nothing is lost, the files are
+    the same.
+    """
     pytest.importorskip("distributed")
     script = tmp_path / "losses.py"
     script.write_text(LOSSES, encoding="utf-8")
@@ -101,7 +105,16 @@ def test_the_command_starts_workers(tmp_path: Path, truth: Path) -> None:
     """``--scheduler local`` brings its own processes, and ends them."""
     pytest.importorskip("distributed")
     code = "from mapdata.cli import main; main()"
-    flags = ["--recipe", RECIPE, "--shard-size", str(SHARD), "--scheduler", "local", "--workers", "2"]
+    flags = [
+        "--recipe",
+        RECIPE,
+        "--shard-size",
+        str(SHARD),
+        "--scheduler",
+        "local",
+        "--workers",
+        "2",
+    ]
     command = [sys.executable, "-c", code, "build", str(tmp_path / "maps"), *flags]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -111,9 +124,15 @@ def test_the_command_starts_workers(tmp_path: Path, truth: Path) -> None:
 
 def test_schedulers_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is named: no address, threads beside a cluster, Dask not installed."""
-    with pytest.raises(ValueError, match="got 'dask', expected tcp://HOST:PORT"), executor_of("dask"):
+    with (
+        pytest.raises(ValueError, match="got 'dask', expected tcp://HOST:PORT"),
+        executor_of("dask"),
+    ):
         pass
-    with pytest.raises(ValueError, match="workers: would do nothing"), executor_of("tcp://127.0.0.1:1", 2):
+    with (
+        pytest.raises(ValueError, match="workers: would do nothing"),
+        executor_of("tcp://127.0.0.1:1", 2),
+    ):
         pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ValueError, match=r"pip install mapdata\[dask\]"), executor_of("local"):

@@ -1,4 +1,6 @@
-"""The content hash: equal to plain Python, blind to batches and padding, and sensitive to every value."""
+"""The content hash: equal to plain Python, blind to batches and padding, and sensitive to every
+value.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,15 @@ SETTINGS = settings(max_examples=40)
 NUMBERS = st.integers(0, 1000) | st.integers(0, 2**63 - 1)
 SPECS = {
     "4": MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5),
-    "8": MapSpec((20, 24), (2, 5), (2, 6), (2, 6), passage_width=(1, 2), skip_probability=0.5, movement=Movement(8)),
+    "8": MapSpec(
+        (20, 24),
+        (2, 5),
+        (2, 6),
+        (2, 6),
+        passage_width=(1, 2),
+        skip_probability=0.5,
+        movement=Movement(8),
+    ),
 }
 
 
@@ -34,8 +44,21 @@ def reference_record(labels: Labels, place: int) -> bytes:
     maps = labels.maps
     n, index = int(maps.rooms[place]), int(maps.index[place])
     height, width = maps.occupancy.shape[1:]
-    words = [height, width, index % 2**32, index // 2**32, maps.split[place], maps.passage_width[place], n]
-    words += [value for table in (maps.seed_points, maps.sizes) for row in table[place, :n] for value in row]
+    words = [
+        height,
+        width,
+        index % 2**32,
+        index // 2**32,
+        maps.split[place],
+        maps.passage_width[place],
+        n,
+    ]
+    words += [
+        value
+        for table in (maps.seed_points, maps.sizes)
+        for row in table[place, :n]
+        for value in row
+    ]
     words += [value for row in maps.directions[place, : n - 1] for value in row]
     moves = b""
     for search in (labels.bfs, labels.astar):
@@ -54,7 +77,10 @@ def reference_record(labels: Labels, place: int) -> bytes:
 
 def reference_hash(labels: Labels) -> str:
     """Return the sum of the hashes of all records."""
-    digests = [hashlib.sha256(reference_record(labels, place)).digest() for place in range(len(labels.maps))]
+    digests = [
+        hashlib.sha256(reference_record(labels, place)).digest()
+        for place in range(len(labels.maps))
+    ]
     return f"{sum(int.from_bytes(digest, 'big') for digest in digests) % 2**256:064x}"
 
 
@@ -63,22 +89,28 @@ def labelled(spec: MapSpec, seed: int, *indices: int) -> Labels:
     return label(generate(spec, seed, indices))
 
 
-# --- equal to the reference -------------------------------------------------------------------------------------------
+# --- equal to the reference ---------------------------------------------------------------------
 
 
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.lists(NUMBERS, min_size=1, max_size=4))
 def test_any_maps_equal_the_reference(spec: MapSpec, seed: int, indices: list[int]) -> None:
-    """The hash is that of the records of docs/format.md, for all movements, sizes and indices beyond 32 bits."""
+    """The hash is that of the records of docs/format.md, for all movements, sizes and indices
+    beyond 32 bits.
+    """
     labels = labelled(spec, seed, *indices)
     assert content_hash(labels) == reference_hash(labels)
 
 
-# --- what it does not depend on ---------------------------------------------------------------------------------------
+# --- what it does not depend on -----------------------------------------------------------------
 
 
 @SETTINGS
-@given(st.permutations(range(9)), st.sets(st.integers(1, 8), max_size=4), st.sampled_from(sorted(SPECS)))
+@given(
+    st.permutations(range(9)),
+    st.sets(st.integers(1, 8), max_size=4),
+    st.sampled_from(sorted(SPECS)),
+)
 def test_batches_combine_in_any_order(order: list[int], cuts: set[int], name: str) -> None:
     """Any partition of the maps, in any order, combines to the hash of all."""
     whole = content_hash(labelled(SPECS[name], 6, *range(9)))
@@ -119,7 +151,7 @@ def test_sums_wrap_and_keep_their_zeros() -> None:
     assert combine(["f" * 64, f"{16:064x}"]) == f"{15:064x}"
 
 
-# --- what it depends on -----------------------------------------------------------------------------------------------
+# --- what it depends on -------------------------------------------------------------------------
 
 
 def _first(table: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -156,7 +188,15 @@ def _offset(place: int, by: int) -> Callable[[Labels], Labels]:
 CHANGES = {
     **{
         name: _in_maps(name)
-        for name in ("index", "packed", "passage_width", "seed_points", "sizes", "directions", "split")
+        for name in (
+            "index",
+            "packed",
+            "passage_width",
+            "seed_points",
+            "sizes",
+            "directions",
+            "split",
+        )
     },
     **{
         f"{search} {name}": _in_planner(search, name)
@@ -164,8 +204,12 @@ CHANGES = {
         for name in ("moves", "iterations", "costs")
     },
     "a move to the next segment": _offset(1, 1),
-    **{f"{count} moves less": _offset(-1, -count) for count in (1, 2, 3)},  # every length of the zeros at the end
-    "columns": lambda labels: replace(labels, maps=replace(labels.maps, columns=labels.maps.columns + 1)),
+    **{
+        f"{count} moves less": _offset(-1, -count) for count in (1, 2, 3)
+    },  # every length of the zeros at the end
+    "columns": lambda labels: replace(
+        labels, maps=replace(labels.maps, columns=labels.maps.columns + 1)
+    ),
     "planners swapped": lambda labels: Labels(labels.maps, labels.astar, labels.bfs),
 }
 
@@ -179,7 +223,9 @@ def test_every_value_counts(change: Callable[[Labels], Labels]) -> None:
 
 
 def test_maps_with_swapped_numbers_are_other_maps() -> None:
-    """The number of a map is part of its record, so that the same grids under other numbers hash otherwise."""
+    """The number of a map is part of its record, so that the same grids under other numbers hash
+    otherwise.
+    """
     labels = labelled(SPECS["4"], 3, 3, 4)
     swapped = replace(labels, maps=replace(labels.maps, index=labels.maps.index[::-1].copy()))
     assert content_hash(swapped) != content_hash(labels)

@@ -30,7 +30,7 @@ def root(tmp_path: Path) -> Path:
     return tmp_path / "maps"
 
 
-# --- verify -----------------------------------------------------------------------------------------------------------
+# --- verify -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,9 @@ def test_verify_finds_swapped_shards(copied: Path) -> None:
 
 
 def test_verify_finds_a_shard_that_a_fitting_manifest_swaps(copied: Path) -> None:
-    """A manifest whose sizes and hashes fit swapped files is refused by what the shards say of themselves."""
+    """A manifest whose sizes and hashes fit swapped files is refused by what the shards say of
+    themselves.
+    """
     one, other = (copied / shard_name(*limits) for limits in ((0, 4), (4, 8)))
     one.rename(copied / "aside")
     other.rename(one)
@@ -102,7 +104,9 @@ def test_verify_finds_a_shard_that_a_fitting_manifest_swaps(copied: Path) -> Non
         for key in ("bytes", "sha256", "content_hash", "counts"):
             first[key], second[key] = second[key], first[key]
 
-    (copied / MANIFEST).write_text(restated((copied / MANIFEST).read_text(encoding="utf-8"), swap), encoding="utf-8")
+    (copied / MANIFEST).write_text(
+        restated((copied / MANIFEST).read_text(encoding="utf-8"), swap), encoding="utf-8"
+    )
     assert [name for name in named(copied) if name != MANIFEST] == [one.name, other.name]
     assert all("holds other maps" in fault for fault in verify(copied) if "maps-" in fault)
 
@@ -112,13 +116,17 @@ def test_verify_finds_a_missing_shard(copied: Path) -> None:
     (copied / shard_name(4, 8)).unlink()
     assert verify(copied) == [f"{copied / shard_name(4, 8)}: missing"]
     manifest = read_manifest(copied)
-    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    (copied / MANIFEST).write_text(
+        replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
+    )
     assert list(named(copied)) == [shard_name(4, 8), shard_name(8, 11)]
     assert all("did not finish" in fault for fault in verify(copied))
 
 
 def test_verify_finds_other_labels(copied: Path) -> None:
-    """A shard rewritten with its file hash and the manifest's made to fit still has its content hash against it."""
+    """A shard rewritten with its file hash and the manifest's made to fit still has its content
+    hash against it.
+    """
     path = copied / shard_name(4, 8)
     image = bytearray(path.read_bytes())
     with h5py.File(path, "r") as file:
@@ -139,7 +147,9 @@ def test_verify_finds_other_counts(copied: Path) -> None:
     assert verify(copied) != []
 
 
-def test_verify_lives_with_other_library_versions(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verify_lives_with_other_library_versions(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A dataset that an earlier mapdata of the same format version wrote is not damaged."""
     monkeypatch.setattr(mapdata, "__version__", "9.9")
     assert verify(finished) == []
@@ -172,7 +182,7 @@ def test_verify_checks_the_shards_of_a_damaged_manifest(copied: Path) -> None:
     assert list(named(copied)) == [MANIFEST, shard_name(0, 4), shard_name(4, 8)]
 
 
-# --- repair -----------------------------------------------------------------------------------------------------------
+# --- repair -------------------------------------------------------------------------------------
 
 
 def flipped(path: Path, dataset: str) -> bytes:
@@ -197,7 +207,9 @@ def images(root: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_repair_mends_whatever_happened(seed: int, finished: Path, copied: Path) -> None:
-    """Files flipped, cut, deleted and swapped at random: each is named, each is as it was, and no other is touched."""
+    """Files flipped, cut, deleted and swapped at random: each is named, each is as it was, and no
+    other is touched.
+    """
     random = Random(seed)
     files = random.sample(names(MAPS, SIZE), random.randint(1, 3))
     shards = [name for name in files if name != MANIFEST]
@@ -220,7 +232,9 @@ def test_repair_mends_whatever_happened(seed: int, finished: Path, copied: Path)
     assert sorted(named(copied)) == sorted(files)
     assert repair(copied) == []
     assert images(copied) == images(finished)
-    assert {name for name, stamp in stamps(copied).items() if stamp != before.get(name)} <= set(files)
+    assert {name for name, stamp in stamps(copied).items() if stamp != before.get(name)} <= set(
+        files
+    )
     assert verify(copied) == []
 
 
@@ -236,7 +250,9 @@ def test_repair_of_the_manifest_alone(gone: bool, finished: Path, copied: Path) 
 
 
 def test_a_small_dataset_keeps_its_shard_size(root: Path) -> None:
-    """A dataset smaller than one shard can be extended after its manifest was damaged and mended."""
+    """A dataset smaller than one shard can be extended after its manifest was damaged and
+    mended.
+    """
     make(root, maps=3, shard_size=4)
     text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).write_bytes(text[:-20])
@@ -247,14 +263,18 @@ def test_a_small_dataset_keeps_its_shard_size(root: Path) -> None:
 def test_repair_finishes_what_a_build_did_not(finished: Path, copied: Path) -> None:
     """A shard that was never made is a shard that is missing."""
     manifest = read_manifest(copied)
-    (copied / MANIFEST).write_text(replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8")
+    (copied / MANIFEST).write_text(
+        replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
+    )
     (copied / shard_name(8, 11)).unlink()
     assert repair(copied) == []
     assert images(copied) == images(finished)
 
 
 def test_nothing_says_what_a_dataset_was(copied: Path) -> None:
-    """Without a manifest and a shard that can be read there is no recipe: it says what to do, and touches nothing."""
+    """Without a manifest and a shard that can be read there is no recipe: it says what to do, and
+    touches nothing.
+    """
     for name in names(MAPS, SIZE):
         (copied / name).write_bytes(b"\0" * 100)
     before = images(copied)
@@ -266,10 +286,15 @@ def test_nothing_says_what_a_dataset_was(copied: Path) -> None:
 
 
 def test_what_the_manifest_said_is_not_forgotten(finished: Path, copied: Path) -> None:
-    """A shard that comes out with another content than a sound manifest says is an error, not a repair."""
+    """A shard that comes out with another content than a sound manifest says is an error, not a
+    repair.
+    """
     lie = restated(
         (copied / MANIFEST).read_text(encoding="utf-8"),
-        lambda values: values["shards"][1].update(content_hash="1" * 64) or values.update(content_hash=total(values)),
+        lambda values: (
+            values["shards"][1].update(content_hash="1" * 64)
+            or values.update(content_hash=total(values))
+        ),
     )
     (copied / MANIFEST).write_text(lie, encoding="utf-8")
     (line,) = repair(copied)
@@ -284,14 +309,22 @@ def total(values: dict[str, Any]) -> str:
 @pytest.fixture
 def imported(tmp_path: Path) -> Path:
     """Give a dataset of imported maps, in three shards."""
-    (made,) = import_maps(tmp_path / "imported", collection(*random_grids(7)), seed_points=3, shard_size=3)
+    (made,) = import_maps(
+        tmp_path / "imported", collection(*random_grids(7)), seed_points=3, shard_size=3
+    )
     return made.root
 
 
 def test_every_file_of_imported_maps_is_checked(imported: Path) -> None:
-    """One bit at many random places, where the maps came from included: that file is named, and no other."""
+    """One bit at many random places, where the maps came from included: that file is named, and no
+    other.
+    """
     random = Random(4)
-    for name in (MANIFEST, PROVENANCE, *(shard_name(start, min(start + 3, 7)) for start in (0, 3, 6))):
+    for name in (
+        MANIFEST,
+        PROVENANCE,
+        *(shard_name(start, min(start + 3, 7)) for start in (0, 3, 6)),
+    ):
         image = (imported / name).read_bytes()
         for _ in range(25):
             flip(imported / name, random)
@@ -304,8 +337,12 @@ def test_every_file_of_imported_maps_is_checked(imported: Path) -> None:
     assert verify(imported) == []
 
 
-def test_imported_maps_cannot_be_made_again(imported: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It says which, and how to get them back; the manifest is mended all the same; exit code 1 until they are back."""
+def test_imported_maps_cannot_be_made_again(
+    imported: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It says which, and how to get them back; the manifest is mended all the same; exit code 1
+    until they are back.
+    """
     path = imported / shard_name(3, 6)
     image, text = path.read_bytes(), (imported / MANIFEST).read_bytes()
     path.write_bytes(flipped(path, "maps"))
@@ -313,7 +350,10 @@ def test_imported_maps_cannot_be_made_again(imported: Path, capsys: pytest.Captu
     with pytest.raises(SystemExit, match="1"):
         main(["verify", str(imported), "--repair"])
     printed = capsys.readouterr()
-    assert f"not repaired: {path}: damaged; it cannot be made again, imported maps have no recipe" in printed.out
+    assert (
+        f"not repaired: {path}: damaged; it cannot be made again, imported maps have no recipe"
+        in printed.out
+    )
     assert printed.err.splitlines()[-1] == "mapdata: 1 of 2 not repaired"
     assert [entry.start for entry in read_manifest(imported).shards] == [0, 6]
     path.unlink()
@@ -322,7 +362,9 @@ def test_imported_maps_cannot_be_made_again(imported: Path, capsys: pytest.Captu
     assert verify(imported) == []
 
 
-def test_the_command_repairs(finished: Path, copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_repairs(
+    finished: Path, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """verify: exit code 1 and a line a file; with --repair exit code 0, and all is well."""
     (copied / shard_name(0, 4)).write_bytes(flipped(copied / shard_name(0, 4), "bfs_moves"))
     (copied / shard_name(8, 11)).unlink()

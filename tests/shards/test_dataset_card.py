@@ -1,4 +1,6 @@
-"""The card: its numbers are the data's, its command makes the same data again, and text from files stays text."""
+"""The card: its numbers are the data's, its command makes the same data again, and text from files
+stays text.
+"""
 
 from __future__ import annotations
 
@@ -60,15 +62,28 @@ def test_numbers_are_those_of_the_data(tmp_path: Path) -> None:
         found = [int(cell.replace(",", "")) for cell in rows[split]]
         frame = MapDataset(root, split=split).table()
         solvable = [len(MapDataset(root, split=split, problems=kind())) for kind in (Route, Pairs)]
-        every = [len(MapDataset(root, split=split, problems=kind(unsolvable=True))) for kind in (Route, Pairs)]
-        assert found == [len(frame), solvable[0], every[0] - solvable[0], solvable[1], every[1] - solvable[1]]
+        every = [
+            len(MapDataset(root, split=split, problems=kind(unsolvable=True)))
+            for kind in (Route, Pairs)
+        ]
+        assert found == [
+            len(frame),
+            solvable[0],
+            every[0] - solvable[0],
+            solvable[1],
+            every[1] - solvable[1],
+        ]
     frame, shares = MapDataset(root, split=None).table(), table(text, "Shares")
     for name, column in (("drawn passages", "connected"), ("reachable segments", "reachable")):
         flags = [flag for row in frame[column] for flag in row]
         assert shares[name][1] == f"{np.mean(flags):.1%} ({sum(flags):,} of {len(flags):,})"
     assert shares["fully connected maps"][1].startswith(f"{frame['all connected'].mean():.1%}")
     rooms = table(text, "Distributions")["rooms a map"]
-    assert [float(cell) for cell in rooms[1::3]] == [frame["rooms"].min(), *np.quantile(frame["rooms"], (0.5,)), 5]
+    assert [float(cell) for cell in rooms[1::3]] == [
+        frame["rooms"].min(),
+        *np.quantile(frame["rooms"], (0.5,)),
+        5,
+    ]
     assert float(rooms[0]) == pytest.approx(frame["rooms"].mean(), rel=1e-3)
 
 
@@ -148,7 +163,9 @@ def test_an_unfinished_dataset_says_so(tmp_path: Path) -> None:
     assert "0 grid maps" in card(root)
 
 
-def test_command_writes_the_card_beside_the_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_the_card_beside_the_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Command writes the card beside the data."""
     root = build_small(tmp_path / "d")
     main(["info", root, "--card"])
@@ -164,7 +181,9 @@ def test_command_writes_the_card_beside_the_data(tmp_path: Path, capsys: pytest.
 
 
 def test_the_card_of_a_copy_says_where_its_splits_lie(tmp_path: Path) -> None:
-    """Front matter for `datasets`, what its columns mean behind the facts, and nothing about shards."""
+    """Front matter for `datasets`, what its columns mean behind the facts, and nothing about
+    shards.
+    """
     root = build_small(tmp_path / "d", maps=5)
     columns = Section("Columns", table=(("column", "meaning"), ("map", "1 occupied, 0 free")))
     text = card(root, files={"train": "data/train-*.parquet"}, extra=[columns])
@@ -174,7 +193,10 @@ def test_the_card_of_a_copy_says_where_its_splits_lie(tmp_path: Path) -> None:
     assert table(text, "Columns")["map"] == ["1 occupied, 0 free"]
     assert text.index("## What it is") < text.index("## Columns") < text.index("## Make it again")
     assert "size on disk" not in table(text, "What it is")
-    assert block(text, "python") == "from datasets import load_dataset\n\ntrain = load_dataset('d', split=\"train\")"
+    assert (
+        block(text, "python")
+        == "from datasets import load_dataset\n\ntrain = load_dataset('d', split=\"train\")"
+    )
 
 
 def test_only_maps_of_the_paper_are_cited_as_its_maps(tmp_path: Path) -> None:

@@ -1,4 +1,5 @@
-"""Faults: builders killed at every step and at random times, full and read-only disks, many builders at once, Ctrl-C.
+"""Faults: builders killed at every step and at random times, full and read-only disks, many
+builders at once, Ctrl-C.
 
 What kills or forks runs in a process of its own.
 """
@@ -19,10 +20,12 @@ from helpers.builds import SPEC, names, stamps
 from mapdata import MapDataset, MapSpec, build, verify
 from mapdata.shards import MANIFEST, read_manifest
 
-SLOW = pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
+SLOW = pytest.mark.skipif(
+    "config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow"
+)
 FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
-# --- killed -----------------------------------------------------------------------------------------------------------
+# --- killed --------------------------------------------------------------------------------------
 
 PRELUDE = f"""
 import builtins, fcntl, os, random, signal, sys, time
@@ -239,7 +242,9 @@ def run_script(code: str, *arguments: object) -> str:
 
 @FORKS
 def test_a_killed_build_continues(tmp_path: Path) -> None:
-    """SIGKILL at random times, five builds, each killed twice: no torn shard under a final name, none made twice."""
+    """SIGKILL at random times, five builds, each killed twice: no torn shard under a final name,
+    none made twice.
+    """
     assert len(run_script(KILLS, tmp_path, 1, 5).split()) == 5
 
 
@@ -255,19 +260,22 @@ def test_a_killed_build_continues_fifty_times(tmp_path: Path) -> None:
 @FORKS
 @pytest.mark.parametrize("counts", ["3", "3,4"], ids=["anew", "extended"])
 def test_a_builder_killed_at_every_step(counts: str, tmp_path: Path) -> None:
-    """SIGKILL before each call that changes the disk, half-written files included: no torn file under a final name;
-    building goes on to the files of an undisturbed build, nothing else is left, no finished shard is made twice.
+    """SIGKILL before each call that changes the disk, half-written files included: no torn file
+    under a final name; building goes on to the files of an undisturbed build, nothing else is left,
+    no finished shard is made twice.
     """
     assert int(run_script(STEPS, tmp_path, counts)) > 20
 
 
-# --- many at once -----------------------------------------------------------------------------------------------------
+# --- many at once -------------------------------------------------------------------------------
 
 
 @FORKS
 @pytest.mark.parametrize("lock", ["locked", "unlocked"])
 def test_four_builders_make_one_dataset(lock: str, tmp_path: Path) -> None:
-    """Four processes on one root at once: one result, file by file that of one builder; also where locks do nothing."""
+    """Four processes on one root at once: one result, file by file that of one builder; also where
+    locks do nothing.
+    """
     assert run_script(TOGETHER, tmp_path, lock) == "one result\n"
 
 
@@ -284,14 +292,16 @@ def test_four_jobs_prepare_one_dataset(tmp_path: Path) -> None:
     assert run_script(JOBS, tmp_path) == "one result\n"
 
 
-# --- full and read-only disks -----------------------------------------------------------------------------------------
+# --- full and read-only disks -------------------------------------------------------------------
 
 
 @contextmanager
 def mounted(folder: Path, *options: str) -> Iterator[Path]:
     """Mount something at a folder; skip where that is not allowed."""
     folder.mkdir()
-    if subprocess.run(["mount", *options, str(folder)], capture_output=True, check=False).returncode:
+    if subprocess.run(
+        ["mount", *options, str(folder)], capture_output=True, check=False
+    ).returncode:
         pytest.skip("may not mount file systems")
     try:
         yield folder
@@ -315,7 +325,9 @@ def complaint(done: subprocess.CompletedProcess[str]) -> str:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
 def test_a_full_disk(tmp_path: Path) -> None:
-    """A real one: one line, exit code 2, only whole files under final names; with room again the build goes on."""
+    """A real one: one line, exit code 2, only whole files under final names; with room again the
+    build goes on.
+    """
     arguments = ("--maps", 3000, "--shard-size", 500, "--seed", 3)
     with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=1000k", "tmpfs") as disk:
         assert "No space left on device" in complaint(command("build", disk / "maps", *arguments))
@@ -326,7 +338,9 @@ def test_a_full_disk(tmp_path: Path) -> None:
         assert set(os.listdir(disk / "maps")) == {".lock", MANIFEST, *before}
         subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
         assert command("build", disk / "maps", *arguments).returncode == 0
-        assert {name: stamp for name, stamp in stamps(disk / "maps").items() if name in before} == before
+        assert {
+            name: stamp for name, stamp in stamps(disk / "maps").items() if name in before
+        } == before
         truth = build(tmp_path / "truth", MapSpec(), maps=3000, shard_size=500, seed=3)
         assert read_manifest(disk / "maps") == truth
         assert verify(disk / "maps") == []
@@ -334,23 +348,31 @@ def test_a_full_disk(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="mounts a folder")
 def test_a_read_only_disk(tmp_path: Path) -> None:
-    """A root on a disk that nobody may write to: one line, nothing added; a finished one is built and verified."""
+    """A root on a disk that nobody may write to: one line, nothing added; a finished one is built
+    and verified.
+    """
     build(tmp_path / "finished", MapSpec(), maps=20, shard_size=10)
     unfinished = read_manifest(tmp_path / "finished")
     (tmp_path / "empty").mkdir()
     for name in ("empty", "finished"):
-        with mounted(tmp_path / f"{name}-mounted", "-o", "ro", "--bind", str(tmp_path / name)) as folder:
-            with pytest.raises(PermissionError, match=f"^root: no permission to write in {folder}$"):
+        with mounted(
+            tmp_path / f"{name}-mounted", "-o", "ro", "--bind", str(tmp_path / name)
+        ) as folder:
+            with pytest.raises(
+                PermissionError, match=f"^root: no permission to write in {folder}$"
+            ):
                 build(folder, MapSpec(), maps=30, shard_size=10)
             if name == "finished":
                 assert build(folder, MapSpec(), maps=20, shard_size=10) == unfinished
                 assert verify(folder) == []
-                assert "no permission" in complaint(command("build", folder, "--maps", 30, "--shard-size", 10))
+                assert "no permission" in complaint(
+                    command("build", folder, "--maps", 30, "--shard-size", 10)
+                )
     assert os.listdir(tmp_path / "empty") == []
     assert read_manifest(tmp_path / "finished") == unfinished
 
 
-# --- Ctrl-C -----------------------------------------------------------------------------------------------------------
+# --- Ctrl-C -------------------------------------------------------------------------------------
 
 
 STOPPED = """
@@ -383,8 +405,12 @@ def stopped(root: Path, shard: int, *arguments: object) -> subprocess.CompletedP
 
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 def test_ctrl_c_does_not_wait_for_a_shard(tmp_path: Path) -> None:
-    """Shards that take minutes each: it stops at once, with one line that says how to go on, and no traceback."""
-    done = stopped(tmp_path / "maps", 1, "--preset", "dungeon128", "--maps", 10**6, "--shard-size", 10**5)
+    """Shards that take minutes each: it stops at once, with one line that says how to go on, and no
+    traceback.
+    """
+    done = stopped(
+        tmp_path / "maps", 1, "--preset", "dungeon128", "--maps", 10**6, "--shard-size", 10**5
+    )
     assert done.returncode == 130
     assert done.stderr.splitlines()[-1] == "mapdata: stopped; run the same command again to go on"
     assert "Traceback" not in done.stderr
@@ -404,13 +430,15 @@ def test_the_same_command_goes_on(tmp_path: Path) -> None:
     assert verify(tmp_path / "maps") == []
 
 
-# --- many shards ------------------------------------------------------------------------------------------------------
+# --- many shards --------------------------------------------------------------------------------
 
 
 @SLOW
 @pytest.mark.slow
 def test_ten_thousand_shards(tmp_path: Path) -> None:
-    """Shards cost no more each when there are many, and a dataset of them is opened in a twentieth of that."""
+    """Shards cost no more each when there are many, and a dataset of them is opened in a twentieth
+    of that.
+    """
     costs = []
     for shards in (1000, 10_000):
         began = time.process_time()
@@ -422,10 +450,13 @@ def test_ten_thousand_shards(tmp_path: Path) -> None:
     opening = time.process_time() - began
     assert len(dataset) > 8000
     assert opening < 0.05 * costs[1] * 10_000
-    print(f"{1e3 * costs[0]:.2f} and {1e3 * costs[1]:.2f} ms of CPU a shard; opened in {opening:.2f} s")
+    print(
+        f"{1e3 * costs[0]:.2f} and {1e3 * costs[1]:.2f} ms of CPU a shard; opened in "
+        f"{opening:.2f} s"
+    )
 
 
-# --- long life --------------------------------------------------------------------------------------------------------
+# --- long life ----------------------------------------------------------------------------------
 
 MEMORY = """
 import sys

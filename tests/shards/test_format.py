@@ -1,4 +1,5 @@
-"""docs/format.md holds: shards are read here with h5py and numpy by following that page, and its tables are complete.
+"""docs/format.md holds: shards are read here with h5py and numpy by following that page, and its
+tables are complete.
 
 mapdata builds the datasets and says what they should hold; nothing of it reads them.
 """
@@ -29,23 +30,47 @@ Row: TypeAlias = list[str]
 
 PAGE = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
 SEED, MAPS, SHARD_SIZE = 2**63 + 5, 11, 4
-SPEC = MapSpec((20, 70), (2, 6), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.4, splits=(0.5, 0.3, 0.2))
+SPEC = MapSpec(
+    (20, 70),
+    (2, 6),
+    (2, 8),
+    (3, 12),
+    passage_width=(1, 2),
+    skip_probability=0.4,
+    splits=(0.5, 0.3, 0.2),
+)
 SPECS = {
     "4": SPEC,
-    "8": MapSpec((9, 130), (2, 5), (1, 4), (3, 40), passage_width=(1, 3), skip_probability=0.4, movement=Movement(8)),
+    "8": MapSpec(
+        (9, 130),
+        (2, 5),
+        (1, 4),
+        (3, 40),
+        passage_width=(1, 3),
+        skip_probability=0.4,
+        movement=Movement(8),
+    ),
     "8-cutting-one": MapSpec(
-        (30, 65), (2, 6), (2, 6), (2, 9), (1, 2), 0.5, movement=Movement(8, corner_cutting=True, diagonal_cost=1)
+        (30, 65),
+        (2, 6),
+        (2, 6),
+        (2, 9),
+        (1, 2),
+        0.5,
+        movement=Movement(8, corner_cutting=True, diagonal_cost=1),
     ),
 }
 
 
-# --- the page as a reader ---------------------------------------------------------------------------------------------
+# --- the page as a reader -----------------------------------------------------------------------
 
 STEPS = [(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)]
 
 
 class Planner(NamedTuple):
-    """What one planner found on one map: codes and iterations a segment, straight and diagonal moves a pair."""
+    """What one planner found on one map: codes and iterations a segment, straight and diagonal
+    moves a pair.
+    """
 
     moves: list[list[int]]
     iterations: list[int]
@@ -71,7 +96,9 @@ def read(path: Path) -> tuple[dict[str, Any], list[Map]]:
     """Read a shard: its root attributes and its maps."""
     with h5py.File(path, "r") as file:
         attributes: dict[str, Any] = dict(file.attrs)
-        attributes |= {name: value.decode() for name, value in attributes.items() if isinstance(value, bytes)}
+        attributes |= {
+            name: value.decode() for name, value in attributes.items() if isinstance(value, bytes)
+        }
         data = {name: file[name][()] for name in file}
     _, width = attributes["map_size"].tolist()
     bits = 2 if json.loads(attributes["movement"])["connectivity"] == 4 else 4
@@ -88,8 +115,13 @@ def read(path: Path) -> tuple[dict[str, Any], list[Map]]:
             straight = data[f"{name}_straight"][pairs].tolist()
             diagonal = data["astar_diagonal"][pairs].tolist() if name == "astar" else []
             moves = [
-                [int(data[f"{name}_moves"][k * bits // 8]) >> k * bits % 8 & 2**bits - 1 for k in range(begin, end)]
-                for begin, end in zip(offsets[passages], offsets[passages.start + 1 : passages.stop + 1], strict=True)
+                [
+                    int(data[f"{name}_moves"][k * bits // 8]) >> k * bits % 8 & 2**bits - 1
+                    for k in range(begin, end)
+                ]
+                for begin, end in zip(
+                    offsets[passages], offsets[passages.start + 1 : passages.stop + 1], strict=True
+                )
             ]
             iterations = data[f"{name}_iterations"][passages].tolist()
             planners[name] = Planner(moves, iterations, straight, diagonal or [0] * len(straight))
@@ -133,7 +165,15 @@ def matrix_of(one: Map, search: str, diagonal_cost: float) -> Array:
 def record_of(one: Map) -> bytes:
     """Return the record that the content hash is taken of."""
     height, width = one.occupancy.shape
-    words = [height, width, one.number % 2**32, one.number // 2**32, one.split, one.passage_width, len(one.seed_points)]
+    words = [
+        height,
+        width,
+        one.number % 2**32,
+        one.number // 2**32,
+        one.split,
+        one.passage_width,
+        len(one.seed_points),
+    ]
     words += np.ravel([*one.seed_points, *one.sizes, *one.directions]).tolist()
     for search in (one.planners["bfs"], one.planners["astar"]):
         for moves, iterations in zip(search.moves, search.iterations, strict=True):
@@ -162,7 +202,7 @@ def threshold(probability: float) -> int:
     return round(probability * 2**32)
 
 
-# --- the page as tables -----------------------------------------------------------------------------------------------
+# --- the page as tables -------------------------------------------------------------------------
 
 
 def table(heading: str) -> list[Row]:
@@ -173,7 +213,9 @@ def table(heading: str) -> list[Row]:
     for line in lines[first + 2 :]:
         if not line.startswith("|"):
             break
-        rows.append([cell.strip().replace("`", "").replace("\\", "") for cell in line.strip("|").split("|")])
+        rows.append(
+            [cell.strip().replace("`", "").replace("\\", "") for cell in line.strip("|").split("|")]
+        )
     return rows
 
 
@@ -182,7 +224,7 @@ def names(heading: str) -> Row:
     return [name for row in table(heading) for name in row[0].split(", ")]
 
 
-# --- datasets to read -------------------------------------------------------------------------------------------------
+# --- datasets to read ---------------------------------------------------------------------------
 
 
 class Dataset(NamedTuple):
@@ -200,14 +242,18 @@ def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     spec = SPECS[request.param]
     root = tmp_path_factory.mktemp("format") / "maps"
     build(root, spec, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE, workers=1)
-    return Dataset(spec, root, sorted(root.glob("maps-*.h5")), label(generate(spec, SEED, range(MAPS))))
+    return Dataset(
+        spec, root, sorted(root.glob("maps-*.h5")), label(generate(spec, SEED, range(MAPS)))
+    )
 
 
-# --- what a shard holds -----------------------------------------------------------------------------------------------
+# --- what a shard holds -------------------------------------------------------------------------
 
 
 def test_the_page_reads_every_map(dataset: Dataset) -> None:
-    """Maps, rooms, passages, splits, paths, iterations and matrices are those that mapdata generates and labels."""
+    """Maps, rooms, passages, splits, paths, iterations and matrices are those that mapdata
+    generates and labels.
+    """
     found = [one for path in dataset.shards for one in read(path)[1]]
     labels = dataset.labels
     maps = labels.maps
@@ -229,7 +275,9 @@ def test_the_page_reads_every_map(dataset: Dataset) -> None:
 
 
 def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
-    """Moves lead from the seed of room q to that of room q + 1 over free cells, and their number is the pair's cost."""
+    """Moves lead from the seed of room q to that of room q + 1 over free cells, and their number is
+    the pair's cost.
+    """
     for one in (one for path in dataset.shards for one in read(path)[1]):
         n = len(one.seed_points)
         for search, found in one.planners.items():
@@ -244,7 +292,9 @@ def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
 
 
 def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
-    """Split, rooms, passage width, seeds, sizes and directions follow from the spec in the file and its seed."""
+    """Split, rooms, passage width, seeds, sizes and directions follow from the spec in the file and
+    its seed.
+    """
     for path in dataset.shards:
         attributes, maps = read(path)
         spec, seed = json.loads(attributes["spec"]), int(attributes["seed"])
@@ -256,7 +306,9 @@ def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
         for one in maps:
             train, validation, _ = spec["splits"]
             (word, *_) = reference.block(seed, one.number, 0, 2, 0)
-            code = 0 if word < threshold(train) else 1 if word < threshold(train + validation) else 2
+            code = (
+                0 if word < threshold(train) else 1 if word < threshold(train + validation) else 2
+            )
             assert one.split == code
             rooms, width, *_ = reference.block(seed, one.number, 0, 0, 0)
             assert len(one.seed_points) == draw(rooms, spec["rooms"])
@@ -264,12 +316,21 @@ def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
             for q, (seed_point, size) in enumerate(zip(one.seed_points, one.sizes, strict=True)):
                 words = reference.block(seed, one.number, 0, 0, 1 + 2 * q)
                 height, columns = spec["map_size"]
-                limits = [(0, height - 1), (0, columns - 1), spec["room_rows"], spec["room_columns"]]
-                assert [*seed_point, *size] == [draw(word, limit) for word, limit in zip(words, limits, strict=True)]
+                limits = [
+                    (0, height - 1),
+                    (0, columns - 1),
+                    spec["room_rows"],
+                    spec["room_columns"],
+                ]
+                assert [*seed_point, *size] == [
+                    draw(word, limit) for word, limit in zip(words, limits, strict=True)
+                ]
             for q, direction in enumerate(one.directions):
                 skip, first, *_ = reference.block(seed, one.number, 0, 0, 2 + 2 * q)
                 drawn = [1, 0] if draw(first, (0, 1)) else [0, 1]
-                assert direction == ([-1, -1] if skip < threshold(spec["skip_probability"]) else drawn)
+                assert direction == (
+                    [-1, -1] if skip < threshold(spec["skip_probability"]) else drawn
+                )
 
 
 def test_the_split_draw_gives_the_fractions() -> None:
@@ -281,7 +342,9 @@ def test_the_split_draw_gives_the_fractions() -> None:
 
 
 def test_hashes_are_those_of_the_page(dataset: Dataset) -> None:
-    """Content hash of a shard and of the whole, file hash, identity and the manifest's own hash can be made by hand."""
+    """Content hash of a shard and of the whole, file hash, identity and the manifest's own hash can
+    be made by hand.
+    """
     manifest = json.loads((dataset.root / "manifest.json").read_text(encoding="utf-8"))
     every = []
     for path, entry in zip(dataset.shards, manifest["shards"], strict=True):
@@ -290,32 +353,46 @@ def test_hashes_are_those_of_the_page(dataset: Dataset) -> None:
         assert attributes["content_hash"] == entry["content_hash"] == hash_of(maps)
         assert entry["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
         assert entry["bytes"] == path.stat().st_size
-        recipe = {"format_version": 1, "seed": int(attributes["seed"]), "spec": json.loads(attributes["spec"])}
+        recipe = {
+            "format_version": 1,
+            "seed": int(attributes["seed"]),
+            "spec": json.loads(attributes["spec"]),
+        }
         assert attributes["identity"] == hashlib.sha256(canonical(recipe).encode()).hexdigest()
         assert attributes["identity"] == manifest["identity"]
         assert attributes["spec"] == canonical(manifest["spec"])
-        assert attributes["movement"] == canonical(manifest["movement"]) == canonical(manifest["spec"]["movement"])
+        assert (
+            attributes["movement"]
+            == canonical(manifest["movement"])
+            == canonical(manifest["spec"]["movement"])
+        )
         assert attributes["resolution"] == manifest["resolution"] == manifest["spec"]["resolution"]
-        assert attributes["map_size"].tolist() == manifest["map_size"] == manifest["spec"]["map_size"]
+        assert (
+            attributes["map_size"].tolist() == manifest["map_size"] == manifest["spec"]["map_size"]
+        )
     assert manifest["content_hash"] == hash_of(every) == hash_of(every[::-1])
     stated = manifest.pop("manifest_hash")
     assert stated == hashlib.sha256(canonical(manifest).encode()).hexdigest()
 
 
-# --- what the page lists ----------------------------------------------------------------------------------------------
+# --- what the page lists ------------------------------------------------------------------------
 
 HDF5_TYPES = {"int64": "<i8", "int64[2]": "<i8", "float64": "<f8"}
 
 
 def test_the_tables_list_every_dataset_and_attribute(dataset: Dataset) -> None:
-    """The page names exactly the datasets and root attributes of each shard, in the file's order, with their types."""
+    """The page names exactly the datasets and root attributes of each shard, in the file's order,
+    with their types.
+    """
     for path in dataset.shards:
         with h5py.File(path, "r") as file:
             assert sorted(file) == sorted(names("dataset"))
             for name, kind, *_ in table("dataset"):
                 assert file[name].dtype == np.dtype(kind).newbyteorder("<"), name
                 assert set(file[name].attrs) == {"description", "units", "encoding"}
-                assert all(isinstance(value, (str, bytes)) and value for value in file[name].attrs.values())
+                assert all(
+                    isinstance(value, (str, bytes)) and value for value in file[name].attrs.values()
+                )
             assert sorted(file.attrs) == sorted(names("attribute"))
             for name, kind, _ in table("attribute"):
                 attribute = file.attrs.get_id(name)
@@ -332,7 +409,11 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
     """Each dataset has the shape that its row of the table states."""
     for path in dataset.shards:
         with h5py.File(path, "r") as file:
-            start, stop, (height, width) = file.attrs["start"], file.attrs["stop"], file.attrs["map_size"]
+            start, stop, (height, width) = (
+                file.attrs["start"],
+                file.attrs["stop"],
+                file.attrs["map_size"],
+            )
             connectivity = dataset.spec.movement.connectivity
             maps, rooms, pairs = stop - start, file["room_offsets"][-1], file["pair_offsets"][-1]
             segments = rooms - maps
@@ -352,12 +433,18 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
                     "P), or (0": pairs if connectivity == 8 else 0,
                 }
                 stated = shape[1:-1]
-                expected = (sides[stated],) if stated in sides else tuple(sides[side] for side in stated.split(", "))
+                expected = (
+                    (sides[stated],)
+                    if stated in sides
+                    else tuple(sides[side] for side in stated.split(", "))
+                )
                 assert file[name].shape == expected, name
 
 
 def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
-    """The page names exactly the keys of manifest.json, in its order, of its shards, counts, spec and movement."""
+    """The page names exactly the keys of manifest.json, in its order, of its shards, counts, spec
+    and movement.
+    """
     content = (dataset.root / "manifest.json").read_text(encoding="utf-8")
     manifest = json.loads(content)
     assert content == json.dumps(manifest, indent=1) + "\n"
@@ -371,7 +458,10 @@ def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
         assert entry["name"] == f"maps-{start:012d}-{stop:012d}.h5" == dataset.shards[number].name
         splits = names("count")[names("count").index("train") : names("count").index("maps")]
         assert splits == ["train", "val", "test"]
-        outer, inner = names("count")[: names("count").index("maps")], names("count")[names("count").index("maps") :]
+        outer, inner = (
+            names("count")[: names("count").index("maps")],
+            names("count")[names("count").index("maps") :],
+        )
         assert list(entry["counts"]) == outer
         assert all(list(entry["counts"][split]) == inner for split in splits)
 
@@ -395,23 +485,35 @@ def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
             for kind, ways in costs.items():
                 assert counts[split][kind] == sum(way > 0 for way in ways)
                 assert counts[split][f"{kind}_unsolvable"] == ways.count(-1)
-        reachable = [[path_of(one, "astar", q) != [] for q in range(len(one.seed_points) - 1)] for one in maps]
+        reachable = [
+            [path_of(one, "astar", q) != [] for q in range(len(one.seed_points) - 1)]
+            for one in maps
+        ]
         assert counts["most_rooms"] == max(len(one.seed_points) for one in maps)
         assert counts["segments"] == sum(map(len, reachable))
         assert counts["reachable"] == sum(map(sum, reachable))
         assert counts["all_connected"] == sum(map(all, reachable))
-        assert counts["drawn"] == sum(direction != [-1, -1] for one in maps for direction in one.directions)
+        assert counts["drawn"] == sum(
+            direction != [-1, -1] for one in maps for direction in one.directions
+        )
 
 
 def test_files_keep_the_rules_of_the_page(dataset: Dataset) -> None:
-    """Superblock 3, no user block, hard links only, contiguous, no filter, aligned, spare bits clear."""
+    """Superblock 3, no user block, hard links only, contiguous, no filter, aligned, spare bits
+    clear.
+    """
     for path in dataset.shards:
         assert path.read_bytes()[:9] == b"\x89HDF\r\n\x1a\n\x03"
         with h5py.File(path, "r") as file:
             for name in file:
                 assert isinstance(file.get(name, getlink=True), h5py.HardLink)
                 data = file[name]
-                assert (data.chunks, data.compression, data.external, data.is_virtual) == (None, None, None, False)
+                assert (data.chunks, data.compression, data.external, data.is_virtual) == (
+                    None,
+                    None,
+                    None,
+                    False,
+                )
                 if data.size:
                     assert data.id.get_offset() % 64 == 0, name
                 else:
@@ -420,16 +522,24 @@ def test_files_keep_the_rules_of_the_page(dataset: Dataset) -> None:
             bits = np.unpackbits(file["maps"][()], axis=-1, bitorder="little")
             assert not bits[:, :, width:].any()
             for search in ("bfs", "astar"):
-                used = file[f"{search}_offsets"][-1] * (2 if dataset.spec.movement.connectivity == 4 else 4)
-                assert not np.unpackbits(file[f"{search}_moves"][()], bitorder="little")[used:].any()
+                used = file[f"{search}_offsets"][-1] * (
+                    2 if dataset.spec.movement.connectivity == 4 else 4
+                )
+                assert not np.unpackbits(file[f"{search}_moves"][()], bitorder="little")[
+                    used:
+                ].any()
 
 
-# --- the values at its end --------------------------------------------------------------------------------------------
+# --- the values at its end ----------------------------------------------------------------------
 
 
 def test_values_to_check_against(tmp_path: Path) -> None:
     """Words, spec, identity, map 0, record and content hash of the page's last section."""
-    section = re.sub(r"\s+", " ", PAGE[PAGE.index("## 9.") : PAGE.index("## 10.")].replace("`", "").replace("\\", ""))
+    section = re.sub(
+        r"\s+",
+        " ",
+        PAGE[PAGE.index("## 9.") : PAGE.index("## 10.")].replace("`", "").replace("\\", ""),
+    )
     spec = MapSpec()
     manifest = build(tmp_path / "maps", spec, maps=10, seed=0, shard_size=10, workers=1)
     maps = read(tmp_path / "maps" / manifest.shards[0].name)[1]
@@ -439,11 +549,14 @@ def test_values_to_check_against(tmp_path: Path) -> None:
         " ".join(f"{word:08x}" for word in reference.philox4x32((0, 0, 0, 0), (0, 0))),
         spec.to_json().replace(',"passage', ', "passage').replace(',"skip', ', "skip'),
         str(manifest.identity),
-        f"n = {len(first.seed_points)}, T = {first.passage_width}, split {('train', 'val', 'test')[first.split]}",
+        f"n = {len(first.seed_points)}, T = {first.passage_width}, split "
+        f"{('train', 'val', 'test')[first.split]}",
         "seeds " + " ".join(f"({row}, {column})" for row, column in first.seed_points),
         f"segments of {', '.join(str(len(moves)) for moves in bfs.moves)} moves by both",
-        f"iterations {', '.join(map(str, bfs.iterations))} by BFS and {', '.join(map(str, astar.iterations))} by A*",
-        f"record has {len(record_of(first))} bytes, hash {hashlib.sha256(record_of(first)).hexdigest()}",
+        f"iterations {', '.join(map(str, bfs.iterations))} by BFS and "
+        f"{', '.join(map(str, astar.iterations))} by A*",
+        f"record has {len(record_of(first))} bytes, hash "
+        f"{hashlib.sha256(record_of(first)).hexdigest()}",
         manifest.content_hash,
     ]
     assert [value for value in stated if value not in section] == []

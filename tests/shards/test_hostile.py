@@ -1,4 +1,6 @@
-"""Hostile files to every loader: each is refused by name, within 200 MB and bounded work, and nothing in it is run."""
+"""Hostile files to every loader: each is refused by name, within 200 MB and bounded work, and
+nothing in it is run.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-# --- shards and manifests ---------------------------------------------------------------------------------------------
+# --- shards and manifests -----------------------------------------------------------------------
 
 
 def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
@@ -70,7 +72,9 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     problems = Manifest(
         **{
             **vars(manifest),
-            "shards": (type(entry)(**{**vars(entry), "bytes": 10**15, "counts": entry.counts | rows}),),
+            "shards": (
+                type(entry)(**{**vars(entry), "bytes": 10**15, "counts": entry.counts | rows}),
+            ),
         }
     )
     rooms = type(entry)(**{**vars(entry), "counts": {**entry.counts, "most_rooms": 10**9}})
@@ -79,7 +83,9 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
         "empty-lists": "[" + "[]," * 10**6 + "[]]",
         "digits": '{"format":' + "9" * 10**6 + "}",
         "problems": problems.to_json(),
-        "rooms": Manifest(**{**vars(manifest), "spec": None, "seed": None, "shards": (rooms,)}).to_json(),
+        "rooms": Manifest(
+            **{**vars(manifest), "spec": None, "seed": None, "shards": (rooms,)}
+        ).to_json(),
     }
     for name, text in texts.items():
         (folder / name).mkdir()
@@ -96,11 +102,13 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
         yield "recipe", folder / name / MANIFEST, "ValueError"
 
 
-# --- foreign files ----------------------------------------------------------------------------------------------------
+# --- foreign files ------------------------------------------------------------------------------
 
 
 def zeros(path: Path, *, size: int, stated: int, claimed: int) -> None:
-    """Write an .npz of so many zeros; its directory states another size, and the array's header claims a third."""
+    """Write an .npz of so many zeros; its directory states another size, and the array's header
+    claims a third.
+    """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("maps.npy", "w", force_zip64=True) as member:
             member.write(wild.npy((claimed // 4096, 64, 64), b""))
@@ -114,15 +122,27 @@ def text_chunk(size: int) -> bytes:
     good = wild.png(3, 4, depth=8)
     data = b"Comment\0\0" + zlib.compress(bytes(size), 9)
     chunk = b"zTXt" + data
-    return good[:33] + struct.pack(">I", len(data)) + chunk + struct.pack(">I", zlib.crc32(chunk)) + good[33:]
+    return (
+        good[:33]
+        + struct.pack(">I", len(data))
+        + chunk
+        + struct.pack(">I", zlib.crc32(chunk))
+        + good[33:]
+    )
 
 
-YAML = "image: {image}\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+YAML = (
+    "image: {image}\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+    "occupied_thresh: 0.65\nfree_thresh: 0.2\n"
+)
 
 
 def format_cases(folder: Path, _: Path) -> Iterator[Case]:
     """Write bombs, lies, pickles and tags, each in a folder of its own."""
-    table = "item,label,passage_size,seed_rows,seed_columns,size_rows,size_columns,direction_for_passages\n"
+    table = (
+        "item,label,passage_size,seed_rows,seed_columns,size_rows,size_columns,"
+        "direction_for_passages\n"
+    )
     touch = f"!!python/object/apply:os.mkdir ['{folder / 'hacked'}']"
     pickled = pickle.dumps(Bomb(folder / "hacked"))
     files: dict[str, bytes] = {
@@ -136,7 +156,8 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
         "h.yaml": YAML.format(image=touch).encode(),
         "i.yaml": YAML.format(image="/etc/passwd").encode(),
         "j.yaml": (
-            "a: &a [x,x]\n" + "".join(f"b{k}: &b{k} [*{'a' if k == 0 else f'b{k - 1}'}, x]\n" for k in range(60))
+            "a: &a [x,x]\n"
+            + "".join(f"b{k}: &b{k} [*{'a' if k == 0 else f'b{k - 1}'}, x]\n" for k in range(60))
         ).encode(),
         "k.map": b"type octile\nheight 99999\nwidth 99999\nmap\n",
         "l.scen": b"version 1\n0\tnone.map\t4\t3\t0\t0\t3\t2\t1e999\n",
@@ -158,7 +179,7 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
         yield "format", folder / name, "FormatError"
 
 
-# --- checkpoints ------------------------------------------------------------------------------------------------------
+# --- checkpoints --------------------------------------------------------------------------------
 
 
 class Bomb:
@@ -211,8 +232,12 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
         "a-list": saved([1, 2]),
         "no-weights": saved({"arguments": plain}),
         "zeros": packed(saved({"arguments": plain, "weights": {first: torch.zeros(2**26)}})),
-        "stretched": saved({"arguments": plain, "weights": {**weights, first: torch.zeros(1).expand(10**12)}}),
-        "wide": saved({"arguments": {**plain, "widths": [10**6, 10**6, 10**6]}, "weights": weights}),
+        "stretched": saved(
+            {"arguments": plain, "weights": {**weights, first: torch.zeros(1).expand(10**12)}}
+        ),
+        "wide": saved(
+            {"arguments": {**plain, "widths": [10**6, 10**6, 10**6]}, "weights": weights}
+        ),
         "deep": saved({"arguments": {**plain, "passes": 10**12}, "weights": weights}),
         "infinite": saved({"arguments": {**plain, "passes": float("inf")}, "weights": weights}),
         "other-arguments": saved({"arguments": {"speed": 3}, "weights": weights}),
@@ -224,12 +249,14 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
         yield "model", folder / f"{name}.pt", "ValueError"
 
 
-# --- the tests --------------------------------------------------------------------------------------------------------
+# --- the tests ----------------------------------------------------------------------------------
 
 
 @LINUX
 def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
-    """In a process of their own: the loader's own error, on one line, little memory, bounded work, no code run."""
+    """In a process of their own: the loader's own error, on one line, little memory, bounded work,
+    no code run.
+    """
     wanted = []
     for cases in (shard_cases, manifest_cases, format_cases, model_cases):
         folder = tmp_path / cases.__name__

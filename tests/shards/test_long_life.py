@@ -1,4 +1,6 @@
-"""Long life: what was written stays readable, what is newer is refused by name, and loading takes no more memory."""
+"""Long life: what was written stays readable, what is newer is refused by name, and loading takes
+no more memory.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ HASHES = {
         "0cf15d9ae549efa8b0f5ac5670321b7a2ad9ea9246683c7c452112bfcdda978f",
     ),
 }
-"""Of each kept dataset the content hash and that of its stored problems. A new format adds lines, none is changed."""
+"""Of each kept dataset the content hash and that of its stored problems. A new format adds lines,
+none is changed.
+"""
 
 
 def samples_hash(root: Path) -> str:
@@ -52,7 +56,9 @@ def samples_hash(root: Path) -> str:
 
 @pytest.mark.parametrize("name", HASHES)
 def test_kept_datasets_read_to_the_same_hash(name: str) -> None:
-    """Written by the version that brought the format: content, bytes and samples are what they were."""
+    """Written by the version that brought the format: content, bytes and samples are what they
+    were.
+    """
     root, (content, samples) = KEPT / name, HASHES[name]
     manifest = read_manifest(root)
     assert manifest.content_hash == content
@@ -70,8 +76,15 @@ def test_a_kept_recipe_gives_the_kept_content(name: str, tmp_path: Path) -> None
     """The few lines of JSON that were kept make the same maps and labels today."""
     manifest = read_manifest(KEPT / name)
     recipe = json.loads(manifest.recipe())
-    build(tmp_path / "maps", Generator.from_dict(recipe["spec"]), maps=recipe["maps"], seed=recipe["seed"])
-    assert read_manifest(tmp_path / "maps").content_hash == HASHES[name][0] == recipe["content_hash"]
+    build(
+        tmp_path / "maps",
+        Generator.from_dict(recipe["spec"]),
+        maps=recipe["maps"],
+        seed=recipe["seed"],
+    )
+    assert (
+        read_manifest(tmp_path / "maps").content_hash == HASHES[name][0] == recipe["content_hash"]
+    )
 
 
 def test_every_format_is_kept() -> None:
@@ -128,7 +141,9 @@ print(*held)
 @pytest.mark.skipif(sys.platform != "linux", reason="RssAnon is Linux's")
 @pytest.mark.filterwarnings("ignore")
 def test_epochs_of_loading_take_no_more_memory(tmp_path: Path) -> None:
-    """After the first epoch, which compiles and opens everything, three more take at most a hundredth more."""
+    """After the first epoch, which compiles and opens everything, three more take at most a
+    hundredth more.
+    """
     build(tmp_path / "maps", MapSpec.preset("dungeon"), maps=1500, seed=1, shard_size=100)
     command = [sys.executable, "-W", "ignore", "-c", MEMORY, str(tmp_path / "maps")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -1,4 +1,6 @@
-"""The manifest: text and back, sums and plans, what is refused, merging, sweeping, and reading a shard's entry."""
+"""The manifest: text and back, sums and plans, what is refused, merging, sweeping, and reading a
+shard's entry.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,16 @@ import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
 from mapdata.shards import MANIFEST, Manifest, read_manifest
 from mapdata.shards.builder import headers
-from mapdata.shards.manifest import LOCK, Entry, is_shard_name, load_shard, merge, parse_manifest, shard_name, sweep
+from mapdata.shards.manifest import (
+    LOCK,
+    Entry,
+    is_shard_name,
+    load_shard,
+    merge,
+    parse_manifest,
+    shard_name,
+    sweep,
+)
 from mapdata.spec import SPLITS
 
 SETTINGS = settings(max_examples=60)
@@ -37,7 +48,9 @@ NO_PROCESS = 2**31 - 1
 def entry_of(start: int, stop: int, content: str = HASH) -> Entry:
     """Return an entry for a shard that nobody wrote."""
     problems = dict.fromkeys(("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable"), 0)
-    counts = dict.fromkeys(("segments", "drawn", "reachable", "all_connected", "most_rooms"), stop - start)
+    counts = dict.fromkeys(
+        ("segments", "drawn", "reachable", "all_connected", "most_rooms"), stop - start
+    )
     splits = {split: dict(problems) for split in SPLITS}
     return Entry(shard_name(start, stop), start, stop, 4096, HASH, content, {**counts, **splits})
 
@@ -56,12 +69,21 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-# --- text and back ----------------------------------------------------------------------------------------------------
+# --- text and back ------------------------------------------------------------------------------
 
 
 @SETTINGS
-@given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 50), st.integers(1, 20), st.integers(0, 50), st.booleans())
-def test_text_round_trip(spec: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool) -> None:
+@given(
+    specs(),
+    st.integers(0, 2**64 - 1),
+    st.integers(1, 50),
+    st.integers(1, 20),
+    st.integers(0, 50),
+    st.booleans(),
+)
+def test_text_round_trip(
+    spec: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool
+) -> None:
     """A manifest comes back from its text equal, finished or not, with and without a recipe."""
     manifest = manifest_of(spec, seed, maps, shard_size, done)
     if imported:
@@ -93,7 +115,9 @@ def test_recipe(built: Path) -> None:
 @SETTINGS
 @given(st.integers(1, 200), st.integers(1, 70), st.integers(0, 200))
 def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
-    """The plan covers every map once, in order; sums are over finished shards; complete means all of them."""
+    """The plan covers every map once, in order; sums are over finished shards; complete means all
+    of them.
+    """
     manifest = manifest_of(SPEC, 0, maps, shard_size, done)
     assert [i for start, stop in manifest.plan for i in range(start, stop)] == list(range(maps))
     assert all(stop - start == shard_size for start, stop in manifest.plan[:-1])
@@ -104,12 +128,16 @@ def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
     assert [(header.start, header.stop) for header in headers(manifest)] == manifest.plan
 
 
-# --- names ------------------------------------------------------------------------------------------------------------
+# --- names --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("start", "stop"), [(0, 1), (1000, 2000), (10**12 - 1, 10**12), (10**15, 10**15 + 7)])
+@pytest.mark.parametrize(
+    ("start", "stop"), [(0, 1), (1000, 2000), (10**12 - 1, 10**12), (10**15, 10**15 + 7)]
+)
 def test_shard_names(start: int, stop: int) -> None:
-    """Names have twelve digits or more, sort like their maps up to there, and are known as names."""
+    """Names have twelve digits or more, sort like their maps up to there, and are known as
+    names.
+    """
     name = shard_name(start, stop)
     assert is_shard_name(name)
     assert [int(part) for part in re.findall(r"\d+", name[:-3])] == [start, stop]
@@ -141,7 +169,7 @@ def test_other_names_are_never_opened(name: str, built: Path) -> None:
         parse_manifest(text, "text")
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
+# --- what is refused ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -157,12 +185,17 @@ def test_other_names_are_never_opened(name: str, built: Path) -> None:
         ('{"format":"minari"}', "not a manifest of mapdata"),
         ('{"format":"mapdata"}', "damaged"),
         ("[" * 100_000, "damaged"),
-        ('{"format":"mapdata","format_version":3}', r"format version 3, this mapdata [\d.]+ reads 1 and 2"),
+        (
+            '{"format":"mapdata","format_version":3}',
+            r"format version 3, this mapdata [\d.]+ reads 1 and 2",
+        ),
         ('{"format":"mapdata","format_version":"1"}', "format version 1"),
     ],
 )
 def test_other_texts_are_refused(text: str, says: str, tmp_path: Path) -> None:
-    """A file that is no manifest, a damaged one, or one of another version: the file and the fault are named."""
+    """A file that is no manifest, a damaged one, or one of another version: the file and the fault
+    are named.
+    """
     (tmp_path / MANIFEST).write_text(text, encoding="utf-8")
     with pytest.raises(ShardError, match=says) as caught:
         read_manifest(tmp_path)
@@ -226,8 +259,12 @@ UNCHECKED: dict[str, Callable[[dict[str, Any]], object]] = {
         *(pytest.param(lie, id=name) for name, lie in UNCHECKED.items()),
     ],
 )
-def test_values_that_cannot_be_are_refused(lie: Callable[[dict[str, Any]], object], built: Path) -> None:
-    """Values of other types, their hash made to fit, are refused on reading and not met later as a TypeError."""
+def test_values_that_cannot_be_are_refused(
+    lie: Callable[[dict[str, Any]], object], built: Path
+) -> None:
+    """Values of other types, their hash made to fit, are refused on reading and not met later as a
+    TypeError.
+    """
     text = restated((built / MANIFEST).read_text(encoding="utf-8"), lie)
     with pytest.raises(ShardError, match=r"^text: "):
         parse_manifest(text, "text")
@@ -256,7 +293,7 @@ def test_the_error_crosses_processes(tmp_path: Path) -> None:
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
-# --- merging ----------------------------------------------------------------------------------------------------------
+# --- merging ------------------------------------------------------------------------------------
 
 
 def test_merge_is_a_union(tmp_path: Path) -> None:
@@ -271,7 +308,9 @@ def test_merge_is_a_union(tmp_path: Path) -> None:
 
 
 def test_merge_keeps_the_larger_dataset(tmp_path: Path) -> None:
-    """A builder of fewer maps does not shrink what another one extends, nor bring back its partial shard."""
+    """A builder of fewer maps does not shrink what another one extends, nor bring back its partial
+    shard.
+    """
     small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
     for first, second in ((small, large), (large, small)):
         merge(tmp_path, first)
@@ -288,11 +327,15 @@ def test_merge_removes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
         (tmp_path / entry.name).touch()
     merge(tmp_path, large)
     merge(tmp_path, small)
-    assert sorted(path.name for path in tmp_path.glob("maps-*")) == [shard_name(0, 4), shard_name(4, 8)]
+    assert sorted(path.name for path in tmp_path.glob("maps-*")) == [
+        shard_name(0, 4),
+        shard_name(4, 8),
+    ]
 
 
 @pytest.mark.parametrize(
-    "other", [manifest_of(SPEC, 2, 6, 4), manifest_of(SPEC, 1, 6, 3), manifest_of(MapSpec(), 1, 6, 4)]
+    "other",
+    [manifest_of(SPEC, 2, 6, 4), manifest_of(SPEC, 1, 6, 3), manifest_of(MapSpec(), 1, 6, 4)],
 )
 def test_merge_refuses_another_dataset(other: Manifest, tmp_path: Path) -> None:
     """A dataset of another seed, shard size or spec that appeared meanwhile is left alone."""
@@ -303,7 +346,9 @@ def test_merge_refuses_another_dataset(other: Manifest, tmp_path: Path) -> None:
 
 
 def test_merge_can_do_without_waiting(tmp_path: Path) -> None:
-    """While another builder merges, one that does not wait leaves the manifest as it is; a closed file frees it."""
+    """While another builder merges, one that does not wait leaves the manifest as it is; a closed
+    file frees it.
+    """
     whole = manifest_of(SPEC, 1, 10, 4, done=3)
     merge(tmp_path, replace(whole, shards=()))
     with open(tmp_path / LOCK, "ab") as other:
@@ -324,7 +369,7 @@ def test_merge_needs_no_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert merge(tmp_path, whole, wait=False) == whole == read_manifest(tmp_path)
 
 
-# --- sweeping ---------------------------------------------------------------------------------------------------------
+# --- sweeping -----------------------------------------------------------------------------------
 
 
 def swept(root: Path, name: str) -> bool:
@@ -363,8 +408,12 @@ def swept(root: Path, name: str) -> bool:
         ),
     ],
 )
-def test_sweep(host: str, temporary: str, goes: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Temporaries of dead builders of this host go; those of living ones, of other hosts, and other files stay."""
+def test_sweep(
+    host: str, temporary: str, goes: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Temporaries of dead builders of this host go; those of living ones, of other hosts, and other
+    files stay.
+    """
     monkeypatch.setattr("socket.gethostname", lambda: host)
     assert swept(tmp_path, temporary) == goes
 
@@ -382,12 +431,16 @@ def test_sweep_takes_what_is_a_day_old(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
-    """A partial shard whose successor is listed, left by a builder that died just then; nothing else."""
+    """A partial shard whose successor is listed, left by a builder that died just then; nothing
+    else.
+    """
     stay = [(0, 4), (4, 8), (8, 10), (8, 12), (12, 13)]
     for limits in (*stay, (4, 6), (4, 7)):
         (tmp_path / shard_name(*limits)).touch()
     sweep(tmp_path, manifest_of(SPEC, 1, 10, 4, done=3))
-    assert sorted(path.name for path in tmp_path.iterdir()) == [shard_name(*limits) for limits in stay]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        shard_name(*limits) for limits in stay
+    ]
 
 
 def test_sweep_lives_with_odd_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -396,7 +449,7 @@ def test_sweep_lives_with_odd_names(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     swept(tmp_path, f".{shard_name(0, 3)}.node1.{10**20}.tmp")
 
 
-# --- entries ----------------------------------------------------------------------------------------------------------
+# --- entries ------------------------------------------------------------------------------------
 
 
 def test_load_shard_gives_the_entry(built: Path) -> None:
@@ -405,14 +458,19 @@ def test_load_shard_gives_the_entry(built: Path) -> None:
     assert tuple(load_shard(built, header) for header in headers(manifest)) == manifest.shards
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path"])
+@pytest.mark.parametrize(
+    "damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path"]
+)
 def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
     """A shard that is not there, not whole, or does not hash to what it says gives None."""
     (header, *_) = headers(read_manifest(built))
     name = shard_name(header.start, header.stop)
     image = bytearray((built / name).read_bytes())
     with h5py.File(built / name, "r") as file:
-        places = {"bit in a map": file["maps"].id.get_offset(), "bit in a path": file["bfs_moves"].id.get_offset()}
+        places = {
+            "bit in a map": file["maps"].id.get_offset(),
+            "bit in a path": file["bfs_moves"].id.get_offset(),
+        }
     if damage in places:
         image[places[damage]] ^= 2
     if damage != "missing":
@@ -428,7 +486,9 @@ def test_load_shard_takes_no_other_maps(built: Path) -> None:
     assert load_shard(built, header) is not None
 
 
-def test_entries_do_not_depend_on_the_library_version(built: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entries_do_not_depend_on_the_library_version(
+    built: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A later mapdata of the same format version reads the same manifest."""
     before = read_manifest(built)
     monkeypatch.setattr(mapdata, "__version__", "9.9")

@@ -1,4 +1,6 @@
-"""Opening a shard without trust: hostile ones are in test_shard.py, changed ones in test_fuzzing.py."""
+"""Opening a shard without trust: hostile ones are in test_shard.py, changed ones in
+test_fuzzing.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A dataset is a folder, a URL or several; one at a URL, over a real HTTP server, is fetched once and checked."""
+"""A dataset is a folder, a URL or several; one at a URL, over a real HTTP server, is fetched once
+and checked.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,27 @@ from helpers.cards import table
 from helpers.imported import imported
 from torch.utils.data import DataLoader
 
-from mapdata import DatasetNotFoundError, Labels, MapDataset, Movement, ShardError, build, repair, verify
+from mapdata import (
+    DatasetNotFoundError,
+    Labels,
+    MapDataset,
+    Movement,
+    ShardError,
+    build,
+    repair,
+    verify,
+)
 from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
-from mapdata.shards import MANIFEST, PROVENANCE, Root, card, content_hash, dataset_statistics, read_manifest
+from mapdata.shards import (
+    MANIFEST,
+    PROVENANCE,
+    Root,
+    card,
+    content_hash,
+    dataset_statistics,
+    read_manifest,
+)
 from mapdata.shards.corruption import inspect, repair_found
 from mapdata.shards.root import folder_of, places
 
@@ -33,7 +52,7 @@ class Handler(SimpleHTTPRequestHandler):
 
     fetched: list[str]
 
-    def __init__(self, *arguments: Any, fetched: list[str], **named: Any) -> None:  # noqa: ANN401
+    def __init__(self, *arguments: Any, fetched: list[str], **named: Any) -> None:
         """Serve one request."""
         self.fetched = fetched
         super().__init__(*arguments, **named)
@@ -65,7 +84,9 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     fetched: list[str] = []
     handler = partial(Handler, directory=str(folder), fetched=fetched)
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as http:
-        thread = threading.Thread(target=http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
+        thread = threading.Thread(
+            target=http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
+        )
         thread.start()
         yield Server(folder / "maps", f"http://127.0.0.1:{http.server_port}/maps", fetched)
         http.shutdown()
@@ -74,7 +95,9 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 
 def test_a_dataset_at_a_url_is_the_dataset(server: Server) -> None:
     """The same samples and table; each shard is fetched once, when it is first touched."""
-    here, there = (MapDataset(root, fields=samples.ALL_FIELDS) for root in (str(server.folder), server.url))
+    here, there = (
+        MapDataset(root, fields=samples.ALL_FIELDS) for root in (str(server.folder), server.url)
+    )
     names = [entry.name for entry in read_manifest(server.folder).shards]
     assert server.fetched == ["/maps/manifest.json"]
     samples.assert_same(there[-1], here[-1])
@@ -85,7 +108,9 @@ def test_a_dataset_at_a_url_is_the_dataset(server: Server) -> None:
 
 
 def test_what_is_cached_is_not_fetched_again(server: Server) -> None:
-    """Only the manifest is, so that a dataset that grew is seen; a slash at the end changes nothing."""
+    """Only the manifest is, so that a dataset that grew is seen; a slash at the end changes
+    nothing.
+    """
     first = MapDataset(server.url)[:]
     count = len(server.fetched)
     again = MapDataset(server.url + "/")
@@ -109,7 +134,9 @@ def test_workers_read_the_cache(server: Server) -> None:
 
 
 def test_damaged_files_are_refused(server: Server, tmp_path: Path) -> None:
-    """What does not have the manifest's hash is never mapped nor kept; once it is repaired, it is fetched."""
+    """What does not have the manifest's hash is never mapped nor kept; once it is repaired, it is
+    fetched.
+    """
     entry = read_manifest(server.folder).shards[0]
     shard = server.folder / entry.name
     sound = shard.read_bytes()
@@ -170,7 +197,9 @@ def test_a_server_that_does_not_answer_is_not_a_missing_dataset(server: Server) 
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{unused.getsockname()[1]}/maps"
-        with pytest.raises(DatasetNotFoundError, match=f"{url}/manifest.json could not be read: .*connect"):
+        with pytest.raises(
+            DatasetNotFoundError, match=f"{url}/manifest.json could not be read: .*connect"
+        ):
             MapDataset(url)
 
 
@@ -180,7 +209,7 @@ def test_local_and_remote_roots_mix(server: Server) -> None:
     samples.assert_same(both[len(both) // 2], both[0])
 
 
-# --- whatever takes a dataset -----------------------------------------------------------------------------------------
+# --- whatever takes a dataset -------------------------------------------------------------------
 
 
 def occupancy(labels: Iterator[Labels]) -> list[bytes]:
@@ -198,7 +227,9 @@ def test_a_root_is_its_maps(server: Server) -> None:
     labels, i = there.map(37)
     assert labels.maps.index[i] == 37
     assert len(server.fetched) == 2
-    assert [content_hash(batch) for batch in here.labels()] == [content_hash(batch) for batch in there.labels()]
+    assert [content_hash(batch) for batch in here.labels()] == [
+        content_hash(batch) for batch in there.labels()
+    ]
 
 
 def test_several_roots_are_one(server: Server, tmp_path: Path) -> None:
@@ -214,7 +245,9 @@ def test_several_roots_are_one(server: Server, tmp_path: Path) -> None:
         assert labels.maps.index[i] == index
         assert labels.maps.occupancy[i].tobytes() == expected[index]
     for index in (-1, 70):
-        with pytest.raises(ValueError, match=f"got {index}, {server.url}, .*other holds maps 0 to 69"):
+        with pytest.raises(
+            ValueError, match=f"got {index}, {server.url}, .*other holds maps 0 to 69"
+        ):
             both.map(index)
     unfinished = build(tmp_path / "part", samples.SPEC, maps=60, shard_size=16, part=(0, 2))
     ahead = Root.open([tmp_path / "part", other])
@@ -249,7 +282,9 @@ def test_statistics_card_report_and_figures(server: Server, tmp_path: Path) -> N
     of, parts = dataset_statistics(both), [dataset_statistics(place) for place in both]
     assert len(of) == 70
     for name in ("rooms", "free", "split", "hardness", "lengths"):
-        np.testing.assert_array_equal(getattr(of, name), np.concatenate([getattr(part, name) for part in parts]))
+        np.testing.assert_array_equal(
+            getattr(of, name), np.concatenate([getattr(part, name) for part in parts])
+        )
     for kind in FIGURES:
         assert plot_figure(both, kind, index=65).axes
     text = card(both)
@@ -270,14 +305,18 @@ def test_imported_maps_at_a_url_say_where_they_come_from(server: Server) -> None
     assert verify(url) == []
     (folder / PROVENANCE).unlink()
     assert verify(url) == [f"{url}/{PROVENANCE}: missing"]
-    eight = samples.build_small(server.folder.parent / "eight", replace(samples.SPEC, movement=Movement(8)), maps=3)
+    eight = samples.build_small(
+        server.folder.parent / "eight", replace(samples.SPEC, movement=Movement(8)), maps=3
+    )
     both = card([url, eight])
     assert "Cite the source of the maps. The labels are" in both
     assert "Please cite the paper whose maps these are:" in both
 
 
 def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
-    """Each file that is damaged or missing is named by its URL; several are looked at one after another."""
+    """Each file that is damaged or missing is named by its URL; several are looked at one after
+    another.
+    """
     assert verify(server.url) == verify([server.url, server.folder]) == []
     first, second, *_ = (entry.name for entry in read_manifest(server.folder).shards)
     (server.folder / first).write_bytes(b"damaged")
@@ -286,7 +325,9 @@ def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
     for cached in (tmp_path / "cache").rglob("*.h5"):
         cached.unlink()
     damaged, missing = verify(server.url)
-    assert damaged == f"{server.url}/{first}: what was fetched is damaged (its file hash does not fit)"
+    assert (
+        damaged == f"{server.url}/{first}: what was fetched is damaged (its file hash does not fit)"
+    )
     assert missing == f"{server.url}/{second} was not found"
     assert len(verify([server.url, server.folder])) == 4
     (server.folder / MANIFEST).write_text("{}")
@@ -301,7 +342,9 @@ def test_a_url_can_only_be_read(server: Server, tmp_path: Path) -> None:
     sound = (server.folder / entry.name).read_bytes()
     (server.folder / entry.name).unlink()
     for given in (server.url, [str(server.folder), server.url]):
-        with pytest.raises(ValueError, match=f"root: {server.url} is a URL, which can only be read"):
+        with pytest.raises(
+            ValueError, match=f"root: {server.url} is a URL, which can only be read"
+        ):
             repair(given)
     with pytest.raises(ValueError, match="is a URL"):
         repair_found(inspect(server.url))

@@ -1,4 +1,6 @@
-"""Shards: a round trip changes nothing, the bytes are one, faults of disk and files are named, and nothing escapes."""
+"""Shards: a round trip changes nothing, the bytes are one, faults of disk and files are named, and
+nothing escapes.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,15 @@ from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
 from mapdata.shards import content_hash, open_shard, write_file
-from mapdata.shards.shard import FIELDS, Header, bits_of, decode, pack_moves, shard_image, unpack_moves
+from mapdata.shards.shard import (
+    FIELDS,
+    Header,
+    bits_of,
+    decode,
+    pack_moves,
+    shard_image,
+    unpack_moves,
+)
 from mapdata.spec import Movement
 
 SETTINGS = settings(max_examples=60)
@@ -49,7 +59,9 @@ def header_of(spec: MapSpec, seed: int, start: int, stop: int, *, imported: bool
 
 
 def assert_same_labels(found: Labels, expected: Labels) -> None:
-    """Compare all values and types; padding of rooms may end where the largest map of the shard does."""
+    """Compare all values and types; padding of rooms may end where the largest map of the shard
+    does.
+    """
     most = int(expected.maps.rooms.max(initial=2))
     for name in ("movement", "columns"):
         assert getattr(found.maps, name) == getattr(expected.maps, name)
@@ -91,13 +103,15 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     return Sound(path, labels, hostile.read_contents(path))
 
 
-# --- round trip -------------------------------------------------------------------------------------------------------
+# --- round trip ---------------------------------------------------------------------------------
 
 
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 4), st.booleans())
 def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
-    """What is written is read back equal, types included, for all movements and sizes, with and without a recipe."""
+    """What is written is read back equal, types included, for all movements and sizes, with and
+    without a recipe.
+    """
     header = header_of(spec, seed, start, start + count, imported=imported)
     labels = label(generate(spec, seed, range(start, start + count)))
     image, content = shard_image(labels, header)
@@ -117,7 +131,9 @@ def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: 
 def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
     """A zero-length dataset is valid, and never mapped."""
     labels = label(generate(MapSpec(movement=movement), 0, []))
-    write_file(tmp_path / "none.h5", shard_image(labels, header_of(MapSpec(movement=movement), 0, 5, 5))[0])
+    write_file(
+        tmp_path / "none.h5", shard_image(labels, header_of(MapSpec(movement=movement), 0, 5, 5))[0]
+    )
     found = read_shard(tmp_path / "none.h5")
     assert len(found.maps) == 0
     assert_same_labels(found, labels)
@@ -126,7 +142,9 @@ def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
 @SETTINGS
 @given(st.lists(st.integers(0, 7), max_size=40), st.sampled_from(MOVEMENTS))
 def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
-    """Move k stands in the bits from k * bits on, spare bits are 0, and unpacking undoes packing."""
+    """Move k stands in the bits from k * bits on, spare bits are 0, and unpacking undoes
+    packing.
+    """
     moves = np.array([code % movement.connectivity for code in codes], np.uint8)
     bits = bits_of(movement)
     packed = pack_moves(moves, bits)
@@ -135,7 +153,7 @@ def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
     np.testing.assert_array_equal(unpack_moves(packed, len(moves), bits), moves, strict=True)
 
 
-# --- the bytes --------------------------------------------------------------------------------------------------------
+# --- the bytes ----------------------------------------------------------------------------------
 
 
 def test_the_image_is_deterministic(sound: Sound) -> None:
@@ -148,13 +166,17 @@ def test_the_image_is_deterministic(sound: Sound) -> None:
 
 
 def test_every_dataset_explains_itself(sound: Sound) -> None:
-    """A shard holds the datasets of FIELDS and no other, each with its description, units and encoding."""
+    """A shard holds the datasets of FIELDS and no other, each with its description, units and
+    encoding.
+    """
     with h5py.File(sound.path, "r") as file:
         assert sorted(file) == sorted(field.name for field in FIELDS)
         for field in FIELDS:
             stated = {name: getattr(field, name) for name in ("description", "units", "encoding")}
             attributes = file[field.name].attrs.items()
-            assert {name: v.decode() if isinstance(v, bytes) else v for name, v in attributes} == stated
+            assert {
+                name: v.decode() if isinstance(v, bytes) else v for name, v in attributes
+            } == stated
 
 
 def test_arrays_are_aligned_read_only_views(sound: Sound) -> None:
@@ -169,7 +191,9 @@ def test_arrays_are_aligned_read_only_views(sound: Sound) -> None:
 
 @LINUX
 def test_opening_leaks_nothing(sound: Sound) -> None:
-    """A shard holds a mapping and no descriptor, and gives the memory back, of shards that were refused too."""
+    """A shard holds a mapping and no descriptor, and gives the memory back, of shards that were
+    refused too.
+    """
 
     def mappings() -> int:
         return Path("/proc/self/maps").read_text().count(str(sound.path))
@@ -190,7 +214,9 @@ def test_opening_leaks_nothing(sound: Sound) -> None:
 
 
 def test_a_mapping_outlives_its_file(sound: Sound, tmp_path: Path) -> None:
-    """A reader sees the old shard until the end when another takes its name, or when it is removed."""
+    """A reader sees the old shard until the end when another takes its name, or when it is
+    removed.
+    """
     path = tmp_path / "shard.h5"
     write_file(path, sound.contents.image)
     shard = open_shard(path)
@@ -200,7 +226,7 @@ def test_a_mapping_outlives_its_file(sound: Sound, tmp_path: Path) -> None:
     assert_same_labels(decode(shard), sound.labels)
 
 
-# --- writing files ----------------------------------------------------------------------------------------------------
+# --- writing files ------------------------------------------------------------------------------
 
 
 def test_write_file_replaces(tmp_path: Path) -> None:
@@ -212,7 +238,9 @@ def test_write_file_replaces(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_a_failed_write_leaves_nothing(step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_nothing(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """When a step fails, the old content stands under the name and no temporary is left."""
 
     def fail(*_: object) -> None:
@@ -269,7 +297,7 @@ def test_a_read_only_folder_is_a_permission_error() -> None:
         assert os.listdir(folder) == []
 
 
-# --- hostile shards ---------------------------------------------------------------------------------------------------
+# --- hostile shards -----------------------------------------------------------------------------
 
 
 def refused(path: Path, says: str, size: int | None = None) -> None:
@@ -283,14 +311,18 @@ def refused(path: Path, says: str, size: int | None = None) -> None:
 
 
 def test_the_generator_writes_sound_shards_too(sound: Sound, tmp_path: Path) -> None:
-    """Without a fault the generator's file is taken, so that each fault alone is what is refused."""
+    """Without a fault the generator's file is taken, so that each fault alone is what is
+    refused.
+    """
     hostile.write(tmp_path / "shard.h5", sound.contents, sound.path)
     assert_same_labels(read_shard(tmp_path / "shard.h5"), sound.labels)
 
 
 @pytest.mark.parametrize("name", hostile.DATASETS)
 def test_hostile_datasets_are_refused(name: str, sound: Sound, tmp_path: Path) -> None:
-    """One dataset that is not plain, has another type or shape, or values that lead out of the arrays."""
+    """One dataset that is not plain, has another type or shape, or values that lead out of the
+    arrays.
+    """
     fault = hostile.DATASETS[name]
     hostile.write(tmp_path / "shard.h5", sound.contents, sound.path, {fault.dataset: fault.member})
     refused(tmp_path / "shard.h5", f"'{fault.blamed or fault.dataset}'.*(?:{fault.says})")
@@ -320,7 +352,9 @@ def test_data_beyond_the_end_are_refused(sound: Sound, tmp_path: Path) -> None:
 
 
 class Opens:
-    """Counts how often a file is opened, by anybody: inotify, since HDF5 opens in C, where Python sees nothing."""
+    """Counts how often a file is opened, by anybody: inotify, since HDF5 opens in C, where Python
+    sees nothing.
+    """
 
     IN_OPEN, IN_NONBLOCK = 0x20, 0o4000
 
@@ -346,13 +380,18 @@ class Opens:
 @pytest.mark.parametrize("dataset", ["maps", "split", "astar_diagonal"])
 @pytest.mark.parametrize("name", hostile.ELSEWHERE)
 def test_nothing_outside_is_opened(name: str, dataset: str, sound: Sound, tmp_path: Path) -> None:
-    """A dataset in another file is refused without touching that file, which plain h5py opens and reads."""
+    """A dataset in another file is refused without touching that file, which plain h5py opens and
+    reads.
+    """
     target = tmp_path / "target.h5"
     target.write_bytes(sound.contents.image)
     hostile.write(tmp_path / "shard.h5", sound.contents, target, {dataset: hostile.ELSEWHERE[name]})
     opens = Opens(target)
     try:
-        refused(tmp_path / "shard.h5", f"'{dataset}'.*(?:is a link|not plain contiguous data|is missing)")
+        refused(
+            tmp_path / "shard.h5",
+            f"'{dataset}'.*(?:is a link|not plain contiguous data|is missing)",
+        )
         assert opens.count() == 0
         with h5py.File(tmp_path / "shard.h5", "r") as file:
             file[dataset][()]
@@ -362,16 +401,23 @@ def test_nothing_outside_is_opened(name: str, dataset: str, sound: Sound, tmp_pa
 
 
 @pytest.mark.parametrize("name", hostile.ELSEWHERE)
-def test_targets_that_do_not_exist_make_no_difference(name: str, sound: Sound, tmp_path: Path) -> None:
+def test_targets_that_do_not_exist_make_no_difference(
+    name: str, sound: Sound, tmp_path: Path
+) -> None:
     """The refusal is the same when the file elsewhere does not exist."""
-    hostile.write(tmp_path / "shard.h5", sound.contents, tmp_path / "none.h5", {"maps": hostile.ELSEWHERE[name]})
+    hostile.write(
+        tmp_path / "shard.h5",
+        sound.contents,
+        tmp_path / "none.h5",
+        {"maps": hostile.ELSEWHERE[name]},
+    )
     refused(tmp_path / "shard.h5", "'maps'.*(?:is a link|not plain contiguous data|is missing)")
     assert sorted(os.listdir(tmp_path)) == ["shard.h5"]
 
 
 def test_no_text_lies_in_the_unchecked_heap(sound: Sound) -> None:
-    """All metadata have checksums. HDF5's global heap has none, and one flipped bit in it makes HDF5 loop for ever:
-    place 3113, bit 3 of this very shard.
+    """All metadata have checksums. HDF5's global heap has none, and one flipped bit in it makes
+    HDF5 loop for ever: place 3113, bit 3 of this very shard.
     """
     assert b"GCOL" not in sound.contents.image
 
@@ -383,7 +429,7 @@ def test_text_of_variable_length_is_refused_unread(sound: Sound, tmp_path: Path)
     refused(tmp_path / "shard.h5", "not a mapdata shard|attribute")
 
 
-# --- damage -----------------------------------------------------------------------------------------------------------
+# --- damage -------------------------------------------------------------------------------------
 
 
 def test_truncation_is_refused(sound: Sound, tmp_path: Path) -> None:
@@ -407,10 +453,15 @@ def test_another_size_than_the_manifests_is_refused(sound: Sound, tmp_path: Path
 def test_a_file_replaced_while_it_is_opened(
     times: int, sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Header and arrays never come from two files: the new one is read, or none if it is replaced again and again."""
+    """Header and arrays never come from two files: the new one is read, or none if it is replaced
+    again and again.
+    """
     path = tmp_path / "shard.h5"
     path.write_bytes(sound.contents.image)
-    images = [shard_image(label(generate(SPEC, seed, range(3))), header_of(SPEC, seed, 0, 3))[0] for seed in (4, 5)]
+    images = [
+        shard_image(label(generate(SPEC, seed, range(3))), header_of(SPEC, seed, 0, 3))[0]
+        for seed in (4, 5)
+    ]
     true_open, opened = h5py.h5f.open, []
 
     def open_another(*arguments: object) -> object:
@@ -427,13 +478,21 @@ def test_a_file_replaced_while_it_is_opened(
 
 
 def heap(image: bytes) -> range:
-    """Return where HDF5's global heap lies, in which a flipped bit can hang HDF5; nowhere once text is fixed."""
+    """Return where HDF5's global heap lies, in which a flipped bit can hang HDF5; nowhere once text
+    is fixed.
+    """
     first = image.find(b"GCOL")
-    return range(first, first + int.from_bytes(image[first + 8 : first + 16], "little")) if first >= 0 else range(0)
+    return (
+        range(first, first + int.from_bytes(image[first + 8 : first + 16], "little"))
+        if first >= 0
+        else range(0)
+    )
 
 
 def flip_bits(sound: Sound, path: Path, flips: list[tuple[int, int]]) -> int:
-    """Flip one bit at a time: the shard is refused, or read with the same header. Return how often it was read."""
+    """Flip one bit at a time: the shard is refused, or read with the same header. Return how often
+    it was read.
+    """
     image, header, taken = sound.contents.image, header_of(SPEC, SEED, 0, 3), 0
     for place, bit in flips:
         if place in heap(image):

@@ -1,4 +1,6 @@
-"""Survey: what it counts equals slow counting, and repeated maps are found in all their symmetric images."""
+"""Survey: what it counts equals slow counting, and repeated maps are found in all their symmetric
+images.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,11 @@ def test_survey_counts_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None
     for labels in all_labels(root):
         for i in range(len(labels.maps)):
             n = int(labels.maps.rooms[i])
-            assert (of.index[at], of.rooms[at], of.split[at]) == (labels.maps.index[i], n, labels.maps.split[i])
+            assert (of.index[at], of.rooms[at], of.split[at]) == (
+                labels.maps.index[i],
+                n,
+                labels.maps.split[i],
+            )
             assert of.free[at] == pytest.approx((labels.maps.occupancy[i] == 0).mean())
             matrix = labels.matrix("astar", i)
             assert of.all_connected[at] == (matrix >= 0).all()
@@ -40,12 +46,16 @@ def test_survey_counts_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None
             assert of.redundant[at] == ((matrix >= 0).all() and skipped)
             lengths = [len(path) for path in labels.route("astar", i)]
             assert of.lengths[segment : segment + n - 1].tolist() == lengths
-            assert of.hardest[at] == pytest.approx(max(0, of.hardness[segment : segment + n - 1].max()))
+            assert of.hardest[at] == pytest.approx(
+                max(0, of.hardness[segment : segment + n - 1].max())
+            )
             for search in ("bfs", "astar"):
                 counts = of.iterations[search][segment : segment + n - 1]
                 assert counts.tolist() == labels.iterations(search, i).tolist()
             at, segment = at + 1, segment + n - 1
-    assert (len(of), len(of.lengths)) == (at, segment) == (60, of.root.manifests[0].total("segments"))
+    assert (
+        (len(of), len(of.lengths)) == (at, segment) == (60, of.root.manifests[0].total("segments"))
+    )
     assert of.rooms_known
 
 
@@ -58,7 +68,9 @@ def test_hardness_is_that_of_the_served_problems(tmp_path: Path, spec: MapSpec) 
         MapDataset(root, split=None, fields=("hardness",), problems=Route(unsolvable=True)),
     )
     expected = np.array([float(served[k][0]) for k in range(len(served))])
-    np.testing.assert_allclose(of.hardness[of.lengths != 1], expected, rtol=1e-6)  # problems of length 0 are left out
+    np.testing.assert_allclose(
+        of.hardness[of.lengths != 1], expected, rtol=1e-6
+    )  # problems of length 0 are left out
     assert (of.hardness[of.lengths == 1] == 1).all()
 
 
@@ -77,7 +89,9 @@ def test_distributions_leave_out_what_has_no_path(tmp_path: Path) -> None:
     assert values["hardness of a segment"].min() == 1
 
 
-def slow_repeats(grids: Bytes, split: Bytes, images: int) -> tuple[dict[str, int], dict[tuple[str, str], int]]:
+def slow_repeats(
+    grids: Bytes, split: Bytes, images: int
+) -> tuple[dict[str, int], dict[tuple[str, str], int]]:
     """Compare all pairs of maps in all symmetric images."""
 
     def same(a: Bytes, b: Bytes) -> bool:
@@ -86,7 +100,10 @@ def slow_repeats(grids: Bytes, split: Bytes, images: int) -> tuple[dict[str, int
         return any(a.shape == one.shape and (a == one).all() for one in every)
 
     of = [[grid for grid, code in zip(grids, split, strict=True) if code == k] for k in range(3)]
-    inside = {SPLITS[k]: sum(any(same(a, b) for b in of[k][:j]) for j, a in enumerate(of[k])) for k in range(3)}
+    inside = {
+        SPLITS[k]: sum(any(same(a, b) for b in of[k][:j]) for j, a in enumerate(of[k]))
+        for k in range(3)
+    }
     across = {
         (SPLITS[a], SPLITS[b]): sum(any(same(one, other) for other in of[a]) for one in of[b])
         for a, b in combinations(range(3), 2)
@@ -106,7 +123,10 @@ def test_repeats_equal_those_of_all_pairs(tmp_path: Path, size: tuple[int, int])
         if size[0] == size[1]:
             grids[k + 4] = grids[k].T[::-1]
     split = rng.integers(0, 3, 60).astype(np.uint8)
-    maps = [ForeignMap(str(k), grid, split=int(code)) for k, (grid, code) in enumerate(zip(grids, split, strict=True))]
+    maps = [
+        ForeignMap(str(k), grid, split=int(code))
+        for k, (grid, code) in enumerate(zip(grids, split, strict=True))
+    ]
     import_maps(tmp_path / "d", Collection(maps), seed_points=2, shard_size=25)
     of = dataset_statistics(tmp_path / "d", repeats=True)
     assert of.symmetries == (8 if size[0] == size[1] else 4)
@@ -121,8 +141,13 @@ def test_generated_maps_repeat_only_where_they_are_tiny(tmp_path: Path) -> None:
     spec = MapSpec((3, 3), (2, 2), (1, 3), (1, 3), passage_width=(1, 1))
     of = dataset_statistics(build_small(tmp_path / "d", spec, maps=200), repeats=True)
     grids = generate(spec, 5, range(200)).occupancy
-    distinct = {name: len({grid.tobytes() for grid in grids[of.split == k]}) for k, name in enumerate(SPLITS)}
-    assert of.repeats[0].inside == {name: int((of.split == k).sum()) - distinct[name] for k, name in enumerate(SPLITS)}
+    distinct = {
+        name: len({grid.tobytes() for grid in grids[of.split == k]})
+        for k, name in enumerate(SPLITS)
+    }
+    assert of.repeats[0].inside == {
+        name: int((of.split == k).sum()) - distinct[name] for k, name in enumerate(SPLITS)
+    }
 
 
 def test_repeats_are_counted_on_request_only(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""Long work: results as they finish, how many are under way, bars, and executors whose workers die."""
+"""Long work: results as they finish, how many are under way, bars, and executors whose workers
+die.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ class Counting(ThreadPoolExecutor):
 
     under_way = most = 0
 
-    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+    def submit(
+        self, function: Callable[..., Any], /, *arguments: object, **options: object
+    ) -> Future[Any]:
         """Take a task."""
         self.under_way += 1
         self.most = max(self.most, self.under_way)
@@ -89,7 +93,7 @@ def test_a_bar_shows_maps_rate_and_time_left(capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr() == ("", "")
 
 
-# --- processes --------------------------------------------------------------------------------------------------------
+# --- processes ----------------------------------------------------------------------------------
 
 
 def spawned(workers: int) -> ProcessPoolExecutor:
@@ -98,9 +102,13 @@ def spawned(workers: int) -> ProcessPoolExecutor:
 
 
 class Dying(ProcessPoolExecutor):
-    """A pool one of whose workers is killed when some tasks are given, as the system kills one that takes too much."""
+    """A pool one of whose workers is killed when some tasks are given, as the system kills one that
+    takes too much.
+    """
 
-    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+    def submit(
+        self, function: Callable[..., Any], /, *arguments: object, **options: object
+    ) -> Future[Any]:
         """Take a task."""
         future = super().submit(function, *arguments, **options)
         if self._queue_count == 3:
@@ -109,7 +117,9 @@ class Dying(ProcessPoolExecutor):
 
 
 def test_processes_and_one_that_dies(tmp_path: Path) -> None:
-    """A pool of processes makes the same files; when one dies the build ends all the same, after a warning."""
+    """A pool of processes makes the same files; when one dies the build ends all the same, after a
+    warning.
+    """
     truth = make(tmp_path / "truth")
     with spawned(2) as pool:
         assert make(tmp_path / "whole", workers=None, executor=pool) == truth
@@ -121,13 +131,17 @@ def test_processes_and_one_that_dies(tmp_path: Path) -> None:
     for root in (tmp_path / "whole", tmp_path / "broken"):
         assert read_manifest(root) == truth
         assert verify(root) == []
-        assert sorted(path.name for path in root.iterdir() if path.name != ".lock") == sorted(names(MAPS, SIZE))
+        assert sorted(path.name for path in root.iterdir() if path.name != ".lock") == sorted(
+            names(MAPS, SIZE)
+        )
 
 
 class Elsewhere(InTheCaller):
     """A worker that sees another disk under the same path."""
 
-    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
+    def submit(
+        self, function: Callable[..., Any], /, *arguments: object, **options: object
+    ) -> Future[Any]:
         """Run ``function``, and lose what it wrote."""
         future = super().submit(function, *arguments, **options)
         (self.root / future.result().name).unlink()
@@ -145,32 +159,40 @@ def test_workers_must_share_the_folder(tmp_path: Path) -> None:
     assert read_manifest(tmp_path / "maps").shards == ()
 
 
-# --- parts and many shards --------------------------------------------------------------------------------------------
+# --- parts and many shards ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 7])
 def test_parts(parts: int, tmp_path: Path) -> None:
-    """In any order, more parts than shards included, the union is the whole; each part makes its own shards only."""
+    """In any order, more parts than shards included, the union is the whole; each part makes its
+    own shards only.
+    """
     truth, root = make(tmp_path / "truth"), tmp_path / "maps"
     made: Manifest | None = None
     for k in reversed(range(parts)):
         before = set() if made is None else {entry.start for entry in made.shards}
         made = build(root, SPEC, maps=MAPS, seed=SEED, shard_size=SIZE, workers=1, part=(k, parts))
-        assert {entry.start for entry in made.shards} - before == set(range(k * SIZE, MAPS, parts * SIZE))
+        assert {entry.start for entry in made.shards} - before == set(
+            range(k * SIZE, MAPS, parts * SIZE)
+        )
         assert made.complete == (k == 0 or (parts > k >= 3 and len(made.shards) == 3))
     assert made == truth == read_manifest(root)
 
 
 @pytest.mark.parametrize("part", [(1, 1), (-1, 2), (0, 0), (0.5, 2), (1,)])
-def test_parts_that_cannot_be(part: Any, tmp_path: Path) -> None:  # noqa: ANN401
+def test_parts_that_cannot_be(part: Any, tmp_path: Path) -> None:
     """They are counted from 0."""
     with pytest.raises(ValueError, match=r"^part: got .*, expected \(k, n\) with 0 <= k < n"):
         build(tmp_path / "maps", SPEC, maps=MAPS, seed=SEED, part=part)
     assert not (tmp_path / "maps").exists()
 
 
-def test_writing_the_manifest_takes_a_twentieth_of_a_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shards of 0.1 s and manifests of 5 s, on our own clock: the longer it takes, the more seldom it is written."""
+def test_writing_the_manifest_takes_a_twentieth_of_a_build(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shards of 0.1 s and manifests of 5 s, on our own clock: the longer it takes, the more seldom
+    it is written.
+    """
     clock = {"now": 0.0, "written": 0.0}
 
     def write(_: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
@@ -178,14 +200,16 @@ def test_writing_the_manifest_takes_a_twentieth_of_a_build(tmp_path: Path, monke
         clock["written"] += 5
         return mine
 
-    def shard(number: int) -> Any:  # noqa: ANN401
+    def shard(number: int) -> Any:
         clock["now"] += 0.1
         return entries[number % len(entries)]
 
     entries = make(tmp_path / "maps").shards
     monkeypatch.setattr("mapdata.shards.builder.merge", write)
     monkeypatch.setattr("mapdata.shards.builder.time.monotonic", lambda: clock["now"])
-    monkeypatch.setattr("mapdata.shards.builder._made", lambda *_: (shard(k) for k in range(10_000)))
+    monkeypatch.setattr(
+        "mapdata.shards.builder._made", lambda *_: (shard(k) for k in range(10_000))
+    )
     build(tmp_path / "maps", SPEC, maps=MAPS + 1, seed=SEED, shard_size=SIZE)
     assert clock["now"] > 1000
     assert 0.03 < clock["written"] / clock["now"] < 0.06
