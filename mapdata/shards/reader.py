@@ -1,10 +1,9 @@
-"""Opening a shard: a file is checked once, at its first touch, and then each array is a view of one
-memory mapping.
-"""
+"""Opening a shard: a file is checked at its first touch, then each array is a view of its bytes."""
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import json
 import math
 import mmap
@@ -19,11 +18,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from h5py import h5a, h5d, h5f, h5l, h5o, h5p, h5t
 
+from mapdata.arrays import Bytes
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
+from mapdata.shards.content import content_hash
+from mapdata.shards.hdf5 import Root, read_attribute, read_dataset, read_root
 from mapdata.shards.shard import (
     FIELDS,
     Array,
@@ -43,17 +44,24 @@ def read_shard(path: str | os.PathLike[str]) -> Labels:
 
     Raises:
         FileNotFoundError: no such file.
-        ShardError: a file that is not a sound shard.
+        ShardError: a file that is not a sound shard, or whose content does not have the hash that
+            it states.
     """
-    return decode(open_shard(path))
+    shard = open_shard(path)
+    _check_content(shard)
+    return decode(shard)
 
 
-def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
+def open_shard(
+    path: str | os.PathLike[str], size: int | None = None, sha256: str | None = None
+) -> Shard:
     """Check a shard file and map it.
 
     Args:
         path: the file.
         size: how many bytes the manifest says it has.
+        sha256: its file hash as the manifest says it, compared once a process. A file with another
+            hash is read if its content is what it states: the same maps, written anew.
 
     Raises:
         FileNotFoundError: no such file.
@@ -62,57 +70,48 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
         OSError: too many files are open or mapped.
     """
     path = Path(path)
-    for _ in range(_ATTEMPTS):
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise ShardError(f"{path}: not a file")
-        with open(path, "rb", buffering=0) as file:
-            status = os.fstat(file.fileno())
-            if size is not None and status.st_size != size:
-                raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
-            if status.st_size == 0:
-                raise ShardError(f"{path}: empty file")
-            mapping = map_file(file.fileno(), status.st_size)
-            try:
-                h5 = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
-                try:
-                    if not os.path.samestat(
-                        os.stat(path), status
-                    ):  # HDF5 opens by name: another file, so once more
-                        continue
-                    header, content = _read_header(_read_attributes(h5))
-                    return Shard(path, header, content, _checked_arrays(h5, mapping, header))
-                finally:
-                    h5.close()
-            except ShardError as error:
-                raise ShardError(f"{path}: {error}") from None
-            except FileNotFoundError:
-                raise
-            except (
-                OSError,
-                RuntimeError,
-                KeyError,
-                TypeError,
-                ValueError,
-                ArithmeticError,
-                RecursionError,
-            ) as error:
-                raise ShardError(f"{path}: not a sound shard ({error})") from error
-    raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
+    if not stat.S_ISREG(os.stat(path).st_mode):  # to open a pipe would wait for a writer
+        raise ShardError(f"{path}: not a file")
+    with open(path, "rb", buffering=0) as file:
+        status = os.fstat(file.fileno())
+        if size is not None and status.st_size != size:
+            raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
+        if status.st_size == 0:
+            raise ShardError(f"{path}: empty file")
+        data = map_file(file.fileno(), status.st_size)
+    try:
+        root = read_root(data.data)
+        header, content = _read_header(_read_attributes(root))
+        shard = Shard(path, header, content, _checked_arrays(root, data, header))
+    except ShardError as error:
+        raise ShardError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+        raise ShardError(f"{path}: not a sound shard ({error})") from error
+    if sha256 is not None and not _has_hash(data, status, sha256):
+        _check_content(shard)
+    return shard
 
 
-_ATTEMPTS = 10
-"""How often a file is opened that another one replaces at that very moment."""
+_compared: set[tuple[int | str, ...]] = set()
+"""Files whose hash this process, or the one that it was forked from, found to be right."""
 
 
-def _access() -> h5p.PropFAID:
-    """Return how files are opened: without locks, and closed with all that was opened in them."""
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_fclose_degree(h5f.CLOSE_STRONG)
-    access.set_file_locking(False, ignore_when_disabled=False)
-    return access
+def _has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
+    """Return whether a file has the hash that is expected; a file is hashed once a process."""
+    file = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, sha256)
+    if file not in _compared and hashlib.sha256(data.data).hexdigest() == sha256:
+        _compared.add(file)
+    return file in _compared
 
 
-_ACCESS = _access()
+def _check_content(shard: Shard) -> None:
+    """Refuse a shard whose maps and labels do not have the content hash that it states."""
+    try:
+        same = content_hash(decode(shard)) == shard.content_hash
+    except (ValueError, IndexError, ArithmeticError):
+        same = False
+    if not same:
+        raise ShardError(f"{shard.path}: damaged (its content hash does not fit)")
 
 
 @lru_cache(maxsize=1)
@@ -182,36 +181,25 @@ ATTRIBUTES = (
 """The root attributes that a reader needs."""
 
 
-def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
-    """Return the root attributes by name; nothing but numbers and text of fixed length is read at
-    all.
-    """
+def _read_attributes(root: Root) -> dict[str, Any]:
+    """Return the attributes that a reader needs, by name: numbers and text of fixed length."""
     values: dict[str, Any] = {}
     for name in ATTRIBUTES:
+        if name not in root.attributes:
+            if name == "format":
+                raise ShardError("not a mapdata shard (it has no attribute 'format')")
+            raise ShardError(f"attribute {name!r} is missing")
         try:
-            attribute = h5a.open(file, name.encode())
-        except KeyError:
-            if h5a.exists(file, name.encode()):
-                raise
+            value = read_attribute(root.attributes[name])
+        except ValueError:
             raise ShardError(
-                "not a mapdata shard (it has no attribute 'format')"
-                if name == "format"
-                else f"attribute {name!r} is missing"
+                f"attribute {name!r} is not a number or a text of fixed length"
             ) from None
-        kind = attribute.get_type()
-        size = kind.get_size()
-        text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
-        number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
-        count = attribute.get_storage_size() // size
-        if not (text or number) or count not in (1, 2) or size > _LONGEST_TEXT:
-            raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
-        array = np.empty(() if count == 1 else 2, f"S{size}" if text else kind.dtype)
-        attribute.read(array, mtype=kind)
-        values[name] = bytes(array.item()).decode() if text else array[()]
+        if value.dtype.kind == "S":
+            values[name] = value.tobytes().rstrip(b"\0").decode()
+        else:
+            values[name] = value[()]
     return values
-
-
-_LONGEST_TEXT = 65536
 
 
 def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
@@ -268,13 +256,9 @@ def is_hash(text: str) -> bool:
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
-def _checked_arrays(
-    file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header
-) -> dict[str, Array]:
-    """Return the arrays of a shard, after checking that each is plain data inside this very
-    file.
-    """
-    arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
+def _checked_arrays(root: Root, data: Bytes, header: Header) -> dict[str, Array]:
+    """Return the arrays of a shard, after checking that each is plain data in this very file."""
+    arrays = {field.name: _plain(root, field, data) for field in FIELDS}
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
         raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
@@ -332,53 +316,31 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
     return shapes
 
 
-def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Array:
-    """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no
-    other file.
-    """
-    name = field.name.encode()
-    try:
-        link = file.links.get_info(name)
-    except (KeyError, RuntimeError):
-        raise ShardError(f"dataset {field.name!r} is missing") from None
-    if link.type != h5l.TYPE_HARD:
+def _plain(root: Root, field: Field, data: Bytes) -> Array:
+    """Return one dataset as a view of the file, if it is a plain array in this very file."""
+    if field.name not in root.links:
+        raise ShardError(f"dataset {field.name!r} is missing")
+    address = root.links[field.name]
+    if address is None:
         raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
-    dataset = h5o.open(file, name)
-    if not isinstance(dataset, h5d.DatasetID):
-        raise ShardError(f"{field.name!r} is not a dataset")
-    offset = dataset.get_offset()
-    if offset is None:  # it has no values yet, or they lie in chunks, in the header, in other files
-        properties = dataset.get_create_plist()
-        if (
-            properties.get_layout() != h5d.CONTIGUOUS
-            or properties.get_nfilters()
-            or properties.get_external_count()
-        ):
-            raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
-    if not dataset.get_type().equal(_TYPES[field.dtype]):
+    try:
+        found = read_dataset(data.data, address)
+    except ValueError as error:
+        raise ShardError(f"dataset {field.name!r} {error}") from None
+    if found.dtype != field.dtype:
         raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
-    shape = dataset.shape
-    if shape is None or len(shape) != field.rank:
+    if len(found.shape) != field.rank:
         raise ShardError(
-            f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}"
+            f"dataset {field.name!r} has {len(found.shape)} dimensions, expected {field.rank}"
         )
     itemsize = np.dtype(field.dtype).itemsize
-    size = math.prod(shape) * itemsize
+    size = math.prod(found.shape) * itemsize
     if size == 0:
-        return np.empty(shape, field.dtype)
-    if offset is None or offset < 0 or offset + size > len(mapping) or offset % itemsize:
+        return np.empty(found.shape, field.dtype)
+    start = found.offset
+    if start is None or start + size > len(data) or start % itemsize:
         raise ShardError(f"dataset {field.name!r} reaches outside the file")
-    return mapping[offset : offset + size].view(field.dtype).reshape(shape)
-
-
-_TYPES = {
-    "u1": h5t.STD_U8LE,
-    "i1": h5t.STD_I8LE,
-    "<i2": h5t.STD_I16LE,
-    "<i4": h5t.STD_I32LE,
-    "<i8": h5t.STD_I64LE,
-}
-"""The types of `FIELDS` in HDF5."""
+    return data[start : start + size].view(field.dtype).reshape(found.shape)
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:

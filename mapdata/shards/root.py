@@ -23,7 +23,7 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.shard import Shard, ShardError, decode, write_file
+from mapdata.shards.shard import Header, Shard, ShardError, decode, write_file
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement
 
@@ -116,14 +116,14 @@ class Root:
         place = self.places[number]
         path = local_file(place, entry)
         try:
-            shard = open_shard(path, entry.bytes)
+            shard = open_shard(path, entry.bytes, entry.sha256)
         except FileNotFoundError:
             raise ShardError(
                 f"{path}: missing; 'mapdata verify {place}' tells what else is"
             ) from None
-        header = shard.header
-        found = (header.start, header.stop, header.map_size, header.movement, shard.content_hash)
-        if found != (entry.start, entry.stop, self.map_size, self.movement, entry.content_hash):
+        manifest = self.manifests[number]
+        expected = Header(**manifest.origin(), start=entry.start, stop=entry.stop)
+        if (shard.header, shard.content_hash) != (expected, entry.content_hash):
             raise ShardError(f"{path}: holds other maps than the manifest says")
         return shard
 

@@ -8,6 +8,7 @@ what was written.
 
 from __future__ import annotations
 
+import io
 import itertools
 import os
 import socket
@@ -26,6 +27,7 @@ from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
+from mapdata.shards.hdf5 import read_dataset, read_root
 from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json
 
 Array = npt.NDArray[Any]
@@ -210,29 +212,52 @@ class Shard(NamedTuple):
 
 
 def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
-    """Return the bytes of a shard file and its content hash."""
+    """Return the bytes of a shard file and its content hash.
+
+    Raises:
+        ShardError: what HDF5 wrote does not read back as what it was given.
+    """
     content = content_hash(labels)
-    arrays = encode(labels)
-    file = h5py.File(
-        f"{id(arrays)}.h5",  # in RAM only, but HDF5 wants one name for each file that is open
+    attributes = _attributes(header, content)
+    encoded = encode(labels)
+    arrays = {
+        field.name: np.ascontiguousarray(encoded[field.name], field.dtype) for field in FIELDS
+    }
+    # Not the driver for files in memory: before HDF5 2.0 its image has checksums of another state.
+    buffer = io.BytesIO()
+    with h5py.File(
+        buffer,
         "w",
-        driver="core",
-        backing_store=False,
         libver=("v110", "v110"),
         alignment_threshold=1,
         alignment_interval=64,
-    )
-    with file:
-        for name, value in _attributes(header, content).items():
+    ) as file:
+        for name, value in attributes.items():
             _write_attribute(file, name, value)
         for field in FIELDS:
-            dataset = file.create_dataset(
-                field.name, data=np.ascontiguousarray(arrays[field.name], field.dtype)
-            )
+            dataset = file.create_dataset(field.name, data=arrays[field.name])
             for name in ("description", "units", "encoding"):
                 _write_attribute(dataset, name, getattr(field, name))
-        file.flush()
-        return file.id.get_file_image(), content
+    image = buffer.getvalue()
+    _check_image(image, attributes, arrays)
+    return image, content
+
+
+def _check_image(image: bytes, attributes: dict[str, object], arrays: dict[str, Array]) -> None:
+    """Refuse the bytes of a file that does not hold these attributes and arrays."""
+    data = memoryview(image)
+    root = read_root(data)
+    same = root.attributes.keys() == attributes.keys()
+    for name, array in arrays.items():
+        found = read_dataset(data, root.links[name] or 0)
+        start = found.offset or 0
+        same &= found.shape == array.shape and np.dtype(found.dtype) == array.dtype
+        same &= data[start : start + array.nbytes] == array.tobytes()
+    if not same:
+        raise ShardError(
+            f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than "
+            "it was asked to; try another version"
+        )
 
 
 def encode(labels: Labels) -> dict[str, Array]:

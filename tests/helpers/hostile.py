@@ -461,7 +461,7 @@ ATTRIBUTES: dict[str, AttributeFault] = {
     "spec-a-number": AttributeFault(ODD, {"spec": 7}),
     "spec-many": AttributeFault(ODD, {"spec": ["{}", "{}"]}),
     "spec-unknown": AttributeFault("unknown wings", {"spec": '{"wings":2}'}),
-    "spec-huge": AttributeFault("attribute 'spec'", {"spec": _text(10**6)}),
+    "spec-huge": AttributeFault("an attribute .* over 64 KiB", {"spec": _text(10**6)}),
     "spec-deep": AttributeFault(ODD, {"spec": "[" * 100_000}),
     "spec-nan": AttributeFault("resolution", {"spec": '{"resolution":NaN}'}),
     "spec-overflow": AttributeFault(ODD, {"spec": '{"resolution":1' + "0" * 400 + "}"}),
