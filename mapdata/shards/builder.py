@@ -30,7 +30,7 @@ from mapdata.shards.manifest import (
     sweep,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.root import folder_of
+from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
@@ -114,7 +114,7 @@ def build(
         and 0 <= part[0] < part[1]
     ):
         raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
-    have, torn = _prepare(root, wanted)
+    have = _prepare(root, wanted)
     if os.access(root, os.W_OK):
         sweep(root, replace(wanted, shards=tuple(have.values())))
     mine = list(headers(wanted))[part[0] :: part[1]]
@@ -130,7 +130,7 @@ def build(
     with (
         bar(progress, total, total - left) as advance,
         threads(workers) if executor is None else nullcontext(executor) as pool,
-        closing(_made(pool, root.absolute(), todo, torn, _UNDER_WAY if executor else _FEW)) as made,
+        closing(_made(pool, root.absolute(), todo, _UNDER_WAY if executor else _FEW)) as made,
     ):
         due = time.monotonic() + _MERGE_EVERY
         try:
@@ -174,15 +174,12 @@ def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _make(root: Path, torn: frozenset[tuple[int, int]], header: Header) -> Entry:
-    return make_shard(root, header, anew=(header.start, header.stop) in torn)
-
-
 def _made(
-    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[tuple[int, int]], most: int
+    pool: Executor, root: Path, todo: Sequence[Header], most: int
 ) -> Generator[Entry, None, None]:
     """Yield entries as shards are finished."""
-    make, left = partial(_make, root, torn), dict.fromkeys(todo)
+    make = partial(make_shard, root)
+    left = dict.fromkeys(todo)
     try:
         for header, entry in finished(pool, make, todo, most):
             del left[header]
@@ -196,11 +193,10 @@ def _made(
                 yield entry
 
 
-def _prepare(
-    root: Path, wanted: Manifest
-) -> tuple[dict[tuple[int, int], Entry], frozenset[tuple[int, int]]]:
-    """Make the root if it is missing; return what it has of the wanted dataset and which of its
-    shards are damaged, or refuse it.
+def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
+    """Make the root if it is missing, or refuse it; return what it has of the wanted dataset.
+
+    A shard whose bytes are not those that the manifest states is not among it.
     """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
@@ -226,14 +222,14 @@ def _prepare(
         raise ValueError(
             f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows"
         )
-    plan, have, torn = set(wanted.plan), {}, set()
+    plan = set(wanted.plan)
+    have = {}
     for entry in found.shards:
-        limits, size = (entry.start, entry.stop), _size(root / entry.name)
-        if size not in (-1, entry.bytes):
-            torn.add(limits)
-        elif size == entry.bytes and limits in plan:
+        limits = (entry.start, entry.stop)
+        path = root / entry.name
+        if limits in plan and _size(path) == entry.bytes and file_hash(path) == entry.sha256:
             have[limits] = entry
-    return have, frozenset(torn)
+    return have
 
 
 def _check_owner(path: Path, wanted: Manifest) -> None:
