@@ -71,14 +71,19 @@ class _Cursor:
 
     def take(self, size: int) -> memoryview:
         """Return the next ``size`` bytes."""
-        if not 0 <= self.at <= self.at + size <= len(self.data):
+        found = self.data[self.at : self.at + size]
+        if size < 0 or len(found) < size:  # a slice ends where its bytes end
             raise ValueError(f"{size} bytes from {self.at} on reach outside")
         self.at += size
-        return self.data[self.at - size : self.at]
+        return found
 
     def integer(self, size: int) -> int:
         """Return the next ``size`` bytes as an unsigned integer, little-endian."""
-        return int.from_bytes(self.take(size), "little")
+        number = self.data[self.at : self.at + size]
+        if len(number) < size:
+            raise ValueError(f"{size} bytes from {self.at} on reach outside")
+        self.at += size
+        return int.from_bytes(number, "little")
 
     def expect(self, signature: bytes) -> None:
         """Refuse bytes other than ``signature``."""
