@@ -1,5 +1,7 @@
-"""Opening a shard: a file is checked once, at its first touch, and then each array is a view of one
-memory mapping.
+"""Opening a shard without trusting it: all is checked once, then arrays are views of the file.
+
+HDF5 is asked only where each array lies; the data are read through one memory mapping, never
+through HDF5.
 """
 
 from __future__ import annotations
@@ -18,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from h5py import h5a, h5d, h5f, h5l, h5o, h5p, h5t
 
+from mapdata.arrays import Bytes
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
@@ -63,6 +65,7 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
     """
     path = Path(path)
     for _ in range(_ATTEMPTS):
+        # before it is opened, since opening a pipe waits for its writer
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise ShardError(f"{path}: not a file")
         with open(path, "rb", buffering=0) as file:
@@ -73,39 +76,40 @@ def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
                 raise ShardError(f"{path}: empty file")
             mapping = map_file(file.fileno(), status.st_size)
             try:
-                h5 = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
-                try:
-                    if not os.path.samestat(
-                        os.stat(path), status
-                    ):  # HDF5 opens by name: another file, so once more
-                        continue
-                    header, content = _read_header(_read_attributes(h5))
-                    return Shard(path, header, content, _checked_arrays(h5, mapping, header))
-                finally:
-                    h5.close()
+                shard = _parse(path, status, mapping)
             except ShardError as error:
                 raise ShardError(f"{path}: {error}") from None
             except FileNotFoundError:
                 raise
-            except (
-                OSError,
-                RuntimeError,
-                KeyError,
-                TypeError,
-                ValueError,
-                ArithmeticError,
-                RecursionError,
-            ) as error:
+            except _UNSOUND as error:
                 raise ShardError(f"{path}: not a sound shard ({error})") from error
+        if shard is not None:
+            return shard
     raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
 
 
+def _parse(path: Path, status: os.stat_result, mapping: Bytes) -> Shard | None:
+    """Return the shard in a mapping; None if another file took its name after it was mapped."""
+    file = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
+    try:
+        # HDF5 opens by name, so a builder may have replaced the file since it was mapped
+        if not os.path.samestat(os.stat(path), status):
+            return None
+        header, content = _read_header(_read_attributes(file))
+        return Shard(path, header, content, _checked_arrays(file, mapping, header))
+    finally:
+        file.close()
+
+
+_UNSOUND = (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
+"""What HDF5, JSON and our own checks of a spec raise on files that are no sound shards."""
+
 _ATTEMPTS = 10
-"""How often a file is opened that another one replaces at that very moment."""
+"""How often a file is opened that is replaced at that very moment, before we give up."""
 
 
 def _access() -> h5p.PropFAID:
-    """Return how files are opened: without locks, and closed with all that was opened in them."""
+    """Return how HDF5 opens files: without locks, and closing all that is open inside with them."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fclose_degree(h5f.CLOSE_STRONG)
     access.set_file_locking(False, ignore_when_disabled=False)
@@ -126,27 +130,24 @@ def _libc() -> Any:
 
 
 class _Mapping:
-    """A file in memory, to read only, until the last array that looks at it is gone.
+    """A read-only memory mapping of a file, which lasts as long as an array that views it.
 
-    `mmap.mmap` would keep a descriptor for each file, of which a process often may have 1,024 only.
+    Unlike `mmap.mmap` it keeps no file descriptor, of which a process often may have 1,024 only.
     """
 
     def __init__(self, descriptor: int, size: int) -> None:
         """Map ``size`` bytes; the descriptor may be closed afterwards."""
-        self._unmap: Any = None
+        self._unmap: Any = None  # for __del__, if mapping fails
         address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
         if address == ctypes.c_void_p(-1).value:
             error = ctypes.get_errno()
-            raise OSError(
-                error, f"{os.strerror(error)}: cannot map a shard beside those that are open"
-            )
-        self._unmap, self._place = _libc().munmap, (address, size)
-        self.__array_interface__ = {
-            "version": 3,
-            "typestr": "|u1",
-            "shape": (size,),
-            "data": (address, True),
-        }
+            why = f"{os.strerror(error)}: cannot map a shard beside those that are open"
+            raise OSError(error, why)
+        self._unmap = _libc().munmap  # kept: at exit the module may be gone before the array
+        self._place = (address, size)
+        # numpy makes an array of an object with this attribute; True is read-only
+        data = (address, True)
+        self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": data}
 
     def __del__(self) -> None:
         """Unmap."""
@@ -154,9 +155,10 @@ class _Mapping:
             self._unmap(*self._place)
 
 
-def map_file(descriptor: int, size: int) -> npt.NDArray[np.uint8]:
-    """Return the ``size`` bytes of an open file as an array to read only; the descriptor may be
-    closed afterwards.
+def map_file(descriptor: int, size: int) -> Bytes:
+    """Return the ``size`` bytes of an open file as a read-only array.
+
+    The descriptor may be closed afterwards.
 
     Raises:
         OSError: the system refuses, as Linux does beyond ``vm.max_map_count``, 65,530 by default.
@@ -183,35 +185,36 @@ ATTRIBUTES = (
 
 
 def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
-    """Return the root attributes by name; nothing but numbers and text of fixed length is read at
-    all.
-    """
-    values: dict[str, Any] = {}
-    for name in ATTRIBUTES:
-        try:
-            attribute = h5a.open(file, name.encode())
-        except KeyError:
-            if h5a.exists(file, name.encode()):
-                raise
-            raise ShardError(
-                "not a mapdata shard (it has no attribute 'format')"
-                if name == "format"
-                else f"attribute {name!r} is missing"
-            ) from None
-        kind = attribute.get_type()
-        size = kind.get_size()
-        text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
-        number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
-        count = attribute.get_storage_size() // size
-        if not (text or number) or count not in (1, 2) or size > _LONGEST_TEXT:
-            raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
-        array = np.empty(() if count == 1 else 2, f"S{size}" if text else kind.dtype)
-        attribute.read(array, mtype=kind)
-        values[name] = bytes(array.item()).decode() if text else array[()]
-    return values
+    """Return the root attributes that a reader needs by name."""
+    return {name: _read_attribute(file, name) for name in ATTRIBUTES}
+
+
+def _read_attribute(file: h5f.FileID, name: str) -> Any:
+    """Return a root attribute: text of fixed length, or one or two numbers; others are not read."""
+    try:
+        attribute = h5a.open(file, name.encode())
+    except KeyError:
+        if h5a.exists(file, name.encode()):
+            raise  # it is there, and damaged
+        what = f"attribute {name!r} is missing"
+        if name == "format":
+            what = "not a mapdata shard (it has no attribute 'format')"
+        raise ShardError(what) from None
+    kind = attribute.get_type()
+    size = kind.get_size()
+    count = attribute.get_storage_size() // size
+    is_text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
+    is_number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
+    if not (is_text or is_number) or count not in (1, 2) or size > _LONGEST_TEXT:
+        raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
+    shape = () if count == 1 else (2,)
+    array = np.empty(shape, f"S{size}" if is_text else kind.dtype)
+    attribute.read(array, mtype=kind)
+    return bytes(array.item()).decode() if is_text else array[()]
 
 
 _LONGEST_TEXT = 65536
+"""Most bytes of a root attribute: a hostile file must not make us allocate more."""
 
 
 def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
@@ -221,7 +224,7 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     version = int(attributes["format_version"])
     check_version(version)
     rows, columns = (int(side) for side in attributes["map_size"])
-    spec, seed, named = _recipe(attributes["spec"], attributes["seed"])
+    spec, seed, expected_identity = _recipe(attributes["spec"], attributes["seed"])
     header = Header(
         spec=spec,
         seed=seed,
@@ -235,32 +238,30 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError(
             f"format version {version}, but its spec is of version {header.format_version}"
         )
-    if named != attributes["identity"]:
+    if attributes["identity"] != expected_identity:
         raise ShardError("its identity is not that of its spec and seed")
-    stated, content = (
-        (header.map_size, header.movement, header.resolution),
-        attributes["content_hash"],
-    )
-    if header.spec and stated != (
-        header.spec.map_size,
-        header.spec.movement,
-        header.spec.resolution,
-    ):
-        raise ShardError(
-            "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
-        )
+    if spec is not None:
+        expected = (spec.map_size, spec.movement, spec.resolution)
+        if (header.map_size, header.movement, header.resolution) != expected:
+            raise ShardError(
+                "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
+            )
     if not 0 < header.resolution < math.inf:
         raise ShardError(f"its attribute 'resolution' is {header.resolution}")
+    content = attributes["content_hash"]
     if not (isinstance(content, str) and is_hash(content)):
         raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
     return header, content
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=16)  # all shards of a dataset have one recipe
 def _recipe(spec: str, seed: str) -> tuple[Generator | None, int | None, str]:
-    """Return spec, seed and identity of their texts, which all shards of a dataset share."""
-    found = (Generator.from_json(spec) if spec else None, int(seed) if seed else None)
-    return *found, "" if None in found else identity(*found)  # type: ignore[arg-type]
+    """Return the spec, the seed and the identity of their texts; "" stands for none."""
+    generator = Generator.from_json(spec) if spec else None
+    number = int(seed) if seed else None
+    if generator is None or number is None:
+        return generator, number, ""
+    return generator, number, identity(generator, number)
 
 
 def is_hash(text: str) -> bool:
@@ -268,12 +269,8 @@ def is_hash(text: str) -> bool:
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
-def _checked_arrays(
-    file: h5f.FileID, mapping: npt.NDArray[np.uint8], header: Header
-) -> dict[str, Array]:
-    """Return the arrays of a shard, after checking that each is plain data inside this very
-    file.
-    """
+def _checked_arrays(file: h5f.FileID, mapping: Bytes, header: Header) -> dict[str, Array]:
+    """Return the arrays of a shard, each of them plain data inside this very file."""
     arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
@@ -286,31 +283,30 @@ def _checked_arrays(
 
 
 def head(shard: Shard, maps: int) -> Shard:
-    """Return the first maps of a shard as one of their own, with the same content hash and path."""
+    """Return the first maps of a shard as a shard, which keeps the content hash and path of all."""
     arrays = dict(shard.arrays)
     for name in ("room_offsets", "pair_offsets"):
         arrays[name] = arrays[name][: maps + 1]
-    for search in ("bfs", "astar"):
-        arrays[f"{search}_offsets"] = arrays[f"{search}_offsets"][
-            : int(arrays["room_offsets"][maps]) - maps + 1
-        ]
+    segments = int(arrays["room_offsets"][maps]) - maps
+    for name in ("bfs_offsets", "astar_offsets"):
+        arrays[name] = arrays[name][: segments + 1]
     header = replace(shard.header, stop=shard.header.start + maps)
-    shapes = _shapes(header, arrays)
-    return shard._replace(
-        header=header, arrays={name: array[: shapes[name][0]] for name, array in arrays.items()}
-    )
+    # with shorter offsets, the shapes of the other arrays follow
+    for name, shape in _shapes(header, arrays).items():
+        arrays[name] = arrays[name][: shape[0]]
+    return shard._replace(header=header, arrays=arrays)
 
 
 def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every array of a shard with this header and these offsets."""
-    (rows, columns), maps = header.map_size, header.stop - header.start
-    rooms, pairs = (
-        int(arrays[name][-1]) if len(arrays[name]) else 0
-        for name in ("room_offsets", "pair_offsets")
-    )
-    segments, diagonals = rooms - maps, header.movement.connectivity == 8
+    """Return the shape that every array must have, given the header and the last offsets."""
+    rows, columns = header.map_size
+    octets = (columns + WORD - 1) // WORD * WORD // 8  # a row is a whole number of words
+    maps = header.stop - header.start
+    rooms = _last(arrays["room_offsets"])
+    pairs = _last(arrays["pair_offsets"])
+    segments = rooms - maps
     shapes: dict[str, tuple[int, ...]] = {
-        "maps": (maps, rows, -(-columns // WORD) * WORD // 8),
+        "maps": (maps, rows, octets),
         "split": (maps,),
         "passage_width": (maps,),
         "room_offsets": (maps + 1,),
@@ -318,43 +314,41 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
         "seeds": (rooms, 2),
         "sizes": (rooms, 2),
         "directions": (segments, 2),
-        "astar_diagonal": (pairs if diagonals else 0,),
+        "astar_diagonal": (pairs if header.movement.connectivity == 8 else 0,),
     }
     for search in ("bfs", "astar"):
-        offsets = arrays[f"{search}_offsets"]
-        moves = int(offsets[-1]) if len(offsets) else 0
+        bits = _last(arrays[f"{search}_offsets"]) * bits_of(header.movement)
         shapes |= {
             f"{search}_offsets": (segments + 1,),
-            f"{search}_moves": (-(-moves * bits_of(header.movement) // 8),),
+            f"{search}_moves": ((bits + 7) // 8,),
             f"{search}_iterations": (segments,),
             f"{search}_straight": (pairs,),
         }
     return shapes
 
 
-def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Array:
-    """Return one dataset as a view of the mapping, if it is a plain array: no link, no filter, no
-    other file.
-    """
+def _last(offsets: Array) -> int:
+    """Return the last of some offsets; 0 if a hostile file has none."""
+    return int(offsets[-1]) if len(offsets) else 0
+
+
+def _plain(file: h5f.FileID, field: Field, mapping: Bytes) -> Array:
+    """Return a dataset as a view of the mapping, unless it is a link, filtered or elsewhere."""
     name = field.name.encode()
     try:
         link = file.links.get_info(name)
     except (KeyError, RuntimeError):
         raise ShardError(f"dataset {field.name!r} is missing") from None
+    # a soft or external link would make HDF5 open what it points to
     if link.type != h5l.TYPE_HARD:
         raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
     dataset = h5o.open(file, name)
     if not isinstance(dataset, h5d.DatasetID):
         raise ShardError(f"{field.name!r} is not a dataset")
     offset = dataset.get_offset()
-    if offset is None:  # it has no values yet, or they lie in chunks, in the header, in other files
-        properties = dataset.get_create_plist()
-        if (
-            properties.get_layout() != h5d.CONTIGUOUS
-            or properties.get_nfilters()
-            or properties.get_external_count()
-        ):
-            raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
+    # without an offset it has no values yet, or they lie in chunks, in the header, in other files
+    if offset is None and not _is_contiguous(dataset):
+        raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
     if not dataset.get_type().equal(_TYPES[field.dtype]):
         raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
     shape = dataset.shape
@@ -371,6 +365,14 @@ def _plain(file: h5f.FileID, field: Field, mapping: npt.NDArray[np.uint8]) -> Ar
     return mapping[offset : offset + size].view(field.dtype).reshape(shape)
 
 
+def _is_contiguous(dataset: h5d.DatasetID) -> bool:
+    """Return whether a dataset is declared as one unfiltered block in its own file."""
+    properties = dataset.get_create_plist()
+    if properties.get_nfilters() or properties.get_external_count():
+        return False
+    return bool(properties.get_layout() == h5d.CONTIGUOUS)
+
+
 _TYPES = {
     "u1": h5t.STD_U8LE,
     "i1": h5t.STD_I8LE,
@@ -382,17 +384,15 @@ _TYPES = {
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the
-    map.
-    """
+    """Check what keeps readers inside the arrays: offsets that grow, seed points inside the map."""
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
         offsets = arrays[name]
+        # neighbours are compared, since the difference of two hostile int64 may wrap round
         if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
             raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
     rooms = np.diff(arrays["room_offsets"])
-    if (rooms < 1).any() or not np.array_equal(
-        np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2
-    ):
+    pairs = np.diff(arrays["pair_offsets"])
+    if (rooms < 1).any() or not np.array_equal(pairs, rooms * (rooms - 1) // 2):
         raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
     seed_points = arrays["seeds"]
     if ((seed_points < 0) | (seed_points >= header.map_size)).any():
