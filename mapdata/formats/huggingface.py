@@ -1,4 +1,4 @@
-"""Hugging Face ``datasets``: a folder of Parquet files and a card, out only.
+"""Hugging Face ``datasets``: a folder of Parquet files and a dataset card, out only.
 
 ``datasets.load_dataset(folder)`` opens it, and ``huggingface-cli upload`` puts it on the Hub as it
 is. Needs pyarrow: ``pip install mapdata[hub]``. Source:
@@ -32,8 +32,8 @@ _NAMES = {"train": "train", "val": "validation", "test": "test"}
 def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write ``data/<split>-<shard>.parquet``, one file a shard and split, and ``README.md``.
 
-    A row is a map: picture, grid as (H, W) lists of 0 free and 1 occupied, and the columns of the
-    paper's CSV.
+    A row is a map: its picture, its grid as (H, W) lists of 0 free and 1 occupied, and the columns
+    of the paper's CSV.
 
     Returns:
         Notes for the user.
@@ -49,21 +49,22 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     (target / "data").mkdir(parents=True)
     schema = _schema()
     shards = len(root.shards)
-    counts = dict.fromkeys(SPLITS, 0)
+    written: set[str] = set()
     for number, labels in enumerate(root.labels(progress=progress)):
         for code, split in enumerate(SPLITS):
             indices = np.flatnonzero(labels.maps.split == code).tolist()
             rows = [_row(labels, k, root.resolution) for k in indices]
             if rows:
                 name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
-                parquet.write_table(
-                    pa.Table.from_pylist(rows, schema), target / "data" / name, compression="zstd"
-                )
-                counts[split] += len(rows)
-    files = {_NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if counts[split]}
-    (target / "README.md").write_text(
-        card(root.places, files=files, extra=[_COLUMNS]), encoding="utf-8", newline="\n"
-    )
+                table = pa.Table.from_pylist(rows, schema)
+                parquet.write_table(table, target / "data" / name, compression="zstd")
+                written.add(split)
+    # the Hub refuses a pattern that no file has
+    files = {
+        _NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if split in written
+    }
+    text = card(root.places, files=files, extra=[_COLUMNS])
+    (target / "README.md").write_text(text, encoding="utf-8", newline="\n")
     return []
 
 
@@ -110,15 +111,13 @@ def _feature(kind: pa.DataType) -> dict[str, object]:
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
+    """Return the row of map ``k``, its picture as the bytes of a PNG that shows free white."""
     grid = labels.maps.occupancy[k]
     row = map_row(labels, k, resolution)
     picture = BytesIO()
     Image.fromarray(255 * (1 - grid)).convert("1").save(picture, "PNG")
-    return {
-        "image": {"bytes": picture.getvalue(), "path": f"{row['label']}.png"},
-        "map": grid.tolist(),
-        **row,
-    }
+    image = {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}
+    return {"image": image, "map": grid.tolist(), **row}
 
 
 _COLUMNS = Section(

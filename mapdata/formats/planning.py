@@ -1,8 +1,7 @@
 """Problems of planning-datasets and Neural A*: an .npz with arr_0 to arr_11, in and out.
 
-Source: https://github.com/omron-sinicx/planning-datasets (generate_spp_instances.py) and the loader
-in
-https://github.com/omron-sinicx/neural-astar (src/neural_astar/utils/data.py).
+Sources: https://github.com/omron-sinicx/planning-datasets (generate_spp_instances.py) and the
+loader in https://github.com/omron-sinicx/neural-astar (src/neural_astar/utils/data.py).
 
 arr_0 to arr_3 are the training split, arr_4 to arr_7 validation, arr_8 to arr_11 test. For N maps
 of one size:
@@ -24,6 +23,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -40,29 +40,31 @@ from mapdata.shards.root import Root
 from mapdata.spec import SPLITS, Movement
 
 MOVEMENT = Movement(8, corner_cutting=True, diagonal_cost=1)
-"""Unrestricted diagonals, hops."""
+"""Eight neighbours, corners may be cut, and every move costs 1."""
 
 ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""
 
 PERCENTILES = (0.55, 0.70, 0.85, 1.0)
-"""Between these the loader draws a start."""
+"""The loader draws a start between two neighbouring ones of these, by the distance to the goal."""
 
 Array = npt.NDArray[Any]
 
 
 def is_planning(path: Path) -> bool:
-    """Return whether an .npz is of this kind, by its names and shapes."""
+    """Return whether an .npz is of this format, by the names and shapes of its arrays."""
     try:
         shapes = Npz(path).shapes
     except FormatError:
         return False
-    return {f"arr_{k}" for k in range(4)} <= set(shapes) and len(shapes["arr_2"]) == 5
+    names = {f"arr_{k}" for k in range(4)}
+    return names <= set(shapes) and len(shapes["arr_2"]) == 5
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
-    """Read an .npz, or all below a folder: maps, goals (the first seed point of each map) and
-    splits; check distances.
+    """Read the maps, goals and splits of an .npz, or of all below a folder; check their distances.
+
+    The goal becomes the first seed point of its map.
 
     Raises:
         FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad
@@ -71,10 +73,12 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection(movement=MOVEMENT)
     same = 0
     for path in files_of(source, (".npz",), limits, found.left_out):
+        # a file that was asked for by name is not left out: its error is the answer
         with nullcontext() if path == source else found.leaving_out(path):
             for one, distances in _problems(path, limits, found):
                 found.maps.append(one)
-                same += np.array_equal(hops(one.grid, one.seed_points[0]), distances)
+                if np.array_equal(hops(one.grid, one.seed_points[0]), distances):
+                    same += 1
     found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
     return found
 
@@ -82,28 +86,28 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
 def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
     """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``."""
     archive = Npz(path, limits)
+    names_of = [[f"arr_{4 * code + k}" for k in range(4)] for code in range(len(SPLITS))]
     splits = [
-        code
-        for code in range(len(SPLITS))
-        if any(f"arr_{4 * code + k}" in archive.shapes for k in range(4))
+        code for code, names in enumerate(names_of) if not archive.shapes.keys().isdisjoint(names)
     ]
     if not splits:
         raise FormatError(
             f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11"
         )
     for code in splits:
-        names = [f"arr_{4 * code + k}" for k in range(4)]
+        names = names_of[code]
         free = archive[names[0]]
         if free.ndim == 4 and free.shape[1] == 1:
             free = free[:, 0]
         if free.ndim != 3:
             raise FormatError(f"{path}: {names[0]} has shape {free.shape}, expected (N, H, W)")
         grids = 1 - occupancy(free, f"{path}: {names[0]}")
-        one_each = (len(grids), 1, *grids.shape[1:])
-        goals, distances = archive[names[1]], archive[names[3]]
+        goals = archive[names[1]]
+        distances = archive[names[3]]  # the actions, names[2], follow from them
+        expected = (len(grids), 1, *grids.shape[1:])
         for name, array in ((names[1], goals), (names[3], distances)):
-            if array.shape != one_each:
-                raise FormatError(f"{path}: {name} has shape {array.shape}, expected {one_each}")
+            if array.shape != expected:
+                raise FormatError(f"{path}: {name} has shape {array.shape}, expected {expected}")
         for k, grid in enumerate(grids):
             name = f"{path}: {SPLITS[code]} {k}"
             cells = np.argwhere(goals[k, 0] == 1)
@@ -114,10 +118,9 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
 
 
 def hops(grid: Bytes, goal: object) -> npt.NDArray[np.float32]:
-    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W where there is no
-    way.
-    """
+    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W without a path."""
     distance = distance_field(grid, goal, MOVEMENT)
+    # 0 - distance rather than -distance: the goal is 0, not -0, in the file
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
 
@@ -125,31 +128,31 @@ def policy(values: npt.NDArray[np.float32]) -> Bytes:
     """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=-np.inf)
-    neighbours = [
-        padded[1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
-        for down, right in ACTIONS
-    ]
+    neighbours = []
+    for down, right in ACTIONS:
+        # the map moved by one step: in each cell stands the value of its neighbour
+        top = 1 + down
+        left = 1 + right
+        neighbours.append(padded[top : top + rows, left : left + columns])
     best = np.argmax(np.stack(neighbours), axis=0)
     return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
 
 
 def has_starts(values: npt.NDArray[np.float32]) -> bool:
-    """Return whether neural-astar's loader can draw a start: some cell lies in each of its three
-    intervals.
-    """
+    """Return whether neural-astar's loader can draw a start in each of its three intervals."""
     cells = values[values > values.min()]
-    if len(cells) < 2:  # only the goal itself
-        return False
+    if len(cells) < 2:
+        return False  # only the goal itself
+    # values are negative distances, so far cells have low percentiles
     bounds = np.percentile(cells, 100.0 * (1 - np.array(PERCENTILES)))
-    return all(bool(((cells >= bounds[k + 1]) & (cells <= bounds[k])).any()) for k in range(3))
+    return all(bool(((low <= cells) & (cells <= high)).any()) for high, low in pairwise(bounds))
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
-    """Write an .npz that neural-astar's ``create_dataloader`` reads; the goal is the first seed
-    point of each map.
+    """Write an .npz that neural-astar's ``create_dataloader`` reads.
 
-    The arrays go to disk a shard at a time; maps and actions are uint8, distances float32 (the
-    loader converts).
+    The goal is the first seed point of each map. The arrays go to disk a shard at a time; maps and
+    actions are uint8, distances float32 (the loader converts).
 
     Args:
         target: file.
@@ -162,6 +165,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
+    # of each map its split, -1 if it is left out; a list of a shard each
     splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(root)]
     counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
     if 0 in counts:
@@ -172,20 +176,19 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
         for number in tqdm(range(12), unit=" arrays", leave=False, disable=not progress):
             code, k = divmod(number, len(_ARRAYS))
-            lead, dtype, make = _ARRAYS[k]
-            shape = (counts[code], *lead, *root.map_size)
+            middle, dtype, make = _ARRAYS[k]
+            shape = (counts[code], *middle, *root.map_size)
             header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
-            info = zipfile.ZipInfo(
-                f"arr_{number}.npy"
-            )  # its date is fixed: equal content, equal bytes
+            # the date of a ZipInfo is fixed: equal content gives equal bytes
+            info = zipfile.ZipInfo(f"arr_{number}.npy")
             info.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(info, "w", force_zip64=True) as member:
                 np.lib.format.write_array_header_1_0(member, header)
+                # the shards are read once more for each array, so that none is held whole
                 for (grids, goals, _), split in zip(_batches(root), splits, strict=True):
                     for i in np.flatnonzero(split == code):
-                        member.write(
-                            np.ascontiguousarray(make(grids[i], goals[i]), dtype).tobytes()
-                        )
+                        values = np.ascontiguousarray(make(grids[i], goals[i]), dtype)
+                        member.write(values.tobytes())
     left = root.maps - sum(counts)
     return [f"{left} maps are left out: the loader finds no start on them"] if left else []
 
@@ -202,9 +205,7 @@ _ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...
     ((8, 1), "u1", lambda grid, goal: policy(hops(grid, goal))),
     ((1,), "<f4", hops),
 )
-"""The four arrays of a split: the axes between N and H, the type, and what one is of a grid and its
-goal.
-"""
+"""The four arrays of a split: axes between N and H, type, and what makes one of grid and goal."""
 
 
 def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
@@ -214,10 +215,9 @@ def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
 
 
 def _usable(grids: Bytes, goals: Array) -> npt.NDArray[np.bool_]:
-    """Return which maps have starts."""
-    return np.array(
-        [has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)], np.bool_
-    )
+    """Return, for each map, whether the loader finds starts on it."""
+    usable = [has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)]
+    return np.array(usable, np.bool_)
 
 
 FORMAT = Format(

@@ -1,4 +1,4 @@
-"""Many shards: build them, go on where a build stopped."""
+"""Building a dataset, shard by shard, and going on where a build stopped."""
 
 from __future__ import annotations
 
@@ -36,15 +36,16 @@ from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
 
 _MERGE_EVERY = 2.0
-"""Seconds between two writes of the manifest; more where one takes long, so that many shards cost
-no more each.
-"""
+"""Least seconds between two writes of the manifest while shards are made."""
+
+_MERGE_SHARE = 20
+"""A pause lasts this many times as long as the last write, which takes longer with more shards."""
 
 _UNDER_WAY = 10_000
-"""Most shards that an executor is given at once."""
+"""Most shards that an executor is given at once: enough to keep a large cluster busy."""
 
 _FEW = 4 * CORES
-"""Most that threads of this process are."""
+"""Most that threads of this process are given: what is not begun costs nothing to cancel."""
 
 
 def build(
@@ -59,11 +60,10 @@ def build(
     part: tuple[int, int] = (0, 1),
     progress: bool = False,
 ) -> Manifest:
-    """Make maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``; go on
-    where a build stopped.
+    """Build maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``.
 
-    More maps than the root has extend it. The bytes do not depend on workers, order or
-    interruptions.
+    A build that stopped goes on, and a dataset with fewer maps is extended. The bytes do not depend
+    on workers, order or interruptions.
 
     Args:
         root: folder, made if missing.
@@ -72,16 +72,14 @@ def build(
         seed: 64-bit seed.
         shard_size: maps a shard.
         workers: threads (the kernels hold no GIL); default all cores.
-        executor: runs the shards instead of threads; anything with ``submit``. When one of its
-            workers dies and breaks it, as that of a process pool does, threads of this process go
-            on.
+        executor: builds the shards instead of threads; anything with ``submit``. When one of its
+            workers dies and breaks it, as in a process pool, threads of this process go on.
         part: (k, n): make only every n-th shard, from shard k on; the n parts, in any order, at
             once or one by one, on one machine or many that share the folder, make the whole.
         progress: show a progress bar.
 
     Returns:
-        The manifest: that of the finished dataset, or of what is there when other parts are not
-            finished.
+        The manifest; it lists what is there when other parts are not finished.
 
     Raises:
         ValueError: bad arguments; the root is a URL, a file or holds something else; another spec,
@@ -93,7 +91,8 @@ def build(
         raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
     if workers is not None and executor is not None:
         raise ValueError("workers: would do nothing beside an executor")
-    check_count("workers", 1 if workers is None else workers)
+    if workers is not None:
+        check_count("workers", workers)
     wanted = Manifest(
         spec=spec,
         seed=check_seed(seed),
@@ -108,24 +107,22 @@ def build(
             f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger "
             "shards"
         )
-    if not (
-        len(part) == 2
-        and all(isinstance(number, int) for number in part)
-        and 0 <= part[0] < part[1]
-    ):
-        raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
+    _check_part(part)
     have = _prepare(root, wanted)
+    present = replace(wanted, shards=tuple(have.values()))
     if os.access(root, os.W_OK):
-        sweep(root, replace(wanted, shards=tuple(have.values())))
+        sweep(root, present)
     mine = list(headers(wanted))[part[0] :: part[1]]
     todo = [header for header in mine if (header.start, header.stop) not in have]
-    if not todo:  # nothing to write, so a root that may only be read will do
-        return replace(wanted, shards=tuple(have.values()))
+    if not todo:
+        return present  # nothing to write, so a root that may only be read will do
     if not os.access(root, os.W_OK):
         raise PermissionError(f"root: no permission to write in {root}")
-    if executor is not None:  # kernels are compiled here, once, and not in each of its processes
+    if executor is not None:
+        # kernels are compiled here, once, rather than in each process of the executor at once
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
-    shards, wait = list(have.values()), True
+    shards = list(have.values())
+    wait = True
     total, left = _count(mine), _count(todo)
     with (
         bar(progress, total, total - left) as advance,
@@ -142,15 +139,25 @@ def build(
                     )
                 shards.append(entry)
                 advance(entry.stop - entry.start)
-                if (began := time.monotonic()) > due:
+                began = time.monotonic()
+                if began > due:
+                    # without waiting: another builder merges, and the entries stay for next time
                     merge(root, replace(wanted, shards=tuple(shards)), wait=False)
-                    due = time.monotonic() + max(_MERGE_EVERY, 20 * (time.monotonic() - began))
+                    ended = time.monotonic()
+                    due = ended + max(_MERGE_EVERY, _MERGE_SHARE * (ended - began))
         except KeyboardInterrupt:
-            wait = False  # the next build adopts what the manifest does not list
+            wait = False  # the next build adopts the shards that the manifest does not list
             raise
         finally:
             manifest = merge(root, replace(wanted, shards=tuple(shards)), wait=wait)
     return manifest
+
+
+def _check_part(part: tuple[int, int]) -> None:
+    """Refuse a part that is not (k, n) with 0 <= k < n."""
+    whole = len(part) == 2 and all(isinstance(number, int) for number in part)
+    if not (whole and 0 <= part[0] < part[1]):
+        raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
 
 
 def headers(manifest: Manifest) -> Iterator[Header]:
@@ -160,11 +167,11 @@ def headers(manifest: Manifest) -> Iterator[Header]:
 
 
 def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
-    """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case;
-    return its entry.
-    """
-    if not anew and (found := load_shard(root, header)):
-        return found
+    """Write a shard and return its entry; without ``anew`` a sound shard of that name is kept."""
+    if not anew:
+        found = load_shard(root, header)
+        if found is not None:
+            return found
     if header.spec is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
     labels = label(generate(header.spec, header.seed, range(header.start, header.stop)))
@@ -177,7 +184,7 @@ def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
 def _made(
     pool: Executor, root: Path, todo: Sequence[Header], most: int
 ) -> Generator[Entry, None, None]:
-    """Yield entries as shards are finished."""
+    """Yield the entry of each shard when it is finished."""
     make = partial(make_shard, root)
     left = dict.fromkeys(todo)
     try:
@@ -194,29 +201,24 @@ def _made(
 
 
 def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
-    """Make the root if it is missing, or refuse it; return what it has of the wanted dataset.
+    """Make sure that the root is of the wanted dataset; make it if it is missing.
 
-    A shard whose bytes are not those that the manifest states is not among it.
+    Returns:
+        By (start, stop), the entries of the shards whose bytes are those that the manifest states.
+
+    Raises:
+        ValueError: it is a file, or holds something else.
+        PermissionError: it may not be written to, or a shard may not be read.
     """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
     root.mkdir(parents=True, exist_ok=True)
-    if not (root / MANIFEST).exists():
-        others = [path.name for path in root.iterdir() if not _ours(path.name)]
-        if others:
-            raise ValueError(
-                f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty "
-                "folder"
-            )
-        if not os.access(root, os.W_OK):
-            raise PermissionError(f"root: no permission to write in {root}")
-        for path in root.glob("maps-*.h5"):
-            _check_owner(path, wanted)
-        # The manifest comes first: it says what the root is for, to whoever finds it before it is
-        # complete.
-        found = merge(root, wanted)
-    else:
+    if (root / MANIFEST).exists():
         found = read_manifest(root)
+    else:
+        _check_unlisted(root, wanted)
+        # The manifest comes before the first shard: whoever finds the root knows what it is for.
+        found = merge(root, wanted)
     _check_same(root, wanted, found, "spec", "seed", "shard_size")
     if wanted.maps < found.maps:
         raise ValueError(
@@ -227,45 +229,55 @@ def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
     for entry in found.shards:
         limits = (entry.start, entry.stop)
         path = root / entry.name
+        # A partial last shard is not in the plan of a larger dataset.
         if limits in plan and _size(path) == entry.bytes and file_hash(path) == entry.sha256:
             have[limits] = entry
     return have
 
 
-def _check_owner(path: Path, wanted: Manifest) -> None:
-    """Refuse a root without a manifest whose shards are of another dataset; damaged ones are made
-    again.
-    """
-    try:
-        header = open_shard(path).header
-    except ShardError:
-        return
-    _check_same(path, wanted, header, "spec", "seed")
+def _check_unlisted(root: Path, wanted: Manifest) -> None:
+    """Refuse a folder without a manifest that holds anything but shards of the wanted dataset."""
+    others = [path.name for path in root.iterdir() if not _is_ours(path.name)]
+    if others:
+        raise ValueError(
+            f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder"
+        )
+    if not os.access(root, os.W_OK):
+        raise PermissionError(f"root: no permission to write in {root}")
+    for path in root.glob("maps-*.h5"):
+        try:
+            header = open_shard(path).header
+        except ShardError:
+            continue  # a corrupt shard is made again
+        _check_same(path, wanted, header, "spec", "seed")
 
 
 def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> None:
-    """Refuse what is found of another dataset than the wanted one."""
+    """Refuse what is found if it is of another dataset than the wanted one."""
     for name in names:
-        mine, theirs = getattr(wanted, name), getattr(found, name)
+        mine = getattr(wanted, name)
+        theirs = getattr(found, name)
         if mine != theirs:
             raise ValueError(
                 f"root: {where} is of a dataset with {name} {theirs}, asked for {name} {mine}"
             )
 
 
-def _ours(name: str) -> bool:
-    return (
-        is_shard_name(name)
-        or name in (LOCK, MANIFEST)
-        or (name.startswith(".") and name.endswith(".tmp"))
-    )
+def _is_ours(name: str) -> bool:
+    """Return whether a build may have left a file of this name."""
+    is_temporary = name.startswith(".") and name.endswith(".tmp")
+    return is_temporary or is_shard_name(name) or name in (LOCK, MANIFEST)
+
+
+_MISSING = -1
 
 
 def _size(path: Path) -> int:
+    """Return the size of a file in bytes; `_MISSING` if there is none."""
     try:
         return path.stat().st_size
     except FileNotFoundError:
-        return -1
+        return _MISSING
 
 
 def _count(shards: Sequence[Header]) -> int:

@@ -1,6 +1,4 @@
-"""Dask, the engine for many machines: workers may come and go while a build runs. Needs the extra
-``dask``.
-"""
+"""Dask, for builds on many machines, whose workers may come and go. Needs the extra ``dask``."""
 
 from __future__ import annotations
 
@@ -15,8 +13,9 @@ from typing import Any
 
 @contextmanager
 def executor_of(scheduler: str, workers: int | None = None) -> Iterator[Executor]:
-    """Yield an executor for `mapdata.build` that runs on a Dask cluster; a worker that dies costs
-    its shards' time.
+    """Yield an executor for `mapdata.build` that runs on a Dask cluster.
+
+    The shards of a worker that dies are built again by another one.
 
     Args:
         scheduler: address of a running scheduler, as tcp://host:8786, or "local" for processes of
@@ -40,8 +39,8 @@ def executor_of(scheduler: str, workers: int | None = None) -> Iterator[Executor
             "scheduler: Dask is not installed; 'pip install mapdata[dask]' brings it"
         ) from None
     if scheduler == "local":
-        # A worker that is killed is suspected of having died of its task; three suspicions would
-        # end the build.
+        # Dask suspects the task of a worker that is killed, and gives up after a few suspicions:
+        # here workers are killed for other reasons, such as the end of a batch job.
         dask.config.set({"distributed.scheduler.allowed-failures": 100})
         quiet = logging.CRITICAL
         place: AbstractContextManager[Any] = LocalCluster(
@@ -58,8 +57,10 @@ def executor_of(scheduler: str, workers: int | None = None) -> Iterator[Executor
             what = str(error).partition(". ")[0] or "the scheduler is gone"
             raise OSError(f"scheduler: {what}; run the same again to go on") from None
         except KeyboardInterrupt:
-            for nanny in cluster.workers.values() if scheduler == "local" else ():
-                nanny.auto_restart = False  # and closing would wait for what it has begun
-                if nanny.pid:
-                    os.kill(nanny.pid, signal.SIGKILL)
+            if scheduler == "local":
+                # killed, since closing a cluster waits for the tasks that it has begun
+                for nanny in cluster.workers.values():
+                    nanny.auto_restart = False
+                    if nanny.pid:
+                        os.kill(nanny.pid, signal.SIGKILL)
             raise

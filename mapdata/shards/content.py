@@ -1,8 +1,8 @@
 """The content hash: what maps and labels say, whatever file, shard size or HDF5 version holds them.
 
-The hash of one map is the SHA-256 of its record (docs/format.md); the hash of many is the sum of
-theirs modulo 2**256, so that shards of any size combine, in any order. It tells equal data from
-unequal ones, and damage; it is no signature against an adversary.
+The hash of one map is the SHA-256 of its record, which docs/format.md describes. The hash of many
+maps is the sum of theirs modulo 2**256, so that shards of any size combine, in any order. It tells
+equal data from unequal data and finds corruption; it is no signature against an adversary.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _Arrays = tuple[Bytes, Ints, Ints, Ints]
 def content_hash(labels: Labels) -> str:
     """Return the content hash of labelled maps: 64 hexadecimal digits."""
     records, offsets = _pack(labels)
-    view, sha256 = memoryview(records), hashlib.sha256  # type: ignore[arg-type]
-    bounds = offsets.tolist()
+    view = memoryview(records)  # type: ignore[arg-type]  # its slices are not copied
     total = 0
-    for first, last in pairwise(bounds):
-        total += int.from_bytes(sha256(view[first:last]).digest(), "big")
+    for first, last in pairwise(offsets.tolist()):
+        digest = hashlib.sha256(view[first:last]).digest()
+        total += int.from_bytes(digest, "big")
     return _hex(total)
 
 
@@ -42,26 +42,33 @@ def _hex(total: int) -> str:
 
 def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     """Return the records of all maps, one after another, and (N + 1,) where each begins."""
-    maps, count = labels.maps, len(labels.maps)
-    n, pairs = maps.rooms, np.diff(maps.pair_offsets)
-    ends = [search.offsets[maps.segment_offsets] for search in (labels.bfs, labels.astar)]
-    moves = sum(np.diff(end) for end in ends)
-    packed = maps.packed.view(np.uint8).reshape(
-        count, maps.packed.shape[1] * maps.packed.shape[2] * 8
+    maps = labels.maps
+    count = len(maps)
+    rooms = maps.rooms
+    passages = rooms - 1
+    pairs = np.diff(maps.pair_offsets)
+    _, rows, words_a_row = maps.packed.shape
+    packed = maps.packed.view(np.uint8).reshape(count, rows * words_a_row * 8)
+    header = np.stack(
+        (maps.index & 0xFFFFFFFF, maps.index >> 32, maps.split, maps.passage_width, rooms), axis=1
     )
-    sizes = 4 * (7 + 10 * n - 6 + 4 * pairs) + packed.shape[1] + -(-moves // 4) * 4
+    # Two words each: map size; of a room, seed point and size; of a passage, directions; then for
+    # either search, length and iterations of a segment, and the cost of a pair.
+    words = 2 + header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
+    moves = np.zeros(count, np.int64)
+    for search in (labels.bfs, labels.astar):
+        moves += np.diff(search.offsets[maps.segment_offsets])
+    padded_moves = (moves + 3) // 4 * 4  # a record is a whole number of words
+    sizes = 4 * words + packed.shape[1] + padded_moves
     offsets = np.concatenate(([0], np.cumsum(sizes)))
     records = np.zeros(offsets[-1], np.uint8)
-    table = np.stack(
-        (maps.index & 0xFFFFFFFF, maps.index >> 32, maps.split, maps.passage_width, n), axis=1
-    )
     if count:
         _write(
             records,
             records.view(np.int32),
             offsets,
-            np.array([maps.packed.shape[1], maps.columns]),
-            table,
+            np.array([rows, maps.columns]),
+            header,
             packed,
             maps.seed_points,
             maps.sizes,
@@ -84,7 +91,7 @@ def _write(
     words: Int32s,
     offsets: Ints,
     size: Ints,
-    table: Ints,
+    header: Ints,
     packed: Bytes,
     seed_points: Ints,
     room_sizes: Ints,
@@ -97,37 +104,42 @@ def _write(
     """Write the record of every map; ``words`` is ``records`` as int32."""
     bfs_moves, bfs_offsets, bfs_iterations, bfs_costs = bfs
     astar_moves, astar_offsets, astar_iterations, astar_costs = astar
-    for m in range(len(table)):
-        at, n = offsets[m] // 4, table[m, 4]
-        words[at], words[at + 1] = size[0], size[1]
+    for m in range(len(header)):
+        rooms = header[m, 4]
+        segment = segments[m]
+        next_segment = segments[m + 1]
+        pair = pairs[m]
+        next_pair = pairs[m + 1]
+        # what is counted in words comes first, so that all of it is aligned
+        at = offsets[m] // 4
+        words[at] = size[0]
+        words[at + 1] = size[1]
+        at += 2
         for k in range(5):
-            words[at + 2 + k] = table[m, k]
-        at += 7
-        at = _copy_pairs(words, at, seed_points[m], 0, n)
-        at = _copy_pairs(words, at, room_sizes[m], 0, n)
-        at = _copy_pairs(words, at, directions[m], 0, n - 1)
-        at = _copy_segments(words, at, bfs_offsets, bfs_iterations, segments[m], segments[m + 1])
-        at = _copy_pairs(words, at, bfs_costs, pairs[m], pairs[m + 1])
-        at = _copy_segments(
-            words, at, astar_offsets, astar_iterations, segments[m], segments[m + 1]
-        )
-        at = _copy_pairs(words, at, astar_costs, pairs[m], pairs[m + 1])
+            words[at] = header[m, k]
+            at += 1
+        at = _copy_pairs(words, at, seed_points[m], 0, rooms)
+        at = _copy_pairs(words, at, room_sizes[m], 0, rooms)
+        at = _copy_pairs(words, at, directions[m], 0, rooms - 1)
+        at = _copy_segments(words, at, bfs_offsets, bfs_iterations, segment, next_segment)
+        at = _copy_pairs(words, at, bfs_costs, pair, next_pair)
+        at = _copy_segments(words, at, astar_offsets, astar_iterations, segment, next_segment)
+        at = _copy_pairs(words, at, astar_costs, pair, next_pair)
+        # from here on ``at`` counts bytes
         at *= 4
         for k in range(packed.shape[1]):
-            records[at + k] = packed[m, k]
-        at += packed.shape[1]
-        at = _copy_moves(
-            records, at, bfs_moves, bfs_offsets[segments[m]], bfs_offsets[segments[m + 1]]
-        )
-        at = _copy_moves(
-            records, at, astar_moves, astar_offsets[segments[m]], astar_offsets[segments[m + 1]]
-        )
+            records[at] = packed[m, k]
+            at += 1
+        at = _copy_moves(records, at, bfs_moves, bfs_offsets[segment], bfs_offsets[next_segment])
+        _copy_moves(records, at, astar_moves, astar_offsets[segment], astar_offsets[next_segment])
 
 
 @kernel
 def _copy_pairs(words: Int32s, at: int, rows: Ints, first: int, last: int) -> int:
+    """Copy rows of two numbers to ``words`` from ``at`` on; return where the next word goes."""
     for k in range(first, last):
-        words[at], words[at + 1] = rows[k, 0], rows[k, 1]
+        words[at] = rows[k, 0]
+        words[at + 1] = rows[k, 1]
         at += 2
     return at
 
@@ -136,14 +148,17 @@ def _copy_pairs(words: Int32s, at: int, rows: Ints, first: int, last: int) -> in
 def _copy_segments(
     words: Int32s, at: int, offsets: Ints, iterations: Ints, first: int, last: int
 ) -> int:
+    """Copy the number of moves and the iterations of each segment; return where to go on."""
     for s in range(first, last):
-        words[at], words[at + 1] = offsets[s + 1] - offsets[s], iterations[s]
+        words[at] = offsets[s + 1] - offsets[s]
+        words[at + 1] = iterations[s]
         at += 2
     return at
 
 
 @kernel
 def _copy_moves(records: Bytes, at: int, moves: Bytes, first: int, last: int) -> int:
+    """Copy moves, a byte each; return where the next byte goes."""
     for k in range(first, last):
         records[at] = moves[k]
         at += 1

@@ -1,5 +1,6 @@
-"""What is wrong with a dataset, and how to repair it: a shard that is damaged or gone is made again
-from the recipe, a manifest from the shards.
+"""Finding corrupt files of a dataset, and repairing them.
+
+A shard that is damaged or missing is made again from the recipe, a manifest from the shards.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from mapdata.shards.manifest import (
     Manifest,
     counts_of,
     is_shard_name,
+    limits_of,
     load_shard,
     merge,
     provenance_text,
@@ -79,7 +81,7 @@ class Inspection:
 
 
 def verify(root: Places, *, progress: bool = False) -> list[str]:
-    """Return what is wrong with a dataset, a line each; an empty list when all is well.
+    """Return what is wrong with a dataset, a line each; an empty list if nothing is.
 
     Every file is hashed before HDF5 opens it, then checked, and its content hash is computed again.
 
@@ -90,14 +92,14 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    return [
-        str(fault) for place in places(root) for fault in inspect(place, progress=progress).faults
-    ]
+    lines = []
+    for place in places(root):
+        lines += [str(fault) for fault in inspect(place, progress=progress).faults]
+    return lines
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
-    """Make again what `verify` finds damaged or missing, and nothing else; return what is wrong
-    still, a line each.
+    """Make again what `verify` finds damaged or missing; return what is still wrong, a line each.
 
     Imported maps have no recipe, so their shards cannot be made again.
 
@@ -110,8 +112,9 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
         ValueError: it lies at a URL.
         OSError: the disk is full or may not be written to.
     """
+    folders = [folder_of(place) for place in places(root)]  # a URL is refused before any repair
     left: list[Corruption] = []
-    for folder in list(map(folder_of, places(root))):  # all of them before anything is made
+    for folder in folders:
         left += repair_found(inspect(folder, progress=progress), progress=progress)
     return [str(fault) for fault in left]
 
@@ -123,34 +126,45 @@ def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspect
         DatasetNotFoundError: there is no dataset.
     """
     (place,) = places(place)
-    faults: list[Corruption] = []
-    listed = True
-    at = f"{place}/{MANIFEST}"
     try:
-        manifest: Manifest | None = manifest_at(place)
-        text = read_file(place, MANIFEST).decode()
-        if text != json.dumps(json.loads(text), indent=1) + "\n":
-            faults.append(Corruption(at, "damaged (its text is not as it was written)"))
+        manifest = manifest_at(place)
     except (ShardError, DatasetNotFoundError) as error:
-        shards = [
-            path for path in sorted(Path(place).glob("maps-*.h5")) if is_shard_name(path.name)
-        ]
-        missing = isinstance(error, DatasetNotFoundError)
-        if missing and not shards:
-            raise
-        faults.append(Corruption(at, "missing" if missing else str(error)))
-        manifest, listed = _gather(Path(place), shards), False
+        return _inspect_unlisted(place, error, progress)
+    faults: list[Corruption] = []
+    # the hash inside the manifest is of its values, so its text is checked too
+    text = read_file(place, MANIFEST).decode()
+    if text != json.dumps(json.loads(text), indent=1) + "\n":
+        what = "damaged (its text is not as it was written)"
+        faults.append(Corruption(f"{place}/{MANIFEST}", what))
+    if manifest.spec is None:
+        faults += _check_provenance(place)
+    faults += _check_shards(place, manifest, True, progress)
+    return Inspection(place, manifest, tuple(faults))
+
+
+def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -> Inspection:
+    """Check a dataset whose manifest could not be read, which ``error`` says, by its shards alone.
+
+    Raises:
+        DatasetNotFoundError: it has no manifest and no shards.
+    """
+    shards = [path for path in sorted(Path(place).glob("maps-*.h5")) if is_shard_name(path.name)]
+    missing = isinstance(error, DatasetNotFoundError)
+    if missing and not shards:
+        raise error
+    faults = [Corruption(f"{place}/{MANIFEST}", "missing" if missing else str(error))]
+    manifest = _gather(Path(place), shards)
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
         return Inspection(place, None, tuple(faults))
     if manifest.spec is None:
-        faults += _provenance(place)
-    faults += _check_shards(place, manifest, listed, progress)
+        faults += _check_provenance(place)
+    faults += _check_shards(place, manifest, False, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
 def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corruption]:
-    """Make again what can be; return what is wrong still.
+    """Make again what can be made; return what is still wrong.
 
     Raises:
         ValueError: the dataset lies at a URL.
@@ -170,13 +184,11 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
         elif fault.path.endswith(MANIFEST):
             relisted = True
         else:
-            why = (
-                ", imported maps have no recipe: delete it and import again"
-                if manifest.spec is None
-                else ""
-            )
-            left.append(replace(fault, what=f"{fault.what}; it cannot be made again{why}"))
-    said = {entry.name: entry.content_hash for entry in manifest.shards}
+            what = f"{fault.what}; it cannot be made again"
+            if manifest.spec is None:
+                what += ", imported maps have no recipe: delete it and import again"
+            left.append(replace(fault, what=what))
+    stated = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
     with (
         bar(progress, sum(header.stop - header.start for header in again)) as advance,
@@ -184,8 +196,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     ):
         for header, entry in finished(pool, partial(make_shard, root, anew=True), again, 2 * CORES):
             made.append(entry)
-            if said.get(entry.name, entry.content_hash) != entry.content_hash:
-                before = said[entry.name]
+            before = stated.get(entry.name, entry.content_hash)
+            if entry.content_hash != before:
                 what = (
                     f"made again with content hash {entry.content_hash}, the manifest said {before}"
                 )
@@ -193,6 +205,7 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
             advance(header.stop - header.start)
     repaired = replace(manifest, shards=(*manifest.shards, *made))
     if relisted:
+        # not merged, since the manifest on disk cannot be read
         shards = {entry.start: entry for entry in repaired.shards}
         repaired = replace(repaired, shards=tuple(shards[start] for start in sorted(shards)))
         write_file(root / MANIFEST, repaired.to_json().encode())
@@ -202,13 +215,16 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
 
 
 def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
-    """Check the shards that a manifest lists, and which it should list; without ``listed`` it lists
-    the sound ones.
+    """Check the shards that a manifest lists, and name those that it should list.
+
+    Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
     planned = {(header.start, header.stop): header for header in headers(manifest)}
     tasks: list[tuple[Entry, Header | None]] = []
     for entry in manifest.shards:
-        header = planned.pop((entry.start, entry.stop), None) or _partial(entry, planned.values())
+        header = planned.pop((entry.start, entry.stop), None)
+        if header is None:
+            header = _partial(entry, planned.values())
         tasks.append((entry, header))
     faults = []
     with (
@@ -222,56 +238,61 @@ def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) 
     faults.sort(key=lambda fault: fault.path)
     for limits, header in planned.items():
         path = f"{place}/{shard_name(*limits)}"
-        unlisted = "damaged" if os.path.exists(path) else "missing"
-        faults.append(
-            Corruption(path, "missing (the build did not finish)" if listed else unlisted, header)
-        )
+        if listed:
+            what = "missing (the build did not finish)"
+        else:
+            what = "damaged" if os.path.exists(path) else "missing"
+        faults.append(Corruption(path, what, header))
     return faults
 
 
 def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
-    """Return what most shards say they are a part of, with the sound ones; None if none can be
-    read.
-    """
-    said: Counter[Header] = Counter()
+    """Return the manifest of the dataset that most shards are of, with the sound ones; or None."""
+    headers_found: Counter[Header] = Counter()
     for path in shards:
         try:
-            said[replace(open_shard(path).header, start=0, stop=0)] += 1
+            header = open_shard(path).header
         except (OSError, ShardError):
             continue
-    if not said:
+        # all shards of a dataset have one header but for their limits
+        headers_found[replace(header, start=0, stop=0)] += 1
+    if not headers_found:
         return None
-    ((header, _),) = said.most_common(1)
-    limits = [tuple(map(int, path.stem.split("-")[1:])) for path in shards]
-    maps, largest = max(stop for _, stop in limits), max(stop - start for start, stop in limits)
-    text = (root / MANIFEST).read_bytes() if (root / MANIFEST).exists() else b""
-    stated = re.search(
-        rb'"shard_size": (\d{1,9})\b', text
-    )  # believed where it fits: a last shard may be a smaller one
-    sizes = [int(stated[1]), largest] if stated else [largest]
-    fits = [
-        size for size in sizes if size >= largest and not any(start % size for start, _ in limits)
-    ]
-    if not fits or maps > MOST_SHARDS * fits[0]:
+    ((header, _),) = headers_found.most_common(1)
+    limits = [limits_of(path) for path in shards]
+    maps = max(stop for _, stop in limits)
+    size = _shard_size(root, limits)
+    if size is None or maps > MOST_SHARDS * size:
         return None
-    manifest = Manifest(**header.origin(), maps=maps, shard_size=fits[0])
-    return replace(
-        manifest, shards=tuple(filter(None, (load_shard(root, one) for one in headers(manifest))))
-    )
+    manifest = Manifest(**header.origin(), maps=maps, shard_size=size)
+    entries = [load_shard(root, planned) for planned in headers(manifest)]
+    return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
 
 
-def _provenance(place: str) -> list[Corruption]:
+def _shard_size(root: Path, limits: Sequence[tuple[int, int]]) -> int | None:
+    """Return the maps a shard of a dataset with shards of these limits, or None if none fits."""
+    sizes = [max(stop - start for start, stop in limits)]
+    # What a damaged manifest still says comes first: a shard that is alone may be a partial one.
+    if (root / MANIFEST).exists():
+        stated = re.search(rb'"shard_size": (\d{1,9})\b', (root / MANIFEST).read_bytes())
+        if stated:
+            sizes.insert(0, int(stated[1]))
+    for size in sizes:
+        if size >= sizes[-1] and all(start % size == 0 for start, _ in limits):
+            return size
+    return None
+
+
+def _check_provenance(place: str) -> list[Corruption]:
     """Check the file that says where imported maps came from."""
     path = f"{place}/{PROVENANCE}"
     try:
         text = read_file(place, PROVENANCE).decode()
         values = json.loads(text)
         del values["hash"]
-        return (
-            []
-            if text == provenance_text(values)
-            else [Corruption(path, "damaged (its hash does not fit)")]
-        )
+        if text == provenance_text(values):
+            return []
+        return [Corruption(path, "damaged (its hash does not fit)")]
     except FileNotFoundError:
         return [Corruption(path, "missing")]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
@@ -293,7 +314,8 @@ def _fault(place: str, task: tuple[Entry, Header | None]) -> str | None:
         return "not a shard of this dataset"
     try:
         path = local_file(place, entry)
-        if (size := path.stat().st_size) != entry.bytes:
+        size = path.stat().st_size
+        if size != entry.bytes:
             return f"has {size} bytes, the manifest says {entry.bytes}"
         if file_hash(path) != entry.sha256:
             return "damaged (its file hash does not fit)"

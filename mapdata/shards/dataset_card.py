@@ -1,5 +1,4 @@
-"""The dataset card: what is in a dataset, how to make it again, and what to know before one uses
-it.
+"""The dataset card: what a dataset holds, how to build it again, what to know before using it.
 
 The card is a list of sections, which become Markdown here and HTML in `mapdata.plotting`.
 """
@@ -32,6 +31,8 @@ _SIZES = (
     (10**6, "100K<n<1M"),
     (10**7, "1M<n<10M"),
 )
+"""Size categories of the Hugging Face Hub: each with the number of rows that it stays below."""
+
 _SOURCES_SHOWN = 10
 
 CITATION = """@misc{floresaquino2021gridmap,
@@ -47,9 +48,9 @@ CITATION = """@misc{floresaquino2021gridmap,
 
 
 class Section(NamedTuple):
-    """A part of the card: a heading, then a paragraph, a table (its first row the heads) and a
-    block of code, each of
-    which may be empty. All of it is plain text.
+    """A part of the card: a heading, a paragraph, a table and a block of code, all plain text.
+
+    All but the heading may be empty. The first row of the table names its columns.
     """
 
     title: str
@@ -66,9 +67,8 @@ def card(
 
     Args:
         root: folder or URL of the dataset, or several.
-        files: of a copy in another format that ``datasets.load_dataset`` reads: the pattern of the
-            files of each of its splits.
-        extra: sections to put behind the facts, as what the columns of such a copy mean.
+        files: for a copy that ``datasets.load_dataset`` reads, a file pattern for each split.
+        extra: sections to put behind the facts, such as what the columns of that copy mean.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
@@ -81,9 +81,7 @@ def card(
 
 
 def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str:
-    """Return the YAML block that the Hub reads. A licence is not stated: that is the publisher's
-    choice.
-    """
+    """Return the YAML block that the Hub reads; the licence is left to the publisher."""
     size = next((name for limit, name in _SIZES if len(of) < limit), "n>10M")
     lines: dict[str, object] = {
         "pretty_name": title(of),
@@ -95,9 +93,9 @@ def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str
     if files is not None:
         data_files = [{"split": split, "path": path} for split, path in files.items()]
         lines["configs"] = [{"config_name": "default", "data_files": data_files}]
-    # JSON is YAML: text from files cannot leave its quotes
-    texts = {name: json.dumps(value, ensure_ascii=False) for name, value in lines.items()}
-    return "---\n" + "".join(f"{name}: {text}\n" for name, text in texts.items()) + "---\n"
+    # values are written as JSON, which is YAML too: no text from a file can end its quotes
+    texts = [f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in lines.items()]
+    return "---\n" + "".join(texts) + "---\n"
 
 
 def title(of: DatasetStatistics) -> str:
@@ -107,17 +105,21 @@ def title(of: DatasetStatistics) -> str:
 
 
 def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
-    """Return the card of a dataset that `dataset_statistics` looked at with ``repeats=True``.
+    """Return the sections of a dataset's card.
 
     Args:
-        of: the dataset.
+        of: what `dataset_statistics` returns with ``repeats=True``.
         copied: it is the card of a copy in another format, not of the shards.
     """
     found = [Section(title(of), _introduction(of)), _facts(of, copied)]
     for name, place, manifest in zip(_names(of), of.root.places, of.root.manifests, strict=True):
-        found.append(_rebuild(name, manifest) if manifest.spec else _origin(place, of.rooms_known))
+        if manifest.spec is None:
+            found.append(_origin(place, of.rooms_known))
+        else:
+            found.append(_rebuild(name, manifest))
     found += [_splits(of), _shares(of), _distributions(of), _duplicates(of), _use(of, copied)]
-    return [*found, Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
+    found.append(Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex"))
+    return found
 
 
 def _introduction(of: DatasetStatistics) -> str:
@@ -126,44 +128,50 @@ def _introduction(of: DatasetStatistics) -> str:
         "imported maps, labelled" if spec is None else f"{spec.description}, made"
         for spec in _specs(of)
     ]
-    asked = of.root.maps
-    unfinished = f" Not finished: {asked:,} maps were asked for." if len(of) < asked else ""
-    return (
+    made = "; ".join(dict.fromkeys(sources))  # places often have one source: once is enough
+    text = (
         f"Occupancy grids with shortest paths by BFS and A* between consecutive {what} and the "
-        f"distances between all {what}: {'; '.join(dict.fromkeys(sources))} by mapdata "
-        f"{__version__}.{unfinished}"
+        f"distances between all {what}: {made} by mapdata {__version__}."
     )
+    if len(of) < of.root.maps:
+        text += f" Not finished: {of.root.maps:,} maps were asked for."
+    return text
 
 
 def _facts(of: DatasetStatistics, copied: bool) -> Section:
-    """Return what each dataset is, a column each."""
+    """Return what each dataset is, a column each; facts that no dataset has are left out."""
     names = _names(of)
-    facts = [_facts_of(manifest, copied) for manifest in of.root.manifests]
-    rows = [(name, *(each[name] for each in facts)) for name in facts[0]]
     head = ("", *names) if len(names) > 1 else ("", "")
-    return Section("What it is", table=(head, *(row for row in rows if any(row[1:]))))
+    facts = [_facts_of(manifest, copied) for manifest in of.root.manifests]
+    rows = [head]
+    for name in facts[0]:
+        values = [each[name] for each in facts]
+        if any(values):
+            rows.append((name, *values))
+    return Section("What it is", table=tuple(rows))
 
 
 def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
+    """Return what one dataset is, in words; empty where it has no such thing."""
     rows, columns = manifest.map_size
     maps = sum(entry.stop - entry.start for entry in manifest.shards)
-    size = sum(entry.bytes for entry in manifest.shards) / 1e3
-    shards = {
-        "size on disk": f"{size / 1e3:,.1f} MB" if size >= 1e3 else f"{size:,.0f} kB",
-        "format": f"mapdata shards (HDF5), version {manifest.format_version}",
-    }
-    return {
+    facts = {
         "maps": f"{maps:,} in {_count(len(manifest.shards), 'shard')}",
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
         "cells": "(row, col), origin upper left",
         "polarity": "1 occupied, 0 free",
         "movement": movement_text(manifest.movement),
-        **({} if copied else shards),
-        "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
-        "seed": "" if manifest.seed is None else str(manifest.seed),
-        "identity": manifest.identity or "none: imported maps are what their content hash says",
-        "content hash": manifest.content_hash,
     }
+    if not copied:
+        size = sum(entry.bytes for entry in manifest.shards)
+        facts["size on disk"] = f"{size / 1e6:,.1f} MB" if size >= 1e6 else f"{size / 1e3:,.0f} kB"
+        facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
+    presets = [name for name, spec in PRESETS.items() if spec == manifest.spec]
+    facts["preset"] = presets[0] if presets else ""
+    facts["seed"] = "" if manifest.seed is None else str(manifest.seed)
+    facts["identity"] = manifest.identity or "none: imported maps are what their content hash says"
+    facts["content hash"] = manifest.content_hash
+    return facts
 
 
 def _rebuild(name: str, manifest: Manifest) -> Section:
@@ -187,97 +195,85 @@ def _origin(place: str, rooms_known: bool) -> Section:
         return Section(
             "Where it comes from", "Imported; there is no record of the source beside the data."
         )
-    count = values.get("seeds", "?")
-    seed = values.get("seed", "?")
-    seed_points = f"Up to {count} seed points a map were drawn with seed {seed}. "
-    text = (
-        f"Imported from {_count(len(sources), 'source')}. "
-        + ("" if rooms_known else seed_points)
-        + "The maps are those of the source; paths, iterations and matrices were computed by "
-        + "mapdata."
+    text = f"Imported from {_count(len(sources), 'source')}. "
+    if not rooms_known:
+        count = values.get("seeds", "?")
+        seed = values.get("seed", "?")
+        text += f"Up to {count} seed points a map were drawn with seed {seed}. "
+    text += (
+        "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
     )
-    rows = [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
+    rows = [("map", "source")]
+    rows += [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
     if len(sources) > _SOURCES_SHOWN:
         rows.append(("...", f"and {len(sources) - _SOURCES_SHOWN:,} more in {PROVENANCE}"))
-    return Section("Where it comes from", text, table=(("map", "source"), *rows))
+    return Section("Where it comes from", text, table=tuple(rows))
 
 
 def _splits(of: DatasetStatistics) -> Section:
     heads = ("split", "maps", "route problems", "without a path", "pairs", "pairs without a path")
     names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
-    rows = []
+    entries = [entry for _, _, entry in of.root.shards]
+    rows: list[tuple[str, ...]] = [heads]
     for split in SPLITS:
-        counts = [
-            sum(int(entry.counts[split][name]) for _, _, entry in of.root.shards) for name in names
-        ]
+        counts = [sum(int(entry.counts[split][name]) for entry in entries) for name in names]
         rows.append((split, *(f"{count:,}" for count in counts)))
     text = (
         "Each map belongs to one split and keeps it when the dataset grows. A route problem is a "
         "segment between consecutive rooms (seed points), a pair any two of a map; those from a "
         "cell to itself are not counted."
     )
-    return Section("Splits", text, table=(heads, *rows))
+    return Section("Splits", text, table=tuple(rows))
 
 
 def _shares(of: DatasetStatistics) -> Section:
     found = of.lengths > 0
-    hard = f"hard segments (hardness >= {HARD:g})"
+    is_hard = of.hardness >= HARD
     rows = [("share", "of", "")]
     if of.rooms_known:
         drawn = sum(manifest.total("drawn") for manifest in of.root.manifests)
         rows.append(("drawn passages", "pairs of consecutive rooms", _share(drawn, len(found))))
+    hard = f"hard segments (hardness >= {HARD:g})"
     rows += [
         ("reachable segments", "segments", _share(found.sum(), len(found))),
         ("fully connected maps", "maps", _share(of.all_connected.sum(), len(of))),
-        (hard, "reachable segments", _share((of.hardness >= HARD).sum(), found.sum())),
+        (hard, "reachable segments", _share(is_hard.sum(), found.sum())),
     ]
     text = (
         "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight "
         "at the goal is best."
-        + (
-            " Rooms can reach each other without a passage, where they overlap."
-            if of.rooms_known
-            else ""
-        )
     )
+    if of.rooms_known:
+        text += " Rooms can reach each other without a passage, where they overlap."
     return Section("Shares", text, table=tuple(rows))
 
 
 def _distributions(of: DatasetStatistics) -> Section:
-    heads = ("", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most")
-    rows = []
-    values = of.distributions() | {
-        f"iterations of a segment, {name}": of.iterations[key]
-        for key, name in (("bfs", "BFS"), ("astar", "A*"))
-    }
+    values = of.distributions()
+    values["iterations of a segment, BFS"] = of.iterations["bfs"].astype(np.float64)
+    values["iterations of a segment, A*"] = of.iterations["astar"].astype(np.float64)
+    rows: list[tuple[str, ...]] = [
+        ("", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most")
+    ]
     for name, column in values.items():
         if len(column):
             marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
-            rows.append((name, *(f"{value:.4g}" for value in (float(column.mean()), *marks))))
-    return Section(
-        "Distributions",
-        "Segments without a path are left out, except for iterations.",
-        (heads, *rows),
-    )
+            shown = [float(column.mean()), *marks]
+            rows.append((name, *(f"{value:.4g}" for value in shown)))
+    text = "Segments without a path are left out, except for iterations."
+    return Section("Distributions", text, tuple(rows))
 
 
 def _duplicates(of: DatasetStatistics) -> Section:
     exact, symmetric = of.repeats
-    rows = [
-        (
-            "maps that are there already",
-            "exactly the same",
-            f"the same up to {of.symmetries} symmetries",
-        )
-    ]
-    rows += [
-        (f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}")
-        for name in SPLITS
-    ]
-    rows += [
-        (f"of {b}, also in {a}", f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}")
-        for a, b in exact.across
-    ]
+    same = f"the same up to {of.symmetries} symmetries"
+    rows: list[tuple[str, ...]] = [("maps that are there already", "exactly the same", same)]
+    for name in SPLITS:
+        counts = (exact.inside[name], symmetric.inside[name])
+        rows.append((f"inside {name}", *(f"{count:,}" for count in counts)))
+    for a, b in exact.across:
+        counts = (exact.across[a, b], symmetric.across[a, b])
+        rows.append((f"of {b}, also in {a}", *(f"{count:,}" for count in counts)))
     return Section("Duplicates", _verdict(exact, symmetric), table=tuple(rows))
 
 
@@ -298,22 +294,22 @@ def _verdict(exact: Repeats, symmetric: Repeats) -> str:
 def _use(of: DatasetStatistics, copied: bool) -> Section:
     names = _names(of)
     root = repr(names[0] if len(names) == 1 else names)
-    code = (
-        "from mapdata import MapDataModule, MapDataset\n\n"
-        f'train = MapDataset({root}, split="train")\n'
-        "map, start, goal, path = train[0]\n"
-        f"loaders = MapDataModule({root})  # for pytorch-lightning"
-    )
     if copied:
         code = f'from datasets import load_dataset\n\ntrain = load_dataset({root}, split="train")'
+    else:
+        code = (
+            "from mapdata import MapDataModule, MapDataset\n\n"
+            f'train = MapDataset({root}, split="train")\n'
+            "map, start, goal, path = train[0]\n"
+            f"loaders = MapDataModule({root})  # for pytorch-lightning"
+        )
     return Section("Use it", code=code, language="python")
 
 
 def _whom_to_cite(of: DatasetStatistics) -> str:
     imported = f"Cite the source of the maps. {Generator.citation}"
-    return " ".join(
-        dict.fromkeys(imported if spec is None else spec.citation for spec in _specs(of))
-    )
+    texts = [imported if spec is None else spec.citation for spec in _specs(of)]
+    return " ".join(dict.fromkeys(texts))  # each once
 
 
 def _specs(of: DatasetStatistics) -> list[Generator | None]:
@@ -330,22 +326,21 @@ def movement_text(movement: Movement) -> str:
 
 
 def _names(of: DatasetStatistics) -> list[str]:
-    """Return the names of the dataset's folders, characters that no text file should hold
-    replaced.
-    """
-    names = [os.path.basename(os.path.abspath(place)) for place in of.root.places]
-    return [
-        "".join(letter if letter.isprintable() else "?" for letter in name) or "maps"
-        for name in names
-    ]
+    """Return the names of the dataset's folders in printable characters."""
+    names = []
+    for place in of.root.places:
+        name = os.path.basename(os.path.abspath(place))
+        printable = "".join(letter if letter.isprintable() else "?" for letter in name)
+        names.append(printable or "maps")
+    return names
 
 
 def _count(number: int, what: str) -> str:
-    return f"{number:,} {what}{'s' * (number != 1)}"
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
-def _share(part: Any, whole: Any) -> str:
-    return f"{int(part) / max(int(whole), 1):.1%} ({int(part):,} of {int(whole):,})"
+def _share(part: int, whole: int) -> str:
+    return f"{part / max(whole, 1):.1%} ({part:,} of {whole:,})"
 
 
 def _markdown(section: Section, level: int) -> str:
@@ -356,9 +351,9 @@ def _markdown(section: Section, level: int) -> str:
         head, *rows = [f"| {' | '.join(map(_escaped, row))} |" for row in section.table]
         parts.append("\n".join([head, "|" + "---|" * len(section.table[0]), *rows]))
     if section.code:
-        fence = "`" * max(
-            3, 1 + max((len(run) for run in re.findall("`+", section.code)), default=0)
-        )
+        # a fence is longer than any run of backticks inside, so that the code cannot end it
+        runs = [len(run) for run in re.findall("`+", section.code)]
+        fence = "`" * max(3, 1 + max(runs, default=0))
         parts.append(f"{fence}{section.language}\n{section.code}\n{fence}")
     return "\n\n".join(parts) + "\n"
 

@@ -1,6 +1,6 @@
-"""The manifest of a root: which shards there are, and what opening them needs. Derived from the
-shards, so it can be
-rebuilt.
+"""The manifest of a dataset: which shards it has, and what opening them needs.
+
+All of it is derived from the shards, so it can be rebuilt.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ if sys.platform != "win32":
     import fcntl
 
 from mapdata._version import __version__
+from mapdata.arrays import Flags, Ints
 from mapdata.generators.generator import Generator
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine, content_hash
@@ -52,19 +53,20 @@ MOST_BYTES = 2**28
 """Largest manifest that is read: room for some 300,000 shards."""
 
 _A_DAY = 86_400
+"""Seconds after which a temporary file of another machine counts as left behind."""
+
 _TEMPORARY = re.compile(
     r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp"
 )
 
 
 class DatasetNotFoundError(FileNotFoundError):
-    """There is no dataset where one was looked for; the message says where, and which command makes
-    one.
-    """
+    """There is no dataset; the message says where it was looked for, and what makes one."""
 
     def __init__(self, root: object, why: str = "it does not exist") -> None:
         """Say what was looked for under ``root`` and what to do."""
-        self.root, self.why = root, why
+        self.root = root
+        self.why = why
         how = (
             f"Make one with 'python scripts/build_shards.py {root}', with "
             f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
@@ -78,7 +80,7 @@ class DatasetNotFoundError(FileNotFoundError):
         super().__init__(f"no dataset at {root}: {why}. {how}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as arguments: an exception of a worker says the same in its parent."""
+        """Pickle the arguments, so that the error of a worker says the same in its parent."""
         return DatasetNotFoundError, (self.root, self.why)
 
     def __str__(self) -> str:
@@ -96,9 +98,7 @@ class Entry:
         bytes: size of the file.
         sha256: file hash, for damage.
         content_hash: content hash of its maps.
-        counts: how many segments, drawn passages, reachable segments and fully connected maps it
-            holds, and per split the number of maps, of route problems with and without a path, and
-            of room pairs with and without one.
+        counts: what `counts_of` counts.
     """
 
     name: str
@@ -137,18 +137,15 @@ class Manifest(Origin):
     @property
     def plan(self) -> list[tuple[int, int]]:
         """(start, stop) of every shard that the dataset shall have."""
-        return [
-            (k, min(k + self.shard_size, self.maps)) for k in range(0, self.maps, self.shard_size)
-        ]
+        starts = range(0, self.maps, self.shard_size)
+        return [(start, min(start + self.shard_size, self.maps)) for start in starts]
 
     @property
     def most_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
-        return (
-            self.spec.most_seed_points
-            if self.spec
-            else max(int(entry.counts["most_rooms"]) for entry in self.shards)
-        )
+        if self.spec is not None:
+            return self.spec.most_seed_points
+        return max(int(entry.counts["most_rooms"]) for entry in self.shards)
 
     def total(self, name: str) -> int:
         """Return the sum of one of the counts over all shards."""
@@ -175,7 +172,7 @@ class Manifest(Origin):
         return json.dumps(values, indent=1) + "\n"
 
     def recipe(self) -> str:
-        """Return the few lines of JSON that are the dataset.
+        """Return the few lines of JSON from which the dataset can be built again.
 
         Raises:
             ValueError: imported maps have no recipe.
@@ -191,6 +188,7 @@ class Manifest(Origin):
         }
         if self.complete:
             values["content_hash"] = self.content_hash
+        # a line for each value, however deep: json.dumps would break lists into lines too
         lines = (f" {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items())
         return "{\n" + ",\n".join(lines) + "\n}"
 
@@ -201,14 +199,12 @@ def shard_name(start: int, stop: int) -> str:
 
 
 def is_shard_name(name: str) -> bool:
-    """Return whether ``name`` is what `shard_name` gives: nothing else of a manifest is ever
-    opened.
-    """
+    """Return whether `shard_name` gives such names; a manifest's other names are never opened."""
     return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
 
 
 def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
-    """Return the entry of a shard with this content and these bytes."""
+    """Return the entry of a shard that holds ``labels`` and whose file is ``image``."""
     return Entry(
         name=shard.path.name,
         start=shard.header.start,
@@ -230,13 +226,13 @@ def read_manifest(root: Path) -> Manifest:
     path = root / MANIFEST
     try:
         status = path.stat()
+        # before it is opened, since opening a pipe waits for its writer
         if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
             raise ShardError(f"{path}: not a file, or larger than {MOST_BYTES} bytes")
         text = path.read_bytes().decode()
     except (FileNotFoundError, NotADirectoryError):
-        raise DatasetNotFoundError(
-            root, f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
-        ) from None
+        why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
+        raise DatasetNotFoundError(root, why) from None
     except UnicodeDecodeError as error:
         raise ShardError(f"{path}: damaged ({error})") from None
     return parse_manifest(text, str(path))
@@ -307,82 +303,99 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
 
 @contextmanager
 def _locked(root: Path, wait: bool) -> Iterator[bool]:
-    """Hold the lock of a root and yield True; yield False when another holds it and ``wait`` is
-    False.
+    """Hold the lock of a root and yield True; without ``wait``, yield False if another holds it.
 
-    A file system without locks (or Windows) yields True: two merges at once may then lose entries,
-    never shards, and the next build adopts those.
+    Where there are no locks (Windows, some file systems) it yields True: two merges at once may
+    then lose entries, never shards, and the next build adopts those.
     """
     with open(root / LOCK, "ab") as file:
         if sys.platform == "win32":
             yield True
             return
+        how = fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB
         try:
-            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, how)
         except BlockingIOError:
             yield False
             return
         except OSError:
-            yield True
+            yield True  # this file system has no locks
             return
         try:
             yield True
         finally:
-            fcntl.flock(file, fcntl.LOCK_UN)  # closing would not do where a fork shares the file
+            # closing the file is not enough: a process forked meanwhile would keep the lock
+            fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
-    """Write the union of ``mine`` and the manifest on disk, remove shards that larger ones
-    replaced; return the union. While another builder merges, wait for it, or without ``wait`` do
-    nothing and return ``mine``.
+    """Write the union of ``mine`` and the manifest on disk, and return it.
+
+    Shards that larger ones replaced are removed. While another builder merges, wait for it; without
+    ``wait``, do nothing and return ``mine``.
+
+    Raises:
+        ValueError: the manifest on disk is of another dataset.
     """
     with _locked(root, wait) as free:
         if not free:
             return mine
-        theirs = read_manifest(root) if (root / MANIFEST).exists() else mine
+        theirs = mine
+        if (root / MANIFEST).exists():
+            theirs = read_manifest(root)
         union = _union(mine, theirs)
         write_file(root / MANIFEST, union.to_json().encode())
         kept = {entry.name for entry in union.shards}
-        for name in {entry.name for entry in (*mine.shards, *theirs.shards)} - kept:
-            (root / name).unlink(missing_ok=True)
+        for entry in (*mine.shards, *theirs.shards):
+            if entry.name not in kept:
+                (root / entry.name).unlink(missing_ok=True)
         return union
 
 
 def _union(mine: Manifest, theirs: Manifest) -> Manifest:
+    """Return a manifest of all shards of two; of the same maps, those of the larger dataset."""
     if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
         raise ValueError("another dataset appeared under the same root while this one was built")
     union = replace(mine, maps=max(mine.maps, theirs.maps))
     plan = set(union.plan)
     known = {(entry.start, entry.stop): entry for entry in (*theirs.shards, *mine.shards)}
     whole = {start for start, stop in known if (start, stop) in plan}
-    # A partial last shard stays until the larger one that takes its place is there.
-    kept = (known[key] for key in sorted(known) if key in plan or key[0] not in whole)
-    return replace(union, shards=tuple(kept))
+    # a partial last shard stays until the larger one that takes its place is there
+    kept = [key for key in sorted(known) if key in plan or key[0] not in whole]
+    return replace(union, shards=tuple(known[key] for key in kept))
 
 
 def sweep(root: Path, manifest: Manifest) -> None:
-    """Remove what dead builders left behind: temporary files, and shards that larger ones
-    replaced.
-    """
+    """Remove what dead builders left: temporary files, and shards that larger ones replaced."""
     for path in root.glob(".*.tmp"):
         match = _TEMPORARY.fullmatch(path.name)
-        if match and (
-            _old(path) if match["host"] != socket.gethostname() else not _alive(int(match["pid"]))
-        ):
+        if match is None:
+            continue
+        # only processes of this machine can be asked whether they live
+        if match["host"] == socket.gethostname():
+            is_left = not _alive(int(match["pid"]))
+        else:
+            is_left = _old(path)
+        if is_left:
             path.unlink(missing_ok=True)
     plan = set(manifest.plan)
-    whole = {
-        entry.start: entry.stop for entry in manifest.shards if (entry.start, entry.stop) in plan
-    }
+    finished = [(entry.start, entry.stop) for entry in manifest.shards]
+    stops = {start: stop for start, stop in finished if (start, stop) in plan}
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
-            start, stop = map(int, path.stem.split("-")[1:])
-            if stop < whole.get(start, 0):
+            start, stop = limits_of(path)
+            if stop < stops.get(start, 0):
                 path.unlink(missing_ok=True)
 
 
+def limits_of(path: Path) -> tuple[int, int]:
+    """Return (start, stop) of the maps of a shard file, as its name states them."""
+    _, start, stop = path.stem.split("-")
+    return int(start), int(stop)
+
+
 def _old(path: Path) -> bool:
-    """Return whether a file was last written so long ago that no builder is still at it."""
+    """Return whether no builder can be writing a file still, by the time of its last write."""
     try:
         return time.time() - path.stat().st_mtime > _A_DAY
     except FileNotFoundError:
@@ -390,19 +403,18 @@ def _old(path: Path) -> bool:
 
 
 def _alive(pid: int) -> bool:
+    """Return whether a process of this machine lives."""
     try:
-        os.kill(pid, 0)
+        os.kill(pid, 0)  # signal 0 only asks
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:
-        return True
+        return True  # it lives, under another user
     return True
 
 
 def load_shard(root: Path, header: Header) -> Entry | None:
-    """Return the entry of the shard of ``header`` if a sound one stands under its name, else
-    None.
-    """
+    """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
     path = root / shard_name(header.start, header.stop)
     try:
         shard = open_shard(path)
@@ -419,27 +431,43 @@ def _hash(values: dict[str, Any]) -> str:
 
 
 def counts_of(labels: Labels) -> dict[str, Any]:
-    """Count what the summary states and what a dataset needs to number its problems."""
+    """Return what the manifest counts in a shard.
+
+    That is segments, drawn passages, reachable segments, fully connected maps and the most rooms
+    of a map; and for each split the maps, the segments ("route") and pairs of rooms ("rooms") that
+    are problems, which lead to another cell, and those without a path ("unsolvable").
+    """
     maps = labels.maps
-    used = np.arange(maps.directions.shape[1]) < (maps.rooms - 1)[:, None]
-    ways = {"route": np.diff(labels.astar.offsets), "rooms": labels.astar.costs.sum(axis=1)}
-    paths = {"route": labels.reachable, "rooms": labels.astar.costs[:, 0] >= 0}
-    owner = {"route": maps.rooms - 1, "rooms": np.diff(maps.pair_offsets)}
+    passages = maps.rooms - 1
+    # arrays are padded to the most rooms of the shard: which rows are passages
+    used = np.arange(maps.directions.shape[1]) < passages[:, None]
     counts: dict[str, Any] = {
-        "segments": int((maps.rooms - 1).sum()),
+        "segments": int(passages.sum()),
         "drawn": int((maps.connected & used).sum()),
         "reachable": int(labels.reachable.sum()),
         "all_connected": int(labels.all_connected.sum()),
         "most_rooms": int(maps.rooms.max(initial=0)),
     }
+    segment_moves = np.diff(labels.astar.offsets)
+    pair_moves = labels.astar.costs.sum(axis=1)  # straight and diagonal ones
+    has_path = labels.astar.costs[:, 0] >= 0
+    pairs = np.diff(maps.pair_offsets)
     for code, split in enumerate(SPLITS):
-        row = {"maps": int((maps.split == code).sum())}
-        for name in ("route", "rooms"):
-            inside = np.repeat(maps.split == code, owner[name])
-            row[name] = int((inside & paths[name] & (ways[name] > 0)).sum())
-            row[f"{name}_unsolvable"] = int((inside & ~paths[name]).sum())
-        counts[split] = row
+        inside = maps.split == code
+        counts[split] = {
+            "maps": int(inside.sum()),
+            **_problems("route", np.repeat(inside, passages), labels.reachable, segment_moves),
+            **_problems("rooms", np.repeat(inside, pairs), has_path, pair_moves),
+        }
     return counts
+
+
+def _problems(name: str, inside: Flags, has_path: Flags, moves: Ints) -> dict[str, int]:
+    """Return the numbers of problems with and without a path of one kind and split."""
+    return {
+        name: int((inside & has_path & (moves > 0)).sum()),
+        f"{name}_unsolvable": int((inside & ~has_path).sum()),
+    }
 
 
 def provenance_text(origin: dict[str, Any]) -> str:

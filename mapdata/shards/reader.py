@@ -1,4 +1,7 @@
-"""Opening a shard: a file is checked at its first touch, then each array is a view of its bytes."""
+"""Opening a shard without trusting it: all is checked once, then arrays are views of the file.
+
+No library parses the file (`hdf5.py`); its bytes are read through one memory mapping.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from mapdata.arrays import Bytes
 from mapdata.generators.generator import Generator, identity
@@ -125,27 +127,24 @@ def _libc() -> Any:
 
 
 class _Mapping:
-    """A file in memory, to read only, until the last array that looks at it is gone.
+    """A read-only memory mapping of a file, which lasts as long as an array that views it.
 
-    `mmap.mmap` would keep a descriptor for each file, of which a process often may have 1,024 only.
+    Unlike `mmap.mmap` it keeps no file descriptor, of which a process often may have 1,024 only.
     """
 
     def __init__(self, descriptor: int, size: int) -> None:
         """Map ``size`` bytes; the descriptor may be closed afterwards."""
-        self._unmap: Any = None
+        self._unmap: Any = None  # for __del__, if mapping fails
         address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
         if address == ctypes.c_void_p(-1).value:
             error = ctypes.get_errno()
-            raise OSError(
-                error, f"{os.strerror(error)}: cannot map a shard beside those that are open"
-            )
-        self._unmap, self._place = _libc().munmap, (address, size)
-        self.__array_interface__ = {
-            "version": 3,
-            "typestr": "|u1",
-            "shape": (size,),
-            "data": (address, True),
-        }
+            why = f"{os.strerror(error)}: cannot map a shard beside those that are open"
+            raise OSError(error, why)
+        self._unmap = _libc().munmap  # kept: at exit the module may be gone before the array
+        self._place = (address, size)
+        # numpy makes an array of an object with this attribute; True is read-only
+        data = (address, True)
+        self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": data}
 
     def __del__(self) -> None:
         """Unmap."""
@@ -153,9 +152,10 @@ class _Mapping:
             self._unmap(*self._place)
 
 
-def map_file(descriptor: int, size: int) -> npt.NDArray[np.uint8]:
-    """Return the ``size`` bytes of an open file as an array to read only; the descriptor may be
-    closed afterwards.
+def map_file(descriptor: int, size: int) -> Bytes:
+    """Return the ``size`` bytes of an open file as a read-only array.
+
+    The descriptor may be closed afterwards.
 
     Raises:
         OSError: the system refuses, as Linux does beyond ``vm.max_map_count``, 65,530 by default.
@@ -209,7 +209,7 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     version = int(attributes["format_version"])
     check_version(version)
     rows, columns = (int(side) for side in attributes["map_size"])
-    spec, seed, named = _recipe(attributes["spec"], attributes["seed"])
+    spec, seed, expected_identity = _recipe(attributes["spec"], attributes["seed"])
     header = Header(
         spec=spec,
         seed=seed,
@@ -223,32 +223,30 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError(
             f"format version {version}, but its spec is of version {header.format_version}"
         )
-    if named != attributes["identity"]:
+    if attributes["identity"] != expected_identity:
         raise ShardError("its identity is not that of its spec and seed")
-    stated, content = (
-        (header.map_size, header.movement, header.resolution),
-        attributes["content_hash"],
-    )
-    if header.spec and stated != (
-        header.spec.map_size,
-        header.spec.movement,
-        header.spec.resolution,
-    ):
-        raise ShardError(
-            "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
-        )
+    if spec is not None:
+        expected = (spec.map_size, spec.movement, spec.resolution)
+        if (header.map_size, header.movement, header.resolution) != expected:
+            raise ShardError(
+                "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
+            )
     if not 0 < header.resolution < math.inf:
         raise ShardError(f"its attribute 'resolution' is {header.resolution}")
+    content = attributes["content_hash"]
     if not (isinstance(content, str) and is_hash(content)):
         raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
     return header, content
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=16)  # all shards of a dataset have one recipe
 def _recipe(spec: str, seed: str) -> tuple[Generator | None, int | None, str]:
-    """Return spec, seed and identity of their texts, which all shards of a dataset share."""
-    found = (Generator.from_json(spec) if spec else None, int(seed) if seed else None)
-    return *found, "" if None in found else identity(*found)  # type: ignore[arg-type]
+    """Return the spec, the seed and the identity of their texts; "" stands for none."""
+    generator = Generator.from_json(spec) if spec else None
+    number = int(seed) if seed else None
+    if generator is None or number is None:
+        return generator, number, ""
+    return generator, number, identity(generator, number)
 
 
 def is_hash(text: str) -> bool:
@@ -270,31 +268,30 @@ def _checked_arrays(root: Root, data: Bytes, header: Header) -> dict[str, Array]
 
 
 def head(shard: Shard, maps: int) -> Shard:
-    """Return the first maps of a shard as one of their own, with the same content hash and path."""
+    """Return the first maps of a shard as a shard, which keeps the content hash and path of all."""
     arrays = dict(shard.arrays)
     for name in ("room_offsets", "pair_offsets"):
         arrays[name] = arrays[name][: maps + 1]
-    for search in ("bfs", "astar"):
-        arrays[f"{search}_offsets"] = arrays[f"{search}_offsets"][
-            : int(arrays["room_offsets"][maps]) - maps + 1
-        ]
+    segments = int(arrays["room_offsets"][maps]) - maps
+    for name in ("bfs_offsets", "astar_offsets"):
+        arrays[name] = arrays[name][: segments + 1]
     header = replace(shard.header, stop=shard.header.start + maps)
-    shapes = _shapes(header, arrays)
-    return shard._replace(
-        header=header, arrays={name: array[: shapes[name][0]] for name, array in arrays.items()}
-    )
+    # with shorter offsets, the shapes of the other arrays follow
+    for name, shape in _shapes(header, arrays).items():
+        arrays[name] = arrays[name][: shape[0]]
+    return shard._replace(header=header, arrays=arrays)
 
 
 def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every array of a shard with this header and these offsets."""
-    (rows, columns), maps = header.map_size, header.stop - header.start
-    rooms, pairs = (
-        int(arrays[name][-1]) if len(arrays[name]) else 0
-        for name in ("room_offsets", "pair_offsets")
-    )
-    segments, diagonals = rooms - maps, header.movement.connectivity == 8
+    """Return the shape that every array must have, given the header and the last offsets."""
+    rows, columns = header.map_size
+    octets = (columns + WORD - 1) // WORD * WORD // 8  # a row is a whole number of words
+    maps = header.stop - header.start
+    rooms = _last(arrays["room_offsets"])
+    pairs = _last(arrays["pair_offsets"])
+    segments = rooms - maps
     shapes: dict[str, tuple[int, ...]] = {
-        "maps": (maps, rows, -(-columns // WORD) * WORD // 8),
+        "maps": (maps, rows, octets),
         "split": (maps,),
         "passage_width": (maps,),
         "room_offsets": (maps + 1,),
@@ -302,18 +299,22 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
         "seeds": (rooms, 2),
         "sizes": (rooms, 2),
         "directions": (segments, 2),
-        "astar_diagonal": (pairs if diagonals else 0,),
+        "astar_diagonal": (pairs if header.movement.connectivity == 8 else 0,),
     }
     for search in ("bfs", "astar"):
-        offsets = arrays[f"{search}_offsets"]
-        moves = int(offsets[-1]) if len(offsets) else 0
+        bits = _last(arrays[f"{search}_offsets"]) * bits_of(header.movement)
         shapes |= {
             f"{search}_offsets": (segments + 1,),
-            f"{search}_moves": (-(-moves * bits_of(header.movement) // 8),),
+            f"{search}_moves": ((bits + 7) // 8,),
             f"{search}_iterations": (segments,),
             f"{search}_straight": (pairs,),
         }
     return shapes
+
+
+def _last(offsets: Array) -> int:
+    """Return the last of some offsets; 0 if a hostile file has none."""
+    return int(offsets[-1]) if len(offsets) else 0
 
 
 def _plain(root: Root, field: Field, data: Bytes) -> Array:
@@ -344,17 +345,15 @@ def _plain(root: Root, field: Field, data: Bytes) -> Array:
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check what readers rely on to stay inside the arrays: offsets that grow, and seeds inside the
-    map.
-    """
+    """Check what keeps readers inside the arrays: offsets that grow, seed points inside the map."""
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
         offsets = arrays[name]
+        # neighbours are compared, since the difference of two hostile int64 may wrap round
         if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
             raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
     rooms = np.diff(arrays["room_offsets"])
-    if (rooms < 1).any() or not np.array_equal(
-        np.diff(arrays["pair_offsets"]), rooms * (rooms - 1) // 2
-    ):
+    pairs = np.diff(arrays["pair_offsets"])
+    if (rooms < 1).any() or not np.array_equal(pairs, rooms * (rooms - 1) // 2):
         raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
     seed_points = arrays["seeds"]
     if ((seed_points < 0) | (seed_points >= header.map_size)).any():

@@ -1,4 +1,4 @@
-"""What a dataset is made of, in a few lines that can be shared."""
+"""`Recipe`: a dataset as a few lines of JSON that can be shared."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mapdata.spec import check_count, check_seed
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a dataset is made of, in a few lines: all that is needed to build it again bit for bit.
+    """All that is needed to build a dataset again, bit for bit.
 
     Attributes:
         spec: the distribution of maps.
@@ -30,15 +30,16 @@ class Recipe:
 
     @staticmethod
     def load(given: str | dict[str, Any]) -> Recipe:
-        """Return the recipe that is given: a preset's name, a file of JSON, JSON text, or what such
-        text says.
+        """Return the recipe of a preset's name, a JSON file, JSON text, or a dict as in such text.
 
         Raises:
-            ValueError: none of these, or a recipe that states what cannot be.
+            ValueError: none of these, or a recipe with impossible values.
         """
         if isinstance(given, str) and given in PRESETS:
             return Recipe(PRESETS[given])
-        values: object = _parsed(given) if isinstance(given, str) else given
+        values: object = given
+        if isinstance(given, str):
+            values = _parsed(given)
         known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
         if not isinstance(values, dict) or not set(values) <= known:
             raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
@@ -57,7 +58,7 @@ class Recipe:
 
 
 def _parsed(text: str) -> object:
-    """Return what a file of JSON, or JSON text, says."""
+    """Return the value of JSON text or of a JSON file, whichever ``text`` is."""
     if not text.lstrip().startswith("{"):
         if not Path(text).is_file():
             raise ValueError(

@@ -1,6 +1,6 @@
-"""`Root`: a dataset where it lies, a folder, a URL or several of them, read a shard at a time.
+"""`Root`: the dataset of a folder, of a URL or of several, read a shard at a time.
 
-What lies at a URL is fetched once to a local cache and checked against its hashes.
+Shards at a URL are fetched once, to a local cache, and checked against their hashes.
 """
 
 from __future__ import annotations
@@ -66,12 +66,13 @@ class Root:
                 that needs a package that is not installed (the message names it).
         """
         where = places(source)
-        manifests = tuple(map(manifest_at, where))
+        manifests = tuple(manifest_at(place) for place in where)
         shards: list[tuple[int, int, Entry]] = []
         maps = 0
         for number, (place, manifest) in enumerate(zip(where, manifests, strict=True)):
             for name in ("map_size", "movement"):
-                value, first = getattr(manifest, name), getattr(manifests[0], name)
+                value = getattr(manifest, name)
+                first = getattr(manifests[0], name)
                 if value != first:
                     raise ValueError(
                         f"root: {place} has {name} {value}, {where[0]} has {first}; "
@@ -84,7 +85,12 @@ class Root:
             shards += [(number, maps, entry) for entry in manifest.shards]
             maps += manifest.maps
         return Root(
-            where, manifests, manifests[0].map_size, manifests[0].movement, tuple(shards), maps
+            places=where,
+            manifests=manifests,
+            map_size=manifests[0].map_size,
+            movement=manifests[0].movement,
+            shards=tuple(shards),
+            maps=maps,
         )
 
     @property
@@ -135,7 +141,8 @@ class Root:
         """
         _, first, _ = self.shards[k]
         labels = decode(self.open_shard(k))
-        return replace(labels, maps=replace(labels.maps, index=labels.maps.index + first))
+        maps = replace(labels.maps, index=labels.maps.index + first)
+        return replace(labels, maps=maps)
 
     def labels(self, *, progress: bool = False) -> Iterator[Labels]:
         """Yield the maps with their labels, a shard at a time.
@@ -158,8 +165,9 @@ class Root:
             ValueError: the dataset has no such map.
         """
         for k, (_, first, entry) in enumerate(self.shards):
-            if entry.start <= index - first < entry.stop:
-                return self.shard_labels(k), index - first - entry.start
+            number = index - first  # of the map in its own place
+            if entry.start <= number < entry.stop:
+                return self.shard_labels(k), number - entry.start
         raise ValueError(f"index: got {index}, {self} holds maps 0 to {self.maps - 1}")
 
 
@@ -176,6 +184,7 @@ def places(source: Places) -> tuple[str, ...]:
 
 
 def _place(name: str) -> str:
+    """Return a place without a slash at the end."""
     return name.rstrip("/") if is_url(name) else str(Path(name))
 
 
@@ -213,11 +222,13 @@ def read_file(place: str, name: str, most: int = MOST_BYTES) -> bytes:
     Raises:
         FileNotFoundError: there is none.
     """
-    return _fetch(place, name, most) if is_url(place) else (Path(place) / name).read_bytes()
+    if is_url(place):
+        return _fetch(place, name, most)
+    return (Path(place) / name).read_bytes()
 
 
 def local_file(place: str, entry: Entry) -> Path:
-    """Return the local file of a shard; one at a URL is fetched unless it was, and checked.
+    """Return the local file of a shard; one at a URL is fetched to the cache and checked.
 
     Raises:
         DatasetNotFoundError: it cannot be fetched.
@@ -225,7 +236,9 @@ def local_file(place: str, entry: Entry) -> Path:
     """
     if not is_url(place):
         return Path(place) / entry.name
-    cache = cache_home() / "mapdata" / "remote" / hashlib.sha256(place.encode()).hexdigest()[:24]
+    folder = hashlib.sha256(place.encode()).hexdigest()[:24]
+    cache = cache_home() / "mapdata" / "remote" / folder
+    # with the hash in its name, a shard that was replaced at the URL is another file here
     path = cache / f"{entry.sha256[:16]}-{entry.name}"
     if not path.exists() or file_hash(path) != entry.sha256:
         data = read_file(place, entry.name, entry.bytes)

@@ -1,9 +1,7 @@
-"""One shard: a contiguous range of maps with their labels in one HDF5 file. The layout is written
-down in
-docs/format.md.
+"""One shard: a contiguous range of maps with their labels in one HDF5 file.
 
-Writing goes through RAM and an atomic rename: a name that exists is complete. `reader.py` opens
-what was written.
+docs/format.md describes the layout. A file is made in memory, written under a temporary name and
+renamed, so a name that exists is complete. `reader.py` opens what was written.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ import numpy.typing as npt
 from h5py import h5a, h5s, h5t
 
 from mapdata._version import __version__
+from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
@@ -38,18 +37,14 @@ class ShardError(ValueError):
 
 
 def check_version(found: object, where: str = "", error: type[ValueError] = ShardError) -> None:
-    """Raise ``error`` for a version of the format that is not known; its message names both
-    versions.
-    """
+    """Raise ``error``, which names both versions, for a format version that is not known."""
     if found not in FORMAT_VERSIONS:
         known = " and ".join(map(str, FORMAT_VERSIONS))
         raise error(f"{where}format version {found}, this mapdata {__version__} reads {known}")
 
 
 class Field(NamedTuple):
-    """One dataset of a shard: its name and type, and the attributes that explain it to whoever
-    opens the file.
-    """
+    """One HDF5 dataset of a shard, with the attributes that explain it in the file."""
 
     name: str
     dtype: str
@@ -60,6 +55,8 @@ class Field(NamedTuple):
 
 
 _CELL = "cells, (row, col), origin upper left"
+_BITS = "bits: column c is bit c % 8 of byte c // 8 of its row"
+_LEGS = "1 horizontal, 0 vertical, -1 no passage"
 _PAIRS = (
     "pairs i < j of a map in row-major order "
     "(the condensed form of scipy.spatial.distance.squareform)"
@@ -68,26 +65,31 @@ _MOVES = (
     "packed, lowest bits first: 2 bits a move under 4-connectivity, else 4; "
     "0..7 = N E S W NE SE SW NW"
 )
+
+
+def _search_fields(search: str, name: str) -> tuple[Field, ...]:
+    """Return the datasets that hold what one search found; ``name`` is its name in words."""
+    offsets = f"first move of each segment by {name}"
+    moves = f"moves from room q to room q + 1 by {name}"
+    iterations = f"iterations of {name}, a segment"
+    straight = f"straight moves of {name}"
+    return (
+        Field(f"{search}_offsets", "<i8", 1, offsets, "moves", "S + 1 offsets"),
+        Field(f"{search}_moves", "u1", 1, moves, "code", _MOVES),
+        Field(f"{search}_iterations", "<i4", 1, iterations, "cells taken", "plain"),
+        Field(f"{search}_straight", "<i4", 1, straight, "moves", f"{_PAIRS}; -1 no path"),
+    )
+
+
+_DIAGONAL = f"{_PAIRS}; empty under 4-connectivity"
+_PAIR_OFFSETS = f"N + 1 offsets; {_PAIRS}"
+
 FIELDS = (
-    Field(
-        "maps",
-        "u1",
-        3,
-        "occupancy",
-        "1 occupied, 0 free",
-        "bits: column c is bit c % 8 of byte c // 8 of its row",
-    ),
+    Field("maps", "u1", 3, "occupancy", "1 occupied, 0 free", _BITS),
     Field("split", "u1", 1, "split of each map", "code", "0 train, 1 val, 2 test"),
     Field("passage_width", "<i2", 1, "width of the passages of each map", "cells", "-1 unknown"),
     Field("room_offsets", "<i8", 1, "first room of each map", "rooms", "N + 1 offsets"),
-    Field(
-        "pair_offsets",
-        "<i8",
-        1,
-        "first pair of rooms of each map",
-        "pairs",
-        f"N + 1 offsets; {_PAIRS}",
-    ),
+    Field("pair_offsets", "<i8", 1, "first pair of rooms of each map", "pairs", _PAIR_OFFSETS),
     Field("seeds", "<i2", 2, "seed point of each room", _CELL, "a row a room"),
     Field(
         "sizes",
@@ -97,60 +99,10 @@ FIELDS = (
         "cells",
         "a row a room; -1 unknown",
     ),
-    Field(
-        "directions",
-        "i1",
-        2,
-        "legs at A and B of each passage",
-        "code",
-        "1 horizontal, 0 vertical, -1 no passage",
-    ),
-    *(
-        field
-        for search, what in (("bfs", "breadth-first search"), ("astar", "A*"))
-        for field in (
-            Field(
-                f"{search}_offsets",
-                "<i8",
-                1,
-                f"first move of each segment by {what}",
-                "moves",
-                "S + 1 offsets",
-            ),
-            Field(
-                f"{search}_moves",
-                "u1",
-                1,
-                f"moves from room q to room q + 1 by {what}",
-                "code",
-                _MOVES,
-            ),
-            Field(
-                f"{search}_iterations",
-                "<i4",
-                1,
-                f"iterations of {what}, a segment",
-                "cells taken",
-                "plain",
-            ),
-            Field(
-                f"{search}_straight",
-                "<i4",
-                1,
-                f"straight moves of {what}",
-                "moves",
-                f"{_PAIRS}; -1 no path",
-            ),
-        )
-    ),
-    Field(
-        "astar_diagonal",
-        "<i4",
-        1,
-        "diagonal moves of A*, a pair",
-        "moves",
-        f"{_PAIRS}; empty under 4-connectivity",
-    ),
+    Field("directions", "i1", 2, "legs at A and B of each passage", "code", _LEGS),
+    *_search_fields("bfs", "breadth-first search"),
+    *_search_fields("astar", "A*"),
+    Field("astar_diagonal", "<i4", 1, "diagonal moves of A*, a pair", "moves", _DIAGONAL),
 )
 """All datasets of a shard, in the order of the file. Under BFS "straight" counts all moves."""
 
@@ -175,10 +127,10 @@ class Origin:
 
     @property
     def identity(self) -> str | None:
-        """The identity of the dataset; None for imported maps, which are what their content hash
-        says.
-        """
-        return None if self.spec is None or self.seed is None else identity(self.spec, self.seed)
+        """The identity of the dataset; None for imported maps: they are what their hash says."""
+        if self.spec is None or self.seed is None:
+            return None
+        return identity(self.spec, self.seed)
 
     @property
     def format_version(self) -> int:
@@ -223,8 +175,9 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
     arrays = {
         field.name: np.ascontiguousarray(encoded[field.name], field.dtype) for field in FIELDS
     }
-    # Not the driver for files in memory: before HDF5 2.0 its image has checksums of another state.
+    # Not HDF5's own files in memory: before 2.0 their bytes have checksums of another state.
     buffer = io.BytesIO()
+    # Aligned data can be used in place: numba assumes that arrays are aligned.
     with h5py.File(
         buffer,
         "w",
@@ -263,6 +216,7 @@ def _check_image(image: bytes, attributes: dict[str, object], arrays: dict[str, 
 def encode(labels: Labels) -> dict[str, Array]:
     """Return labelled maps as the arrays of a shard."""
     maps = labels.maps
+    # tables are padded to the most rooms of the batch; a file holds the rows of rooms alone
     used = np.arange(maps.seed_points.shape[1]) < maps.rooms[:, None]
     arrays: dict[str, Array] = {
         "maps": maps.packed.astype("<u8", copy=False).view(np.uint8),
@@ -279,23 +233,20 @@ def encode(labels: Labels) -> dict[str, Array]:
         arrays[f"{name}_moves"] = pack_moves(search.moves, bits_of(maps.movement))
         arrays[f"{name}_iterations"] = search.iterations
         arrays[f"{name}_straight"] = search.costs[:, 0]
-    diagonals = maps.movement.connectivity == 8
-    arrays["astar_diagonal"] = labels.astar.costs[:, 1] if diagonals else np.empty(0, np.int32)
+    # BFS counts moves, so it needs no second number; nor does a search without diagonals
+    arrays["astar_diagonal"] = np.empty(0, np.int32)
+    if maps.movement.connectivity == 8:
+        arrays["astar_diagonal"] = labels.astar.costs[:, 1]
     return arrays
 
 
 def decode(shard: Shard) -> Labels:
     """Return the labelled maps of a shard."""
-    arrays, header = shard.arrays, shard.header
+    arrays = shard.arrays
+    header = shard.header
     rooms = np.diff(arrays["room_offsets"])
     most = int(rooms.max(initial=2))
     used = np.arange(most) < rooms[:, None]
-
-    def padded(name: str, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-        table = np.full((*mask.shape, 2), -1, np.int64)
-        table[mask] = arrays[name]
-        return table
-
     maps = Maps(
         movement=header.movement,
         columns=header.map_size[1],
@@ -303,28 +254,37 @@ def decode(shard: Shard) -> Labels:
         packed=np.array(arrays["maps"]).view("<u8"),
         rooms=rooms,
         passage_width=arrays["passage_width"].astype(np.int64),
-        seed_points=padded("seeds", used),
-        sizes=padded("sizes", used),
-        directions=padded("directions", used[:, 1:]),
+        seed_points=_padded(arrays["seeds"], used),
+        sizes=_padded(arrays["sizes"], used),
+        directions=_padded(arrays["directions"], used[:, 1:]),
         split=np.array(arrays["split"]),
     )
-    diagonal = {"bfs": 0, "astar": arrays["astar_diagonal"] if len(arrays["astar_diagonal"]) else 0}
-    bfs, astar = (
-        SearchLabels(
-            moves=unpack_moves(
-                arrays[f"{name}_moves"],
-                int(arrays[f"{name}_offsets"][-1]),
-                bits_of(header.movement),
-            ),
-            offsets=np.array(arrays[f"{name}_offsets"]),
-            iterations=arrays[f"{name}_iterations"].astype(np.int64),
-            costs=np.stack(
-                np.broadcast_arrays(arrays[f"{name}_straight"], diagonal[name]), axis=-1
-            ).astype(np.int64),
-        )
-        for name in ("bfs", "astar")
+    return Labels(maps, _search_labels(shard, "bfs"), _search_labels(shard, "astar"))
+
+
+def _padded(rows: Array, used: Flags) -> Ints:
+    """Return rows of two numbers where ``used``, (N, R), says; -1 elsewhere."""
+    table = np.full((*used.shape, 2), -1, np.int64)
+    table[used] = rows
+    return table
+
+
+def _search_labels(shard: Shard, search: str) -> SearchLabels:
+    """Return what one search found on the maps of a shard."""
+    arrays = shard.arrays
+    movement = shard.header.movement
+    offsets = np.array(arrays[f"{search}_offsets"])
+    straight = arrays[f"{search}_straight"]
+    costs = np.zeros((len(straight), 2), np.int64)
+    costs[:, 0] = straight
+    if search == "astar" and movement.connectivity == 8:
+        costs[:, 1] = arrays["astar_diagonal"]
+    return SearchLabels(
+        moves=unpack_moves(arrays[f"{search}_moves"], int(offsets[-1]), bits_of(movement)),
+        offsets=offsets,
+        iterations=arrays[f"{search}_iterations"].astype(np.int64),
+        costs=costs,
     )
-    return Labels(maps, bfs, astar)
 
 
 def bits_of(movement: Movement) -> int:
@@ -332,28 +292,28 @@ def bits_of(movement: Movement) -> int:
     return 2 if movement.connectivity == 4 else 4
 
 
-def pack_moves(moves: npt.NDArray[np.uint8], bits: int) -> npt.NDArray[np.uint8]:
+def pack_moves(moves: Bytes, bits: int) -> Bytes:
     """Pack moves, the first one in the lowest bits of a byte."""
     each = 8 // bits
-    padded = np.zeros(-(-len(moves) // each) * each, np.uint8)
+    size = (len(moves) + each - 1) // each
+    padded = np.zeros(size * each, np.uint8)
     padded[: len(moves)] = moves
-    packed = np.zeros(len(padded) // each, np.uint8)
+    packed = np.zeros(size, np.uint8)
     for k in range(each):
         packed |= padded[k::each] << np.uint8(bits * k)
     return packed
 
 
-def unpack_moves(packed: npt.NDArray[np.uint8], count: int, bits: int) -> npt.NDArray[np.uint8]:
-    """Undo `pack_moves`."""
+def unpack_moves(packed: Bytes, count: int, bits: int) -> Bytes:
+    """Undo `pack_moves` for ``count`` moves."""
     shifts = np.arange(0, 8, bits, dtype=np.uint8)
-    return np.ascontiguousarray(
-        ((packed[:, None] >> shifts) & np.uint8(2**bits - 1)).reshape(-1)[:count]
-    )
+    lowest = np.uint8(2**bits - 1)
+    moves = (packed[:, None] >> shifts) & lowest
+    return np.ascontiguousarray(moves.reshape(-1)[:count])
 
 
 _written = itertools.count()
-"""Numbers the temporary names of this process, so that two writers of one name never share a file.
-"""
+"""Numbers the temporary files of this process: two writers of one name never share one."""
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -378,9 +338,9 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames in ``folder`` durable; Windows cannot, and needs no such call."""
+    """Make renames in ``folder`` durable: without this, a power cut may undo them."""
     if os.name == "nt":
-        return
+        return  # Windows cannot open a folder, and needs no such call
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -407,16 +367,16 @@ def _attributes(header: Header, content: str) -> dict[str, object]:
 
 
 def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) -> None:
-    """Write an attribute; text as a string of fixed length, which lies in metadata that have
-    checksums.
+    """Write an attribute, text as a string of fixed length.
 
-    HDF5 keeps strings of variable length in a heap without any, where one flipped bit can make it
-    loop for ever.
+    HDF5 keeps strings of variable length in a heap without checksums, where one flipped bit can
+    make it loop for ever; those of fixed length lie in metadata that have checksums.
     """
-    if isinstance(value, str):
-        data = value.encode()
-        kind = h5t.py_create(h5py.string_dtype("utf-8", max(len(data), 1)), logical=True)
-        attribute = h5a.create(owner.id, name.encode(), kind, h5s.create(h5s.SCALAR))
-        attribute.write(np.array(data, f"S{max(len(data), 1)}"), mtype=kind)
-    else:
+    if not isinstance(value, str):
         owner.attrs[name] = value
+        return
+    data = value.encode()
+    size = max(len(data), 1)  # HDF5 has no strings of length 0
+    kind = h5t.py_create(h5py.string_dtype("utf-8", size), logical=True)
+    attribute = h5a.create(owner.id, name.encode(), kind, h5s.create(h5s.SCALAR))
+    attribute.write(np.array(data, f"S{size}"), mtype=kind)

@@ -1,4 +1,4 @@
-"""What a dataset is like: one pass over its shards for the card, the report and the figures."""
+"""Statistics of a dataset: one pass over its shards for the card, the report and the figures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,10 @@ from mapdata.shards.root import Places, Root
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
+"""How many cells are unpacked to a byte each at once: memory stays flat however large a shard."""
+
 _DIGEST = 16
+"""Bytes of the hash of a map: among 10**9 different maps two collide with probability 1e-21."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,7 @@ class DatasetStatistics:
         iterations: of "bfs" and "astar", (S,) int64.
         rooms_known: the maps have rooms and passages, not only seed points.
         digests: (N, 16) and (N, 16) uint8: hash of the map, and the least hash of its symmetric
-            images.
+            images; None if they were not asked for.
     """
 
     root: Root
@@ -83,21 +87,22 @@ class DatasetStatistics:
 
     @cached_property
     def repeats(self) -> tuple[Repeats, Repeats]:
-        """Repeated maps: exactly the same, and the same up to the symmetries."""
+        """Repeated maps: exactly the same, and the same up to the symmetries.
+
+        Raises:
+            ValueError: the statistics were made without ``repeats=True``.
+        """
         if self.digests is None:
             raise ValueError("repeats: not counted; use dataset_statistics(root, repeats=True)")
         exact, symmetric = (_repeats(digests, self.split) for digests in self.digests)
         return exact, symmetric
 
     def distributions(self) -> dict[str, Floats]:
-        """Return the values of each distribution that is shown, those of a segment only where it
-        has a path.
-        """
+        """Return the values of each distribution that is shown; segments are those with a path."""
         found = self.lengths > 0
+        rooms = "rooms a map" if self.rooms_known else "seed points a map"
         return {
-            "rooms a map" if self.rooms_known else "seed points a map": self.rooms.astype(
-                np.float64
-            ),
+            rooms: self.rooms.astype(np.float64),
             "free share of a map": self.free,
             "path length of a segment, cells": self.lengths[found].astype(np.float64),
             "hardness of a segment": self.hardness[found],
@@ -117,52 +122,64 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
     """
     opened = Root.open(root)
     parts = [_columns(labels, repeats) for labels in opened.labels()]
-    if not parts:  # the columns of no map have their types too
+    if not parts:
+        # the columns of a dataset without maps have their types too
         nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
         parts = [_columns(nothing, repeats)]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    known = bool(table.pop("known").any())
-    digests = (table.pop("exact"), table.pop("symmetric"))
-    iterations = {name: table.pop(name) for name in ("bfs", "astar")}
+    rooms_known = bool(table.pop("rooms_known").any())
+    exact = table.pop("exact")
+    symmetric = table.pop("symmetric")
+    iterations = {search: table.pop(search) for search in ("bfs", "astar")}
     return DatasetStatistics(
         root=opened,
         iterations=iterations,
-        rooms_known=known,
-        digests=digests if repeats else None,
+        rooms_known=rooms_known,
+        digests=(exact, symmetric) if repeats else None,
         **table,
     )
 
 
 def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
-    """Return edges (k + 1,) and counts (k,) of ``values``: a bin an integer where those are few,
-    else ``bins``.
+    """Return edges (k + 1,) and counts (k,) of ``values``, in at most ``bins`` bins.
+
+    Whole numbers have bins of one or more whole numbers, each number in the middle of its own.
 
     >>> histogram(np.array([2.0, 3.0, 3.0]))
     (array([1.5, 2.5, 3.5]), array([1, 2]))
     """
-    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    low = float(values.min()) if len(values) else 0.0
+    high = float(values.max()) if len(values) else 1.0
     if bool((values == np.rint(values)).all()):
         width = max(1, math.ceil((high - low + 1) / bins))
         edges = np.arange(low, high + width + 0.5, width) - 0.5
     else:
-        edges = np.linspace(low, high if high > low else low + 1, bins + 1)
+        if high == low:
+            high = low + 1  # bins need a width
+        edges = np.linspace(low, high, bins + 1)
     counts, _ = np.histogram(values, edges)
     return edges, counts.astype(np.int64)
 
 
 def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
     """Return what a shard adds to each array of a `DatasetStatistics`."""
-    maps, movement = labels.maps, labels.maps.movement
-    used = np.arange(maps.directions.shape[1]) < (maps.rooms - 1)[:, None]
-    starts, goals = maps.seed_points[:, :-1][used], maps.seed_points[:, 1:][used]
+    maps = labels.maps
+    movement = maps.movement
+    passages = maps.rooms - 1
+    # arrays are padded to the most rooms of the shard: which rows are passages
+    used = np.arange(maps.directions.shape[1]) < passages[:, None]
+    starts = maps.seed_points[:, :-1][used]
+    goals = maps.seed_points[:, 1:][used]
     steps = np.diff(labels.astar.offsets)
-    diagonal = np.diff(_diagonal_moves(labels))
+    diagonal = _diagonal_moves(labels)
     costs = steps - diagonal + diagonal * movement.diagonal_cost
     costs[~labels.reachable] = -1
     hard = hardness(costs, starts, goals, movement)
     hardest = np.zeros(len(maps))
-    np.maximum.at(hardest, np.repeat(np.arange(len(maps)), maps.rooms - 1), hard)
-    known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
+    owners = np.repeat(np.arange(len(maps)), passages)
+    np.maximum.at(hardest, owners, hard)
+    rooms_known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
+    skipped = (~maps.connected & used).any(axis=1)
     free, exact, symmetric = _grid_columns(labels, hashes)
     return {
         "index": maps.index,
@@ -170,48 +187,60 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
         "free": free,
         "split": maps.split,
         "all_connected": labels.all_connected,
-        "redundant": labels.all_connected & (~maps.connected & used).any(axis=1) & known,
+        "redundant": labels.all_connected & skipped & rooms_known,
         "hardest": hardest,
         "lengths": np.where(labels.reachable, steps + 1, 0),
         "hardness": hard,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
-        "known": np.array([known]),
+        "rooms_known": np.array([rooms_known]),
         "exact": exact,
         "symmetric": symmetric,
     }
 
 
 def _diagonal_moves(labels: Labels) -> Ints:
-    """Return (S + 1,) int64, diagonal moves of A* before each segment."""
-    return np.concatenate(([0], np.cumsum(labels.astar.moves >= 4)))[labels.astar.offsets]
+    """Return (S,) int64, the diagonal moves of A* on each segment."""
+    is_diagonal = labels.astar.moves >= 4  # 0..7 = N E S W NE SE SW NW
+    before = np.concatenate(([0], np.cumsum(is_diagonal)))
+    return np.diff(before[labels.astar.offsets])
 
 
 def _grid_columns(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
-    """Return the free share of each map and its two digests."""
+    """Return the free share of each map and its two digests; those only with ``hashes``."""
     maps = labels.maps
-    count, rows, columns = len(maps), maps.packed.shape[1], maps.columns
+    count, rows, _ = maps.packed.shape
     free = np.empty(count)
-    digests = np.empty((2, count, _DIGEST if hashes else 0), np.uint8)
-    step = max(1, _CELLS_AT_ONCE // (rows * columns))
+    exact = np.zeros((count, _DIGEST), np.uint8)
+    symmetric = exact.copy()
+    step = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
     octets = maps.packed.astype("<u8", copy=False).view(np.uint8)
     for first in range(0, count, step):
         part = slice(first, first + step)
-        grids = np.unpackbits(octets[part], axis=2, count=columns, bitorder="little")
+        grids = np.unpackbits(octets[part], axis=2, count=maps.columns, bitorder="little")
         free[part] = 1 - grids.mean(axis=(1, 2))
         if hashes:
             images = [_digest(image) for image in _images(grids)]
-            digests[0, part] = images[0]
-            keys = np.stack(images, axis=1).view(f"S{_DIGEST}")[..., 0]
-            digests[1, part] = np.sort(keys, axis=1)[:, :1].copy().view(np.uint8)
-    return free, digests[0], digests[1]
+            exact[part] = images[0]
+            symmetric[part] = _least(images)
+    return free, exact, symmetric
+
+
+def _least(digests: list[Bytes]) -> Bytes:
+    """Return the least digest of each map, (N, 16), from those of its images, each (N, 16)."""
+    # one string of 16 bytes for each digest: numpy then compares whole digests
+    keys = np.stack(digests, axis=1).view(f"S{_DIGEST}")[..., 0]
+    least = np.sort(keys, axis=1)[:, :1]
+    return least.copy().view(np.uint8)
 
 
 def _images(grids: Bytes) -> Iterator[Bytes]:
     """Yield the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
-    square = grids.shape[1] == grids.shape[2]
-    for image in (grids, grids.swapaxes(1, 2)) if square else (grids,):
-        for flipped in (image, image[:, ::-1]):
+    bases = [grids]
+    if grids.shape[1] == grids.shape[2]:
+        bases.append(grids.swapaxes(1, 2))
+    for base in bases:
+        for flipped in (base, base[:, ::-1]):
             yield flipped
             yield flipped[:, :, ::-1]
 
@@ -224,15 +253,14 @@ def _digest(grids: Bytes) -> Bytes:
 
 
 def _repeats(digests: Bytes, split: Bytes) -> Repeats:
-    keys = (
-        np.ascontiguousarray(digests).view(f"S{_DIGEST}")[:, 0]
-        if len(digests)
-        else np.empty(0, "S1")
-    )
-    _, kind = np.unique(keys, return_inverse=True)
-    kinds = {name: kind[split == code] for code, name in enumerate(SPLITS)}
-    pairs = [(a, b) for k, a in enumerate(SPLITS) for b in SPLITS[k + 1 :]]
-    return Repeats(
-        inside={name: len(found) - len(np.unique(found)) for name, found in kinds.items()},
-        across={(a, b): int(np.isin(kinds[b], kinds[a]).sum()) for a, b in pairs},
-    )
+    """Count equal digests, (N, 16), inside each split and between each two."""
+    # one string of 16 bytes for each digest: numpy then compares whole digests
+    keys = digests.view(f"S{_DIGEST}")[:, 0]
+    # equal digests get equal numbers, which compare faster
+    _, kinds = np.unique(keys, return_inverse=True)
+    kinds_of = {name: kinds[split == code] for code, name in enumerate(SPLITS)}
+    inside = {name: len(found) - len(np.unique(found)) for name, found in kinds_of.items()}
+    across = {
+        (a, b): int(np.isin(kinds_of[b], kinds_of[a]).sum()) for a, b in combinations(SPLITS, 2)
+    }
+    return Repeats(inside, across)

@@ -1,4 +1,4 @@
-"""A row a map: all items of the paper, for tables, the paper's CSV and the Hub."""
+"""One row a map: all items of the paper, for tables, the paper's CSV and the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ SEARCHES = ("bfs", "astar")
 
 
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
-    """Return the items of map ``k`` of a batch as plain values.
+    """Return the items of map ``k`` of a batch as plain Python values.
 
-    The names are those of arXiv 2110.13242, section III-D, with underscores, and ``bfs`` and
-    ``astar`` before what a search found. Paths are the route, joined without its repeated joints;
-    iterations are one number a segment.
+    The names are those of the lists in sections 3 and 4 of arXiv 2110.13242, with underscores;
+    ``bfs`` or ``astar`` stands before what a search found. A path is the whole route, the cell
+    where two segments meet once; iterations are one number a segment.
     """
     maps = labels.maps
     rooms = int(maps.rooms[k])
     passages = rooms - 1
+    # all arrays are padded to the most rooms of the batch
+    seed_points = maps.seed_points[k, :rooms]
+    sizes = maps.sizes[k, :rooms]
     first = int(maps.segment_offsets[k])
     row: dict[str, Any] = {
         "item": int(maps.index[k]),
@@ -32,10 +35,10 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
         "resolution": resolution,
         "rooms": rooms,
         "passage_size": int(maps.passage_width[k]),
-        "seed_rows": maps.seed_points[k, :rooms, 0].tolist(),
-        "seed_columns": maps.seed_points[k, :rooms, 1].tolist(),
-        "size_rows": maps.sizes[k, :rooms, 0].tolist(),
-        "size_columns": maps.sizes[k, :rooms, 1].tolist(),
+        "seed_rows": seed_points[:, 0].tolist(),
+        "seed_columns": seed_points[:, 1].tolist(),
+        "size_rows": sizes[:, 0].tolist(),
+        "size_columns": sizes[:, 1].tolist(),
         "direction_for_passages": maps.directions[k, :passages].reshape(-1).tolist(),
         "connected": maps.connected[k, :passages].tolist(),
         "reachable": labels.reachable[first : first + passages].tolist(),
@@ -51,24 +54,20 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
 
 
 def map_rows(shard: Shard, split: str | None = None) -> list[dict[str, Any]]:
-    """Return the rows of the maps of a shard, those of one split or all, with spaces in their
-    names.
-    """
+    """Return the rows of a shard's maps, of one split or all, with spaces in the column names."""
     labels = decode(shard)
-    codes = labels.maps.split
-    wanted = (
-        range(len(codes))
-        if split is None
-        else np.flatnonzero(codes == SPLITS.index(split)).tolist()
-    )
-    rows = [map_row(labels, k, shard.header.resolution) for k in wanted]
-    return [{name.replace("_", " "): value for name, value in row.items()} for row in rows]
+    wanted = np.arange(len(labels.maps))
+    if split is not None:
+        wanted = np.flatnonzero(labels.maps.split == SPLITS.index(split))
+    rows = []
+    for k in wanted.tolist():
+        row = map_row(labels, k, shard.header.resolution)
+        rows.append({name.replace("_", " "): value for name, value in row.items()})
+    return rows
 
 
 def joined(route: list[Ints]) -> Ints:
-    """Return the segments of a route, each (k, 2), as one path, the cell where two of them meet
-    once.
-    """
+    """Return the segments of a route, each (k, 2), as one path without repeated joints."""
     cells = np.concatenate([np.empty((0, 2), np.int64), *route])
     kept = np.ones(len(cells), np.bool_)
     # no segment stays on a cell, so a cell that repeats the one before it is a joint

@@ -1,4 +1,4 @@
-"""Long work: a bar, threads that Ctrl-C does not wait for, and results as they are finished."""
+"""Workers: a progress bar, threads that Ctrl-C does not wait for, results as they are finished."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ def bar(
 
 @contextmanager
 def threads(workers: int | None = None) -> Iterator[Executor]:
-    """Yield an executor of so many threads; default all cores. Ctrl-C does not wait for what they
-    have begun.
+    """Yield an executor of ``workers`` threads, default all cores.
+
+    Ctrl-C cancels tasks that have not begun, and does not wait for the others.
     """
     pool = ThreadPoolExecutor(workers or CORES, thread_name_prefix=THREADS)
     wait = True
@@ -58,8 +59,9 @@ def threads(workers: int | None = None) -> Iterator[Executor]:
 def finished(
     pool: Executor, function: Callable[[_Task], _Result], tasks: Iterable[_Task], most: int
 ) -> Iterator[tuple[_Task, _Result]]:
-    """Yield each task with its result when it is finished; at most ``most`` are under way, and the
-    rest is cancelled when the caller stops.
+    """Yield each task with its result as it is finished, in any order.
+
+    At most ``most`` tasks are submitted at a time; those left are cancelled when the caller stops.
     """
     done: SimpleQueue[Future[_Result]] = SimpleQueue()
     under_way: dict[Future[_Result], _Task] = {}
@@ -68,6 +70,7 @@ def finished(
             future = pool.submit(function, task)
             under_way[future] = task
             future.add_done_callback(done.put)
+            # results are taken while others run, so that few are held
             while len(under_way) >= most or not done.empty():
                 future = done.get()
                 yield under_way.pop(future), future.result()
