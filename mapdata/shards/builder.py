@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence, Set
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing, nullcontext
 from dataclasses import replace
@@ -34,6 +34,9 @@ from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
+
+Limits = Set[tuple[int, int]]
+"""(start, stop) of some shards."""
 
 _MERGE_EVERY = 2.0
 """Least seconds between two writes of the manifest while shards are made."""
@@ -108,11 +111,11 @@ def build(
             "shards"
         )
     _check_part(part)
-    have = _prepare(root, wanted)
+    mine = list(headers(wanted))[part[0] :: part[1]]
+    have, damaged = _prepare(root, wanted, {(header.start, header.stop) for header in mine})
     present = replace(wanted, shards=tuple(have.values()))
     if os.access(root, os.W_OK):
         sweep(root, present)
-    mine = list(headers(wanted))[part[0] :: part[1]]
     todo = [header for header in mine if (header.start, header.stop) not in have]
     if not todo:
         return present  # nothing to write, so a root that may only be read will do
@@ -127,7 +130,9 @@ def build(
     with (
         bar(progress, total, total - left) as advance,
         threads(workers) if executor is None else nullcontext(executor) as pool,
-        closing(_made(pool, root.absolute(), todo, _UNDER_WAY if executor else _FEW)) as made,
+        closing(
+            _made(pool, root.absolute(), todo, damaged, _UNDER_WAY if executor else _FEW)
+        ) as made,
     ):
         due = time.monotonic() + _MERGE_EVERY
         try:
@@ -181,11 +186,16 @@ def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
+def _make(root: Path, damaged: Limits, header: Header) -> Entry:
+    """Make a shard, anew if it is damaged: a function of the module, since processes pickle it."""
+    return make_shard(root, header, anew=(header.start, header.stop) in damaged)
+
+
 def _made(
-    pool: Executor, root: Path, todo: Sequence[Header], most: int
+    pool: Executor, root: Path, todo: Sequence[Header], damaged: Limits, most: int
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
-    make = partial(make_shard, root)
+    make = partial(_make, root, damaged)
     left = dict.fromkeys(todo)
     try:
         for header, entry in finished(pool, make, todo, most):
@@ -200,11 +210,15 @@ def _made(
                 yield entry
 
 
-def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
+def _prepare(
+    root: Path, wanted: Manifest, mine: Limits
+) -> tuple[dict[tuple[int, int], Entry], Limits]:
     """Make sure that the root is of the wanted dataset; make it if it is missing.
 
     Returns:
-        By (start, stop), the entries of the shards whose bytes are those that the manifest states.
+        By (start, stop), the entries of the shards that are there, and which are there with other
+            bytes than the manifest states. Those of ``mine`` were hashed, of others only the size
+            is compared.
 
     Raises:
         ValueError: it is a file, or holds something else.
@@ -226,13 +240,19 @@ def _prepare(root: Path, wanted: Manifest) -> dict[tuple[int, int], Entry]:
         )
     plan = set(wanted.plan)
     have = {}
+    damaged = set()
     for entry in found.shards:
         limits = (entry.start, entry.stop)
         path = root / entry.name
         # A partial last shard is not in the plan of a larger dataset.
-        if limits in plan and _size(path) == entry.bytes and file_hash(path) == entry.sha256:
+        size = _size(path)
+        if limits not in plan or size == _MISSING:
+            continue
+        if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
             have[limits] = entry
-    return have
+        else:
+            damaged.add(limits)
+    return have, damaged
 
 
 def _check_unlisted(root: Path, wanted: Manifest) -> None:

@@ -282,6 +282,20 @@ def test_a_damaged_shard_that_missed_the_manifest_is_made_again(dataset: str, ro
     assert path.read_bytes() == image
 
 
+@pytest.mark.parametrize("part", [(0, 1), (1, 3)])
+def test_damaged_shards_are_made_again(root: Path, part: tuple[int, int]) -> None:
+    """A flipped bit in a listed shard, of the same size: the next build is the first one again."""
+    whole = make(root)
+    truth = {path.name: path.read_bytes() for path in root.glob("*.h5")}
+    path = root / shard_name(4, 8)  # the second of three: of part 1 of 3, too
+    image = bytearray(truth[path.name])
+    image[len(image) // 2] ^= 16
+    path.write_bytes(image)
+    assert build(root, **KNOWN, part=part) == whole
+    assert {path.name: path.read_bytes() for path in root.glob("*.h5")} == truth
+    assert verify(root) == []
+
+
 def test_a_lost_manifest_is_made_again(root: Path) -> None:
     """It is derived from the shards, which are left as they are."""
     make(root)
