@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import samples
+from helpers.builds import publish
 from torch.utils.data import DataLoader
 
 from mapdata import MapDataset, MapSpec, ShardError, build
@@ -271,7 +272,7 @@ def test_a_seed_in_a_wall_is_named(tmp_path: Path) -> None:
     image, maps = bytearray(path.read_bytes()), shard.arrays["maps"]
     place = path.read_bytes().find(maps.tobytes())
     image[place : place + maps.nbytes] = b"\xff" * maps.nbytes
-    write_file(path, bytes(image))
+    publish(root, path.name, bytes(image))
     with pytest.raises(
         ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"
     ):

@@ -20,7 +20,8 @@ import numpy.typing as npt
 import pytest
 import torch
 from helpers import hostile, reference, samples
-from helpers.builds import SOUND_SEED, SOUND_SPEC
+from helpers.builds import SOUND_SEED, SOUND_SPEC, publish
+from helpers.imported import imported
 from helpers.specs import MOVEMENTS
 from scipy import stats
 from torch.utils.data import DataLoader
@@ -952,14 +953,13 @@ def test_manifests_that_cannot_be_are_refused(root: str, tmp_path: Path) -> None
             MapDataset(copy, "train")
 
 
-def test_a_map_of_more_rooms_than_stated_is_refused(sound: Path, tmp_path: Path) -> None:
+def test_a_map_of_more_rooms_than_stated_is_refused(tmp_path: Path) -> None:
     """Matrices have room for as many as the manifest says: more would be written beyond them."""
-    root = tmp_path / "maps"
-    shutil.copytree(sound, root)
+    root = imported(tmp_path / "maps")
     manifest = read_manifest(root)
     entry = manifest.shards[0]
     few = replace(entry, counts={**entry.counts, "most_rooms": 1})
-    (root / MANIFEST).write_text(replace(manifest, spec=None, seed=None, shards=(few,)).to_json())
+    (root / MANIFEST).write_text(replace(manifest, shards=(few,)).to_json())
     with pytest.raises(ShardError, match="more rooms than the manifest says"):
         MapDataset(root, fields=("connection_matrix",))[0]
 
@@ -986,7 +986,7 @@ def test_damaged_paths_are_refused(roots: dict[str, str], name: str) -> None:
                 file.create_dataset(key, data=changed)
 
             hostile.write(shard, contents, shard, {"astar_moves": member, "bfs_moves": member})
-            rewrite(manifest, copy, bytes=shard.stat().st_size)
+            publish(copy, shard.name, shard.read_bytes())
             for search in ("bfs", "astar"):
                 dataset = MapDataset(
                     copy, fields=("path", "path_mask", "start", "goal"), search=search

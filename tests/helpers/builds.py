@@ -11,13 +11,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
 from mapdata import MapSpec, Movement, build
-from mapdata.shards import MANIFEST, Manifest
+from mapdata.shards import MANIFEST, Manifest, read_manifest
 from mapdata.spec import canonical_json
 
 SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)
@@ -92,6 +93,18 @@ def restated(text: str, change: Callable[[dict[str, Any]], object]) -> str:
     change(values)
     values["manifest_hash"] = hashlib.sha256(canonical_json(values).encode()).hexdigest()
     return json.dumps(values, indent=1) + "\n"
+
+
+def publish(root: Path, name: str, image: bytes) -> None:
+    """Put another file in the place of a shard, with a manifest that states its size and hash."""
+    manifest = read_manifest(root)
+    digest = hashlib.sha256(image).hexdigest()
+    shards = tuple(
+        replace(entry, bytes=len(image), sha256=digest) if entry.name == name else entry
+        for entry in manifest.shards
+    )
+    (root / name).write_bytes(image)
+    (root / MANIFEST).write_text(replace(manifest, shards=shards).to_json(), encoding="utf-8")
 
 
 class InTheCaller(Executor):
