@@ -112,26 +112,9 @@ def bit_labels(
                         nearer = seen - count_bits(level, at + low, at + high + 1)
             if pending == 0 and depth >= length:
                 break
-            # Two views and unsigned indices: so the compiler sees that nothing overlaps, and takes
-            # 8 rows at a time.
             here = level[at : at + _LEVEL]
             new = level[at + _LEVEL : at + 2 * _LEVEL]
-            for r in range(low - 1, high + 2):
-                i = np.uint64(r)
-                reached = _beside(here, i) & unseen[i]
-                new[i] = reached
-                unseen[i] ^= reached
-            # What the level after it reads beyond these rows; the buffer holds older levels.
-            new[low - 3] = 0
-            new[low - 2] = 0
-            new[high + 2] = 0
-            new[high + 3] = 0
-            low -= 1
-            high += 1
-            while low <= high and new[low] == 0:
-                low += 1
-            while low <= high and new[high] == 0:
-                high -= 1
+            low, high = _next_level(here, new, unseen, low, high)
             if low > high:  # nothing new: all that can be reached is seen
                 break
             depth += 1
@@ -153,6 +136,33 @@ def bit_labels(
                 table[s, 1] = free - count_bits(unseen, 0, _LEVEL)
             pair += n - 1 - s
     return moves, used
+
+
+@inlined
+def _next_level(here: Words, new: Words, unseen: Words, low: Int, high: Int) -> tuple[Int, Int]:
+    """Write the level ``new`` that follows ``here``, whose cells lie in rows ``low`` to ``high``.
+
+    Returns the first and last row of the new level; the first is beyond the last if it is empty.
+    """
+    # With unsigned indices into two views the compiler sees that nothing overlaps, and takes 8 rows
+    # at a time.
+    for row in range(low - 1, high + 2):
+        r = np.uint64(row)
+        reached = _beside(here, r) & unseen[r]
+        new[r] = reached
+        unseen[r] ^= reached
+    # The level after this one reads two rows beyond it, and the buffer holds an older search.
+    new[low - 3] = 0
+    new[low - 2] = 0
+    new[high + 2] = 0
+    new[high + 3] = 0
+    first = low - 1
+    last = high + 1
+    while first <= last and new[first] == 0:
+        first += 1
+    while first <= last and new[last] == 0:
+        last -= 1
+    return first, last
 
 
 @inlined
