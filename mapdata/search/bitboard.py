@@ -166,7 +166,7 @@ def _next_level(here: Words, new: Words, unseen: Words, low: Int, high: Int) -> 
 
 
 @inlined
-def _beside(level: Words, row: np.uint64) -> np.uint64:
+def _beside(level: Words, row: np.uint64) -> Int:
     """Return the cells of a row that are one move away from a cell of ``level``."""
     east_and_west = (level[row] << _ONE) | (level[row] >> _ONE)
     return east_and_west | level[row - _ONE] | level[row + _ONE]
