@@ -1,5 +1,4 @@
-"""Dungeon-like 2D grid maps with shortest paths and room-to-room distances, for planners that learn
-by example.
+"""Datasets of 2D grid maps with shortest paths for PyTorch: path planning by imitation learning.
 
 The public names stand here and are imported on first use: ``import mapdata`` loads neither torch
 nor numba.

@@ -34,8 +34,9 @@ def source_hash(package: Path) -> str:
 
 
 def cache_home() -> Path:
-    """Return the user's cache folder: compiled code is loaded from it, so it must not be a shared
-    one like /tmp.
+    """Return the user's cache folder.
+
+    Compiled code is loaded from it, so it must not be a shared one like /tmp.
     """
     if override := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(override)
@@ -69,7 +70,7 @@ def kernel(function: F) -> F:
     """
     dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
     if _CACHED:
-        # numba reads its cache folder from a process-wide setting, once, here.
+        # numba reads its cache folder from a process-wide setting, when caching is enabled.
         before = getattr(numba.config, "CACHE_DIR")  # noqa: B009
         setattr(numba.config, "CACHE_DIR", str(CACHE_FOLDER))  # noqa: B010  (its stub does not know the setting)
         try:
@@ -80,9 +81,9 @@ def kernel(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Mark ``function`` as a part of kernels, taken into each at its call.
+    """Mark ``function`` as a part of kernels: its body replaces each call.
 
-    A call with array arguments counts their references, which costs more than what a small helper
-    does.
+    A real call with array arguments counts their references, which costs more than what a small
+    helper does.
     """
     return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))

@@ -16,9 +16,12 @@ from mapdata.jit import Int, kernel
 MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, POINTS = range(6)
 """The streams: what a draw is for. Equal indices of two streams give unrelated numbers."""
 
-_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_M0 = np.uint64(0xD2511F53)
+_M1 = np.uint64(0xCD9E8D57)
+_W0 = np.uint64(0x9E3779B9)
+_W1 = np.uint64(0xBB67AE85)
+_LOW = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
 _STREAM_SHIFT = np.uint64(24)
 
 Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
@@ -28,13 +31,20 @@ Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 def philox4x32(
     c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> Words:
-    """Return the four 32-bit words of philox4x32-10 for a counter and a key, each a uint64 below
-    2**32.
+    """Return the four words of philox4x32-10 for a counter and a key.
+
+    All words are uint64 below 2**32, so that the product of two is exact. The names of the
+    multipliers and of what the key grows by are those of the paper.
     """
     for _ in range(10):
-        p0, p1 = c0 * _M0, c2 * _M1
-        c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW
-        k0, k1 = (k0 + _W0) & _LOW, (k1 + _W1) & _LOW
+        p0 = c0 * _M0
+        p1 = c2 * _M1
+        c0 = (p1 >> _HALF) ^ c1 ^ k0
+        c2 = (p0 >> _HALF) ^ c3 ^ k1
+        c1 = p1 & _LOW
+        c3 = p0 & _LOW
+        k0 = (k0 + _W0) & _LOW
+        k1 = (k1 + _W1) & _LOW
     return c0, c1, c2, c3
 
 
@@ -62,14 +72,14 @@ def block(seed: np.uint64, index: np.uint64, epoch: Int, stream: Int, number: In
 
 @kernel
 def bounded(word: np.uint64, low: Int, high: Int) -> Int:
-    """Return an integer in [low, high] by multiply-high of a 32-bit word (bias below (high - low +
-    1) / 2**32).
+    """Return an integer in [low, high] by multiply-high of a 32-bit word.
+
+    The word over 2**32 is a place in the range; each probability is right to within 2**-32.
     """
-    return low + np.int64((word * np.uint64(high - low + 1)) >> _HALF)
+    count = np.uint64(high - low + 1)
+    return low + np.int64((word * count) >> _HALF)
 
 
 def threshold(probability: float) -> int:
-    """Return the integer below which a 32-bit word means that an event of this probability
-    happens.
-    """
+    """Return the integer that a 32-bit word is below with this probability."""
     return round(probability * 2**32)

@@ -1,6 +1,4 @@
-"""The rule by which one moves on a map, and the checks of plain values that all specifications
-share.
-"""
+"""`Movement`, how one moves on a map, and the checks of plain values that all specs share."""
 
 from __future__ import annotations
 
@@ -8,7 +6,8 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from operator import index
+from typing import Any, SupportsIndex, TypeGuard
 
 FORMAT_VERSIONS = (1, 2)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
@@ -55,11 +54,14 @@ class Movement:
         if not isinstance(self.corner_cutting, bool):
             raise ValueError(f"corner_cutting: got {self.corner_cutting!r}, expected True or False")
         cost = check_number("diagonal_cost", self.diagonal_cost)
-        exact = [value for value in (1.0, math.sqrt(2)) if math.isclose(cost, value, rel_tol=1e-6)]
-        if not exact:
+        if math.isclose(cost, 1, rel_tol=1e-6):
+            cost = 1.0
+        elif math.isclose(cost, math.sqrt(2), rel_tol=1e-6):
+            cost = math.sqrt(2)
+        else:
             raise ValueError(f"diagonal_cost: got {cost!r}, expected 1 or sqrt(2) = {math.sqrt(2)}")
-        object.__setattr__(self, "diagonal_cost", exact[0])
-        if self.connectivity == 4 and (self.corner_cutting or exact[0] == 1.0):
+        object.__setattr__(self, "diagonal_cost", cost)
+        if self.connectivity == 4 and (self.corner_cutting or cost == 1):
             raise ValueError(
                 "connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do "
                 "nothing"
@@ -67,9 +69,7 @@ class Movement:
 
 
 def canonical_json(values: object) -> str:
-    """Return the one JSON text of ``values`` that hashes are taken of: sorted keys, no white space,
-    ASCII.
-    """
+    """Return the one JSON text of ``values``, to hash: sorted keys, no white space, ASCII."""
     return json.dumps(
         values, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
     )
@@ -81,7 +81,7 @@ def check_seed(seed: int) -> int:
     Raises:
         ValueError: not an integer of 64 bits, 0 to 2**64 - 1.
     """
-    (value,) = check_integers("seed", (seed,), 1)
+    value = _integer("seed", seed)
     if not 0 <= value < 2**64:
         raise ValueError(f"seed: got {value}, expected 0 to 2**64 - 1")
     return value
@@ -93,7 +93,7 @@ def check_count(name: str, value: object, lowest: int = 1) -> int:
     Raises:
         ValueError: not an integer, or below ``lowest``.
     """
-    (count,) = check_integers(name, (value,), 1)
+    count = _integer(name, value)
     if count < lowest:
         raise ValueError(f"{name}: got {count}, expected an integer of at least {lowest}")
     return count
@@ -116,19 +116,22 @@ def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
     return dict(values)
 
 
-def check_integers(name: str, values: object, count: int = 2) -> tuple[int, ...]:
-    """Return ``values`` as a tuple of ``count`` ints; numpy integers are welcome, floats and bools
-    are not.
-    """
+def check_integers(name: str, values: object) -> Range:
+    """Return ``values`` as two ints; numpy integers are welcome, floats and bools are not."""
     items = tuple(values) if isinstance(values, (tuple, list)) else ()
-    if len(items) != count or any(
-        isinstance(item, bool) or not hasattr(item, "__index__") for item in items
-    ):
-        what = "an integer" if count == 1 else f"{count} integers"
-        raise ValueError(
-            f"{name}: got {items[0] if count == 1 and items else values!r}, expected {what}"
-        )
-    return tuple(item.__index__() for item in items)
+    if len(items) != 2 or not all(map(_is_integer, items)):
+        raise ValueError(f"{name}: got {values!r}, expected 2 integers")
+    return index(items[0]), index(items[1])
+
+
+def _integer(name: str, value: object) -> int:
+    if not _is_integer(value):
+        raise ValueError(f"{name}: got {value!r}, expected an integer")
+    return index(value)
+
+
+def _is_integer(value: object) -> TypeGuard[SupportsIndex]:
+    return hasattr(value, "__index__") and not isinstance(value, bool)
 
 
 def check_number(name: str, value: object) -> float:
@@ -151,16 +154,11 @@ def check_probability(name: str, value: object) -> float:
 
 def check_fractions(values: object) -> tuple[float, ...]:
     """Return ``values`` as the fractions of the splits, which add up to 1."""
-    items = (
-        tuple(check_number("splits", item) for item in values)
-        if isinstance(values, (tuple, list))
-        else ()
-    )
-    if (
-        len(items) != len(SPLITS)
-        or not all(0 <= item <= 1 for item in items)
-        or abs(sum(items) - 1) > 1e-9
-    ):
+    items: tuple[float, ...] = ()
+    if isinstance(values, (tuple, list)):
+        items = tuple(check_number("splits", item) for item in values)
+    inside = len(items) == len(SPLITS) and all(0 <= item <= 1 for item in items)
+    if not inside or abs(sum(items) - 1) > 1e-9:
         raise ValueError(
             f"splits: got {values!r}, expected three fractions in [0, 1] that add up to 1"
         )

@@ -1,8 +1,7 @@
 """Compare planners: the metrics of Neural A* and TransPath for anything that plans, in one table.
 
-Neural A*: Yonetani et al., ICML 2021, https://arxiv.org/abs/2009.07476. TransPath: Kirilenko et
-al., AAAI 2023,
-https://arxiv.org/abs/2212.11730.
+Neural A*: Yonetani et al., ICML 2021, https://arxiv.org/abs/2009.07476.
+TransPath: Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
 
 _BATCH = 64
+"""Problems that ``plan_batch`` gets at a time."""
 
 Cell = tuple[int, int]
 
@@ -32,7 +32,7 @@ class Plan(NamedTuple):
 
     Attributes:
         path: (k, 2) integer cells from start to goal, both included; (0, 2) when it found none.
-        expansions: number of cells that it took from its frontier, the goal included.
+        expansions: number of cells that it expanded, the goal included.
     """
 
     path: npt.NDArray[np.integer[Any]]
@@ -61,12 +61,12 @@ class BatchPlanner(Planner, Protocol):
 def evaluate(
     planners: Sequence[Planner], problems: Problems, *, bootstrap: int = 1000, seed: int = 0
 ) -> pd.DataFrame:
-    """Return the table of ``planners`` on ``problems``: two rows a planner, all problems and the
-    hard ones.
+    """Return the table of ``planners`` on ``problems``.
 
-    L is the cost of a path, E the number of expansions, L* and E* are those of mapdata's A*
-    (docs/format.md fixes its order) under the same movement. A planner succeeds where its path
-    starts and ends as asked and `check_path` accepts it. Columns:
+    Two rows a planner: all problems, and the hard ones. L is the cost of a path, E the number of
+    expansions, L* and E* are those of mapdata's A* (docs/format.md fixes its order) under the same
+    movement. A planner succeeds where its path starts and ends as asked and `check_path` accepts
+    it. Columns:
 
     - ``planner``; ``subset``, "all" or "hard" (hardness at least ``HARD``); ``n``, the number of
       problems in it.
@@ -108,15 +108,14 @@ def evaluate(
     rows: list[dict[str, object]] = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         values, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
-        for k, (run, name) in enumerate(zip(runs, names, strict=True)):
-            row: dict[str, object] = {"planner": name, "subset": subset, "n": int(mask.sum())}
+        for k, run in enumerate(runs):
+            row: dict[str, object] = {"planner": names[k], "subset": subset, "n": int(mask.sum())}
             row |= dict(zip(METRICS, values[k].tolist(), strict=True))
-            row |= {
-                "ms": run.ms[mask].mean() if mask.any() else np.nan,
-                "ms_batched": run.ms_batched,
-            }
-            for metric, low, high in zip(METRICS, lows[k].tolist(), highs[k].tolist(), strict=True):
-                row |= {f"{metric}_low": low, f"{metric}_high": high}
+            row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
+            row["ms_batched"] = run.ms_batched
+            for m, metric in enumerate(METRICS):
+                row[f"{metric}_low"] = lows[k, m]
+                row[f"{metric}_high"] = highs[k, m]
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -141,37 +140,42 @@ def confidence_intervals(
         return np.full((3, *values.shape), np.nan)
     source = np.random.default_rng(seed)
     flat = outcomes.reshape(n, -1)
-    sums = [np.bincount(source.integers(n, size=n), minlength=n) @ flat for _ in range(bootstrap)]
-    means = np.reshape(sums, (bootstrap, *outcomes.shape[1:])) / n
+    sums = np.empty((bootstrap, flat.shape[1]))
+    for k in range(bootstrap):
+        # How often each problem is in the resample times its outcomes: no copy of them is made.
+        times_drawn = np.bincount(source.integers(n, size=n), minlength=n)
+        sums[k] = times_drawn @ flat
+    means = sums.reshape(bootstrap, *outcomes.shape[1:]) / n
     resampled = pd.DataFrame(metrics(means).reshape(bootstrap, -1))
     ends = resampled.quantile([0.025, 0.975]).to_numpy()  # leaves NaN out
     return np.concatenate([values[None], ends.reshape(2, *values.shape)])
 
 
 def to_text(table: pd.DataFrame) -> str:
-    """Return the table of `evaluate` for a terminal: a block a subset, each metric with half its
-    interval's width.
-    """
+    """Return the table of `evaluate` as text: each metric with half its interval's width."""
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
         for metric in METRICS:
             half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
-            text[metric] = [
-                f"{value:.3f} ±{width:.3f}" for value, width in zip(rows[metric], half, strict=True)
-            ]
+            text[metric] = rows[metric].map("{:.3f}".format) + half.map(" ±{:.3f}".format)
         for name in ("ms", "ms_batched"):
-            text[name] = [f"{value:.3f}" for value in rows[name]]
-        which = f", hardness at least {HARD}" if subset == "hard" else ""
-        blocks.append(
-            f"{subset}: {rows['n'].iloc[0]} problems{which}\n{text.to_string(index=False)}"
-        )
+            text[name] = rows[name].map("{:.3f}".format)
+        heading = f"{subset}: {rows['n'].iloc[0]} problems"
+        if subset == "hard":
+            heading += f", hardness at least {HARD}"
+        blocks.append(f"{heading}\n{text.to_string(index=False)}")
     return "\n\n".join(blocks)
 
 
 class _Run(NamedTuple):
-    """A planner's outcomes (N, 5): success, opt, L / L* (0 in a failure), E / E*, max(0, 1 - E /
-    E*); its times.
+    """What a planner achieved.
+
+    Attributes:
+        outcomes: (N, 5), of each problem: success and opt, 0 or 1; L / L*, 0 in a failure; E / E*;
+            max(0, 1 - E / E*).
+        ms: (N,) milliseconds for each problem.
+        ms_batched: milliseconds a problem in batches, NaN without `plan_batch`.
     """
 
     outcomes: Floats
@@ -181,27 +185,30 @@ class _Run(NamedTuple):
 
 def _run(planner: Planner, problems: Problems) -> _Run:
     """Plan and check every problem."""
-    outcomes, ms = np.zeros((len(problems), 5)), np.empty(len(problems))
-    best, effort = problems.optimal.cost, problems.optimal.iterations
+    outcomes = np.zeros((len(problems), 5))
+    ms = np.empty(len(problems))
     _timed(planner, problems, 0)  # kernels compile and caches fill in the first call
     for k in range(len(problems)):
         plan, ms[k] = _timed(planner, problems, k)
-        cost, expansions = _cost(plan, problems, k), int(plan.expansions)
+        cost = _cost(plan, problems, k)
         if cost is not None:
-            outcomes[k, :3] = 1, cost == best[k], cost / best[k]
-        outcomes[k, 3:] = expansions / effort[k], max(0.0, (effort[k] - expansions) / effort[k])
-    return _Run(
-        outcomes, ms, _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan
-    )
+            optimal = problems.optimal.cost[k]
+            outcomes[k, 0] = 1
+            outcomes[k, 1] = 1 if cost == optimal else 0
+            outcomes[k, 2] = cost / optimal
+        expansions = int(plan.expansions)
+        iterations = problems.optimal.iterations[k]
+        outcomes[k, 3] = expansions / iterations
+        outcomes[k, 4] = max(0.0, (iterations - expansions) / iterations)
+    ms_batched = _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan
+    return _Run(outcomes, ms, ms_batched)
 
 
 def _timed(planner: Planner, problems: Problems, k: int) -> tuple[Plan, float]:
     """Return the plan for problem k and the milliseconds it took."""
-    (start_row, start_column), (goal_row, goal_column) = (
-        problems.starts[k].tolist(),
-        problems.goals[k].tolist(),
-    )
-    grid = problems.grids[k].copy()
+    start_row, start_column = problems.starts[k].tolist()
+    goal_row, goal_column = problems.goals[k].tolist()
+    grid = problems.grids[k].copy()  # a planner may write to it
     began = time.perf_counter()
     plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
     return plan, 1000 * (time.perf_counter() - began)
@@ -209,18 +216,17 @@ def _timed(planner: Planner, problems: Problems, k: int) -> tuple[Plan, float]:
 
 def _batched(planner: BatchPlanner, problems: Problems) -> float:
     """Return the milliseconds a problem in batches."""
-    seconds = [_timed_batch(planner, problems, k) for k in [0, *range(0, len(problems), _BATCH)]]
-    return 1000 * sum(seconds[1:]) / len(problems)
+    _timed_batch(planner, problems, 0)  # as in `_run`
+    seconds = [_timed_batch(planner, problems, k) for k in range(0, len(problems), _BATCH)]
+    return 1000 * sum(seconds) / len(problems)
 
 
 def _timed_batch(planner: BatchPlanner, problems: Problems, first: int) -> float:
     """Return the seconds for one batch."""
     batch = slice(first, first + _BATCH)
-    grids, starts, goals = (
-        problems.grids[batch].copy(),
-        problems.starts[batch].copy(),
-        problems.goals[batch].copy(),
-    )
+    grids = problems.grids[batch].copy()
+    starts = problems.starts[batch].copy()
+    goals = problems.goals[batch].copy()
     began = time.perf_counter()
     plans = planner.plan_batch(grids, starts, goals)
     seconds = time.perf_counter() - began
@@ -232,7 +238,7 @@ def _timed_batch(planner: BatchPlanner, problems: Problems, first: int) -> float
 
 
 def _cost(plan: Plan, problems: Problems, k: int) -> float | None:
-    """Return the cost of a path that solves problem k, None of one that does not."""
+    """Return the cost of a plan's path, None if it does not solve problem k."""
     path = np.asarray(plan.path)
     try:
         cost = check_path(problems.grids[k], path, problems.movement)
@@ -245,7 +251,7 @@ def _cost(plan: Plan, problems: Problems, k: int) -> float | None:
 def _metrics(means: Floats) -> Floats:
     """Return the metrics (..., 6) of mean outcomes (..., 5)."""
     success, opt, cost, expansions, saved = np.moveaxis(means, -1, 0)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # 0 / 0: no problem was solved
         cost_ratio = cost / success
         hmean = np.where(opt + saved > 0, 2 * opt * saved / (opt + saved), 0.0)
     return np.stack([success, opt, cost_ratio, expansions, saved, hmean], axis=-1)

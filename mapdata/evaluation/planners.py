@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -83,7 +84,7 @@ class BestFirst(Batched):
         name: its name in the table.
         movement: how one moves; h is Manhattan, octile or Chebyshev as it says.
         weight: 0 is Dijkstra's search, 1 is A*, more is weighted A*; from 0.
-        counts_way: False leaves g out: greedy best-first search.
+        counts_way: False leaves g, the cost of the way so far, out: greedy best-first search.
     """
 
     name: str
@@ -105,15 +106,15 @@ class BestFirst(Batched):
         """
         if self.weight * sum(np.shape(grids)[1:]) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")
-        search = (int(self.counts_way), float(self.weight))
-        found = solve_batch(search, grids, starts, goals, self.movement)
+        g_weight = 1 if self.counts_way else 0
+        found = solve_batch((g_weight, float(self.weight)), grids, starts, goals, self.movement)
         return _plans(found.cells, found.offsets, found.iterations)
 
 
 def _plans(cells: Ints, offsets: Ints, expansions: Ints) -> list[Plan]:
     """Return plan k with the path ``cells[offsets[k]:offsets[k + 1]]``."""
-    bounds = offsets.tolist()
+    bounds = pairwise(offsets.tolist())
     return [
-        Plan(cells[begin:end], expanded)
-        for begin, end, expanded in zip(bounds[:-1], bounds[1:], expansions.tolist(), strict=True)
+        Plan(cells[begin:end], count)
+        for (begin, end), count in zip(bounds, expansions.tolist(), strict=True)
     ]

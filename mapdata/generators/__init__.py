@@ -1,6 +1,4 @@
-"""Where maps come from: families of maps, each a `Generator` in a file of its own, and the `Maps`
-that they draw.
-"""
+"""Where maps come from: families of maps, each a `Generator` in its own file, and their `Maps`."""
 
 from mapdata.generators import mazes, rooms
 from mapdata.generators.generator import (

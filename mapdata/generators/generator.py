@@ -1,6 +1,4 @@
-"""What a family of maps is: a `Generator`, known by its name, and the identity of a dataset that it
-draws.
-"""
+"""What a family of maps is: a `Generator` with a name; the identity of a dataset drawn by it."""
 
 from __future__ import annotations
 
@@ -59,8 +57,7 @@ class Generator(ABC):
     splits: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Check what all families share, and bring it to tuples of int and float, so that equal
-        specs have equal JSON.
+        """Check what all families share, and make equal specs have equal JSON.
 
         Raises:
             ValueError: a value outside these limits.
@@ -85,8 +82,9 @@ class Generator(ABC):
 
     @abstractmethod
     def draw(self, seed: int, indices: Ints) -> Maps:
-        """Return the maps ``indices``, (N,) int64 from 0; each is a function of (self, seed, index)
-        alone.
+        """Return the maps ``indices``, (N,) int64 from 0.
+
+        Each is a function of (self, seed, index) alone.
         """
 
     @property
@@ -117,8 +115,7 @@ class Generator(ABC):
 
     @classmethod
     def from_dict(cls: type[G], values: object) -> G:
-        """Return the spec with these values, which `to_dict` gave; missing ones take their
-        defaults.
+        """Return the spec with the values that `to_dict` gave; missing ones take their defaults.
 
         The name of a preset stands for its values.
 
@@ -161,18 +158,17 @@ PRESETS: dict[str, Generator] = {}
 
 
 def register(family: type[Generator], presets: Mapping[str, Generator] | None = None) -> None:
-    """Make a family known by its name, and its presets, so that recipes, manifests and shards can
-    say them.
+    """Make a family and its presets known by name, to recipes, manifests and shards.
 
     Raises:
         ValueError: it is no frozen dataclass, or a name is taken.
     """
     if not (is_dataclass(family) and family.__dataclass_params__.frozen):
         raise ValueError(f"{family.__name__}: expected a frozen dataclass")
-    if GENERATORS.setdefault(family.name, family).__qualname__ != family.__qualname__:
-        raise ValueError(
-            f"{family.__name__}: {family.name!r} is the name of {GENERATORS[family.name].__name__}"
-        )
+    # The same class once more is fine: a notebook runs its cells again.
+    taken = GENERATORS.setdefault(family.name, family)
+    if taken.__qualname__ != family.__qualname__:
+        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken.__name__}")
     for name, spec in (presets or {}).items():
         if PRESETS.setdefault(name, spec) != spec:
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
@@ -192,20 +188,21 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     >>> maps.occupancy.shape, maps.rooms.tolist()
     ((3, 64, 64), [5, 9, 2])
     """
-    listed = isinstance(indices, Iterable) and not isinstance(indices, np.ndarray)
-    index = np.asarray(list(indices) if listed else indices)
-    if index.ndim != 1 or (
-        index.size and not (index.dtype.kind in "iu" and index.min() >= 0 and index.max() < 2**63)
-    ):
+    if isinstance(indices, Iterable) and not isinstance(indices, np.ndarray):
+        indices = list(indices)
+    index = np.asarray(indices)
+    whole = index.dtype.kind in "iu"
+    good = index.size == 0 or (whole and index.min() >= 0 and index.max() < 2**63)
+    if index.ndim != 1 or not good:
         raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
     return spec.draw(check_seed(seed), np.ascontiguousarray(index, np.int64))
 
 
 def identity(spec: Generator, seed: int) -> str:
-    """Return the identity of a dataset: SHA-256 (hex) of the canonical JSON of format version, spec
-    and seed.
+    """Return the identity of a dataset, as hex.
 
-    The number of maps is not in it, so that a dataset can grow.
+    The SHA-256 of the canonical JSON of format version, spec and seed. The number of maps is not in
+    it, so that a dataset can grow.
     """
     recipe = {
         "format_version": spec.format_version,

@@ -51,9 +51,7 @@ class Maps:
 
     @staticmethod
     def empty(movement: Movement, map_size: tuple[int, int], index: Ints, most: int) -> Maps:
-        """Return maps to be filled in, each with room for ``most`` rooms; what is not filled in is
-        -1, unknown.
-        """
+        """Return maps to be filled in, each with up to ``most`` rooms; -1 is unknown."""
         rows, columns = map_size
         count = len(index)
         return Maps(
@@ -82,48 +80,49 @@ class Maps:
 
     @property
     def connected(self) -> Flags:
-        """(N, R - 1) bool: a passage was drawn between rooms q and q + 1 (the paper's word; see
-        `Labels.reachable`).
+        """(N, R - 1) bool: a passage was drawn between rooms q and q + 1.
+
+        The paper's word; see `Labels.reachable` for whether a path exists.
         """
         return self.directions[:, :, 0] >= 0
 
     @cached_property
     def segment_offsets(self) -> Ints:
-        """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map, all maps
-        in order.
-        """
+        """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map."""
         return np.concatenate(([0], np.cumsum(self.rooms - 1)))
 
     @cached_property
     def pair_offsets(self) -> Ints:
-        """(N + 1,) int64: number of the first pair of rooms i < j of each map, n (n - 1) / 2 pairs
-        a map.
-        """
-        return np.concatenate(([0], np.cumsum(self.rooms * (self.rooms - 1) // 2)))
+        """(N + 1,) int64: number of the first pair of rooms of each map, n (n - 1) / 2 a map."""
+        pairs = self.rooms * (self.rooms - 1) // 2
+        return np.concatenate(([0], np.cumsum(pairs)))
 
 
 @kernel
 def unpack(words: Words, first: Int, grid: Bytes) -> None:
     """Write the packed map at ``words[first:]`` into ``grid``, (H, W)."""
     rows, columns = grid.shape
-    count = (columns + WORD - 1) // WORD
-    packed, out = (
-        words.view(np.uint8),
-        grid.reshape(-1),
-    )  # bit k of a little-endian word is bit k % 8 of byte k // 8
-    for row in range(rows if columns % WORD else 1):
-        cells = np.uint64(columns if columns % WORD else rows * columns)
-        byte, cell = np.uint64(8 * (first + row * count)), np.uint64(row * columns)
+    words_a_row = (columns + WORD - 1) // WORD
+    # Bit k of a little-endian word is bit k % 8 of its byte k // 8.
+    packed = words.view(np.uint8)
+    out = grid.reshape(-1)
+    # Rows that fill their words follow one another without a gap: then the map is one long row.
+    lines = rows
+    cells = np.uint64(columns)
+    if columns % WORD == 0:
+        lines = 1
+        cells = np.uint64(rows * columns)
+    for line in range(lines):
+        byte = np.uint64(8 * (first + line * words_a_row))
+        cell = np.uint64(line * columns)
         for k in range(cells >> np.uint64(3)):
             value = packed[byte + np.uint64(k)]
             for bit in range(8):  # becomes vector instructions
-                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = (
-                    value >> np.uint8(bit)
-                ) & np.uint8(1)
-        for k in range(cells & ~np.uint64(7), cells):
-            out[cell + np.uint64(k)] = (
-                packed[byte + (np.uint64(k) >> np.uint64(3))] >> np.uint8(k & 7)
-            ) & np.uint8(1)
+                occupied = (value >> np.uint8(bit)) & np.uint8(1)
+                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = occupied
+        for k in range(cells & ~np.uint64(7), cells):  # the last byte, if it is not full
+            value = packed[byte + (np.uint64(k) >> np.uint64(3))]
+            out[cell + np.uint64(k)] = (value >> np.uint8(k & 7)) & np.uint8(1)
 
 
 @kernel
@@ -135,12 +134,10 @@ def unpack_all(packed: Words, grids: Bytes) -> None:
 
 
 def pack(grids: Bytes) -> Words:
-    """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`: (N, H, ceil(W / 64)) uint64, column c in
-    bit c % 64.
-    """
+    """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`, (N, H, ceil(W / 64)) uint64."""
     count, rows, columns = grids.shape
     words = -(-columns // WORD)
-    packed = np.zeros((count, rows, 8 * words), np.uint8)
+    padded = np.zeros((count, rows, 8 * words), np.uint8)  # packbits ends rows at whole bytes
     bits = np.packbits(grids, axis=2, bitorder="little")
-    packed[:, :, : bits.shape[2]] = bits
-    return np.ascontiguousarray(packed.view("<u8").astype(np.uint64, copy=False))
+    padded[:, :, : bits.shape[2]] = bits
+    return np.ascontiguousarray(padded.view("<u8").astype(np.uint64, copy=False))

@@ -1,6 +1,4 @@
-"""Seed points of maps that have none of their own: cells drawn among free ones (stream 5 of
-docs/format.md).
-"""
+"""Seed points of maps that have none of their own (stream 5 of docs/format.md)."""
 
 from __future__ import annotations
 
@@ -18,19 +16,17 @@ _CANDIDATES = 8
 
 
 def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:
-    """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points that lie far
-    apart.
+    """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points.
 
-    They are free cells of the largest component, ``spec.most_seed_points`` of them, none twice, by
-    `spread_points`.
+    `spread_points` draws them among the free cells of the largest component, far apart, none twice:
+    ``spec.most_seed_points`` of them.
     """
-    maps = Maps.empty(spec.movement, spec.map_size, indices, spec.most_seed_points)
+    most = spec.most_seed_points
+    maps = Maps.empty(spec.movement, spec.map_size, indices, most)
     key = np.uint64(seed)
     for k, grid in enumerate(grids):
         cells = largest_component(grid, 0)
-        points = spread_points(
-            cells, maps.columns, key, np.uint64(indices[k]), spec.most_seed_points
-        )
+        points = spread_points(cells, maps.columns, key, np.uint64(indices[k]), most)
         maps.rooms[k] = len(points)
         maps.seed_points[k, : len(points)] = np.stack(np.divmod(points, maps.columns), axis=1)
     maps.packed[:] = pack(grids)
@@ -40,44 +36,52 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
 
 @kernel
 def largest_component(grid: Bytes, diagonals: Int) -> Ints:
-    """Return the free cells of the largest component of ``grid``, (H, W), as row * W + column in
-    row-major order; of equally large ones that which holds the first cell.
+    """Return the free cells of the largest component of ``grid``, (H, W).
 
-    ``diagonals`` is as in a `Lattice` of mapdata/search; diagonal steps beside two free cells join
-    nothing that straight ones do not.
+    They are row * W + column, in row-major order; of equally large components it is that which
+    holds the first cell. ``diagonals`` is as in a `Lattice` of mapdata/search; diagonal steps
+    beside two free cells join nothing that straight ones do not.
     """
     rows, columns = grid.shape
-    owner = np.zeros(rows * columns, np.int32)
+    owner = np.zeros(rows * columns, np.int32)  # number of the component of a cell, from 1
     stack = np.empty(rows * columns, np.int64)
-    best, most, number = 0, 0, 0
+    best = 0
+    most = 0
+    number = 0
     for first in range(rows * columns):
         if grid[first // columns, first % columns] != 0 or owner[first] != 0:
             continue
+        # Flood a new component from its first cell.
         number += 1
-        owner[first], stack[0] = number, first
-        height, size = 1, 0
+        owner[first] = number
+        stack[0] = first
+        height = 1
+        size = 0
         while height:
             height -= 1
             size += 1
-            row, column = stack[height] // columns, stack[height] % columns
+            row = stack[height] // columns
+            column = stack[height] % columns
             for down in range(-1, 2):
                 for right in range(-1, 2):
-                    r, c = row + down, column + right
                     if down != 0 and right != 0 and diagonals != 2:
                         continue
-                    if (
-                        0 <= r < rows
-                        and 0 <= c < columns
-                        and grid[r, c] == 0
-                        and owner[r * columns + c] == 0
-                    ):
-                        owner[r * columns + c], stack[height] = number, r * columns + c
+                    r = row + down
+                    c = column + right
+                    if r < 0 or r >= rows or c < 0 or c >= columns or grid[r, c] != 0:
+                        continue
+                    cell = r * columns + c
+                    if owner[cell] == 0:
+                        owner[cell] = number
+                        stack[height] = cell
                         height += 1
         if size > most:
-            best, most = number, size
-    cells, k = np.empty(most, np.int64), 0
+            best = number
+            most = size
+    cells = np.empty(most, np.int64)
+    k = 0
     for cell in range(rows * columns):
-        if most and owner[cell] == best:
+        if most and owner[cell] == best:  # without a free cell, best is 0, as all owners are
             cells[k] = cell
             k += 1
     return cells
@@ -86,30 +90,30 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
 @kernel
 def draw_points(cells: Ints, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
     """Return ``count`` of ``cells``, none twice: draw k is one of those left, in their order."""
-    left, drawn = cells.copy(), np.empty(count, np.int64)
+    left = cells.copy()
+    drawn = np.empty(count, np.int64)
     for k in range(count):
-        w0, _w1, _w2, _w3 = block(seed, index, 0, POINTS, k)
-        j = bounded(w0, 0, len(cells) - 1 - k)
+        last = len(cells) - 1 - k
+        word, _, _, _ = block(seed, index, 0, POINTS, k)
+        j = bounded(word, 0, last)
         drawn[k] = left[j]
-        for m in range(j, len(cells) - 1 - k):
+        for m in range(j, last):
             left[m] = left[m + 1]
     return drawn
 
 
 @kernel
 def spread_points(cells: Ints, columns: Int, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
-    """Return up to ``count`` of ``cells``, none twice, that lie far apart: best candidates, one
-    after another.
+    """Return up to ``count`` of ``cells``, none twice, that lie far apart.
 
-    Each point is the one of 8 cells drawn uniformly whose nearest earlier point is farthest away
-    (of equally far ones the first drawn). Mitchell, "Spectrally optimal sampling for distribution
-    ray tracing", SIGGRAPH 1991, section 4.
+    Mitchell's best candidates: each point is the one of 8 cells drawn uniformly whose nearest
+    earlier point is farthest away (of equally far ones the first drawn). Mitchell, "Spectrally
+    optimal sampling for distribution ray tracing", SIGGRAPH 1991, section 4.
     """
     count = min(count, len(cells))
     points = np.empty(count, np.int64)
-    gaps = np.full(
-        len(cells), np.int64(2**62)
-    )  # squared distance of each cell to the nearest point so far
+    # Squared distance of each cell to the nearest point so far.
+    gaps = np.full(len(cells), np.int64(2**62))
     for k in range(count):
         best = np.int64(-1)
         for j in range(_CANDIDATES // 4):
@@ -117,7 +121,8 @@ def spread_points(cells: Ints, columns: Int, seed: np.uint64, index: np.uint64, 
                 cell = bounded(word, 0, len(cells) - 1)
                 if best < 0 or gaps[cell] > gaps[best]:
                     best = cell
-        while gaps[best] == 0:  # all candidates are points already: the next cell that is not
+        # If all candidates are points already: the next cell that is none.
+        while gaps[best] == 0:
             best = (best + 1) % len(cells)
         points[k] = cells[best]
         for cell in range(len(cells)):

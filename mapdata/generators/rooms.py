@@ -1,9 +1,10 @@
 """Algorithm 1 of the paper: draw rooms and passages, carve them out of an occupied grid.
 
-Source: Flores-Aquino et al., arXiv 2110.13242, Algorithm 1 and Table 1. Where the printed algorithm
-slips (mixed
-indices in lines 22-23, the open elbow), its intent and the authors' published sample decide;
-docs/format.md lists each draw.
+Source: Flores-Aquino et al., arXiv 2110.13242, section 2 (Algorithm 1) and section 3 (Table 1). It
+writes (column, row), and calls passages tunnels. Where the printed algorithm slips (line 23
+exchanges columns and rows, slices are empty where A lies beyond B, the outer corner of an elbow
+stays occupied), its intent and the authors' published sample decide; docs/format.md lists each
+draw.
 """
 
 from __future__ import annotations
@@ -26,10 +27,9 @@ _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 @dataclass(frozen=True)
 class MapSpec(Generator):
-    """The distribution that maps are drawn from: the parameters of Table 1 of the paper, which are
-    the defaults.
+    """The parameters of Algorithm 1; those of Table 1 of the paper are the defaults.
 
-    All ranges are (lowest, highest), both included. See arXiv 2110.13242, Algorithm 1 and Table 1.
+    All ranges are (lowest, highest), both included. See arXiv 2110.13242, sections 2 and 3.
 
     Attributes:
         map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
@@ -65,9 +65,8 @@ class MapSpec(Generator):
         super().__post_init__()
         for name in ("rooms", "room_rows", "room_columns", "passage_width"):
             object.__setattr__(self, name, check_integers(name, getattr(self, name)))
-        object.__setattr__(
-            self, "skip_probability", check_probability("skip_probability", self.skip_probability)
-        )
+        skip = check_probability("skip_probability", self.skip_probability)
+        object.__setattr__(self, "skip_probability", skip)
         rows, columns = self.map_size
         too_tall = f": rooms would be larger than the map of {rows} rows"
         too_wide = f": rooms would be larger than the map of {columns} columns"
@@ -85,9 +84,9 @@ class MapSpec(Generator):
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64: Algorithm 1."""
         maps = Maps.empty(self.movement, self.map_size, indices, self.most_seed_points)
-        limits = np.array(
-            [self.rooms, self.room_rows, self.room_columns, self.passage_width], np.int64
-        )
+        ranges = [self.rooms, self.room_rows, self.room_columns, self.passage_width]
+        limits = np.array(ranges, np.int64)
+        skip = np.uint64(threshold(self.skip_probability))
         key = np.uint64(seed)
         maps.split[:] = draw_splits(key, indices, split_thresholds(self.splits))
         _fill_maps(
@@ -95,7 +94,7 @@ class MapSpec(Generator):
             indices,
             maps.columns,
             limits,
-            np.uint64(threshold(self.skip_probability)),
+            skip,
             maps.packed,
             maps.rooms,
             maps.passage_width,
@@ -120,7 +119,7 @@ PRESETS: dict[str, Generator] = {
         passage_width=(2, 4),
     ),
 }
-"""The presets: "paper" is Table 1; in "dungeon" a planner has something to learn."""
+"""The presets. "paper" is Table 1, whose problems are easy; most of "dungeon" are hard."""
 
 
 @kernel
@@ -137,25 +136,23 @@ def _fill_maps(
     sizes: Ints,
     directions: Ints,
 ) -> None:
-    """Draw and carve maps ``indices`` into the arrays of `Maps`.
+    """Draw and carve maps ``indices`` into the arrays of `Maps`: Algorithm 1.
 
     ``limits`` is (4, 2): rooms, rows, columns, width. ``skip`` is the threshold of a passage that
-    is not drawn.
+    is not drawn. Each room and passage has a block of random words of its own, so that no draw
+    depends on how many came before.
     """
     height = packed.shape[1]
     for m in range(len(indices)):
         words = packed[m]
         index = np.uint64(indices[m])
-        for j in range(words.shape[1]):
-            unused = np.uint64(WORD - min(columns - WORD * j, WORD))
-            for row in range(height):
-                words[row, j] = _FULL >> unused
+        _occupy(words, columns)  # line 2
         w0, w1, _, _ = block(seed, index, 0, MAP, 0)
         n = bounded(w0, limits[0, 0], limits[0, 1])
-        width = bounded(w1, limits[3, 0], limits[3, 1])
+        width = bounded(w1, limits[3, 0], limits[3, 1])  # line 4
         rooms[m] = n
         passage_width[m] = width
-        for q in range(n):
+        for q in range(n):  # lines 5 to 11: rooms about their seed points
             w0, w1, w2, w3 = block(seed, index, 0, MAP, 1 + 2 * q)
             row = bounded(w0, 0, height - 1)
             column = bounded(w1, 0, columns - 1)
@@ -166,11 +163,11 @@ def _fill_maps(
             sizes[m, q, 0] = tall
             sizes[m, q, 1] = wide
             _carve(words, columns, row - tall // 2, column - wide // 2, tall, wide)
-        for q in range(n - 1):
+        for q in range(n - 1):  # lines 12 to 25: passages between consecutive rooms
             w0, w1, _, _ = block(seed, index, 0, MAP, 2 + 2 * q)
             if w0 < skip:
                 continue
-            horizontal = bounded(w1, 0, 1)
+            horizontal = bounded(w1, 0, 1)  # line 17: the leg at room q; the other is across
             directions[m, q, 0] = horizontal
             directions[m, q, 1] = 1 - horizontal
             _carve_passage(
@@ -179,13 +176,23 @@ def _fill_maps(
 
 
 @kernel
+def _occupy(words: Words, columns: int) -> None:
+    """Occupy all of one packed map; the spare bits of its last words stay 0."""
+    for j in range(words.shape[1]):
+        spare = np.uint64(WORD - min(columns - WORD * j, WORD))
+        for row in range(words.shape[0]):
+            words[row, j] = _FULL >> spare
+
+
+@kernel
 def _carve(words: Words, columns: int, top: int, left: int, height: int, width: int) -> None:
     """Free a rectangle of one packed map, clipped at the border. Words: (H, ceil(W / 64))."""
     first = max(left, 0)
-    last = min(left + width, columns)
-    for j in range(first // WORD, (last + WORD - 1) // WORD):
+    end = min(left + width, columns)
+    for j in range(first // WORD, (end + WORD - 1) // WORD):
+        # Bits low to high - 1 of word j are freed, the same ones in every row.
         low = max(first - WORD * j, 0)
-        high = min(last - WORD * j, WORD)
+        high = min(end - WORD * j, WORD)
         kept = ~((_FULL << np.uint64(low)) & (_FULL >> np.uint64(WORD - high)))
         for row in range(max(top, 0), min(top + height, words.shape[0])):
             words[row, j] &= kept
@@ -195,12 +202,14 @@ def _carve(words: Words, columns: int, top: int, left: int, height: int, width: 
 def _carve_passage(
     words: Words, columns: int, a: Ints, b: Ints, width: int, horizontal_first: bool
 ) -> None:
-    """Free the two legs between seed points ``a`` and ``b`` and the square at their corner (lines
-    12-25).
+    """Free the two legs between seed points ``a`` and ``b`` and the square at their corner.
+
+    Lines 19 and 20, or 22 and 23. Each leg runs between the two points whatever their order.
     """
     corner_row = a[0] if horizontal_first else b[0]
     corner_column = b[1] if horizontal_first else a[1]
-    half = width // 2
-    _carve(words, columns, corner_row - half, min(a[1], b[1]), width, abs(a[1] - b[1]) + 1)
-    _carve(words, columns, min(a[0], b[0]), corner_column - half, abs(a[0] - b[0]) + 1, width)
-    _carve(words, columns, corner_row - half, corner_column - half, width, width)
+    top = corner_row - width // 2
+    left = corner_column - width // 2
+    _carve(words, columns, top, min(a[1], b[1]), width, abs(a[1] - b[1]) + 1)
+    _carve(words, columns, min(a[0], b[0]), left, abs(a[0] - b[0]) + 1, width)
+    _carve(words, columns, top, left, width, width)

@@ -1,6 +1,4 @@
-"""Which split a map belongs to: a draw of stream 2 of docs/format.md, the same for drawn and
-imported maps.
-"""
+"""Which split a map belongs to: a draw of stream 2 of docs/format.md, imported maps included."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What is asked of a map: problems sampled at random or read, and the symmetries of a map. Nothing
-here needs torch.
-"""
+"""What is asked of a map: problems sampled or read, and its symmetries. Without torch."""
 
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.problems.sources import Pairs, Random, Route, Source

@@ -1,6 +1,4 @@
-"""Problems that planners are compared on: sampled on maps made on the spot, or on one split of a
-dataset.
-"""
+"""Problems that planners are compared on: sampled on new maps, or on one split of a dataset."""
 
 from __future__ import annotations
 
@@ -14,6 +12,7 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.generators.generator import Generator, generate, identity
+from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
@@ -29,8 +28,9 @@ _MAPS_A_CHUNK = 256
 
 @dataclass(frozen=True, eq=False)
 class Problems:
-    """N problems that planners are compared on, each with a path. The arrays are copied and cannot
-    be written to.
+    """N problems that planners are compared on, each with a path.
+
+    The arrays are copied and cannot be written to.
 
     Attributes:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
@@ -52,9 +52,7 @@ class Problems:
     description: str = "problems"
 
     def __post_init__(self) -> None:
-        """Solve the problems, so that what cannot be evaluated is refused here, and copy the
-        arrays.
-        """
+        """Solve the problems, so that bad ones are refused here, and copy the arrays."""
         if np.ndim(self.grids) != 3:
             raise ValueError(f"grids: got shape {np.shape(self.grids)}, expected (N, H, W)")
         cost = self.optimal.cost
@@ -72,9 +70,7 @@ class Problems:
 
     @cached_property
     def optimal(self) -> BatchResult:
-        """What mapdata's A* finds: the optimal costs, and the iterations that all planners are
-        measured with.
-        """
+        """What mapdata's A* finds: optimal costs, and the iterations to compare planners with."""
         return search_batch("astar", self.grids, self.starts, self.goals, self.movement)
 
     @cached_property
@@ -97,8 +93,7 @@ class Problems:
         until_hard: int | None = None,
         movement: Movement = Movement(8),
     ) -> Problems:
-        """Sample one problem on each of the maps 0, 1, ... of (spec, seed), as a dataset does in
-        epoch 0.
+        """Sample one problem on each map 0, 1, ... of (spec, seed), as a dataset does in epoch 0.
 
         The goal is a uniform free cell, the start a uniform one of the cells from which the problem
         meets the conditions. A goal without such a start is sampled again, 32 times at most; then
@@ -123,10 +118,7 @@ class Problems:
         """
         if maps is None:
             if until_hard is None:
-                raise ValueError(
-                    "got neither maps nor until_hard, expected how many maps or hard problems to "
-                    "sample"
-                )
+                raise ValueError("got neither maps nor until_hard, expected one of them or both")
             maps = 1000 * until_hard
         chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
         grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
@@ -144,8 +136,7 @@ class Problems:
         until_hard: int | None = None,
         movement: Movement = Movement(8),
     ) -> Problems:
-        """Sample one problem on each map of one split of a dataset: on map i the one that `sample`
-        gives.
+        """Sample one problem on each map of a split of a dataset: that which `sample` gives.
 
         Args:
             root: folder or URL of the dataset, or several.
@@ -163,13 +154,18 @@ class Problems:
         """
         check_choice("split", split, SPLITS)
         dataset = Root.open(root)
-        every = (labels.maps for labels in dataset.labels())
-        inside = ((each, each.split == SPLITS.index(split)) for each in every)
-        grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in inside)
-        seed = (dataset.manifests[0].seed or 0) if seed is None else check_seed(seed)
-        return _collect(
-            grids, maps, problems, until_hard, seed, movement, f"split {split} of {dataset}"
-        )
+        if seed is None:
+            seed = dataset.manifests[0].seed or 0
+        shards = (labels.maps for labels in dataset.labels())
+        grids = (_of_split(each, SPLITS.index(split)) for each in shards)
+        where = f"split {split} of {dataset}"
+        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where)
+
+
+def _of_split(maps: Maps, code: int) -> tuple[Ints, Bytes]:
+    """Return indices and grids of the maps of one split."""
+    chosen = maps.split == code
+    return maps.index[chosen], maps.occupancy[chosen]
 
 
 def _collect(
@@ -181,31 +177,34 @@ def _collect(
     movement: Movement,
     where: str,
 ) -> Problems:
-    """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids), until enough
-    of them are hard.
+    """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids).
+
+    With ``until_hard``, the last problem is that which brings the hard ones to this number.
     """
     if until_hard is not None:
         check_count("until_hard", until_hard)
     left = sys.maxsize if maps is None else check_count("maps", maps)
     found: list[tuple[Ints, Bytes, Ints]] = []
     hard = 0
-    for chunk, occupancy in chunks:
-        indices, grids = chunk[:left], occupancy[:left]
+    for all_indices, all_grids in chunks:
+        indices = all_indices[:left]
+        grids = all_grids[:left]
         left -= len(indices)
         sampled = sample_problems(
             grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement)
         )
-        kept = np.flatnonzero(sampled[:, 0] >= 0)
+        kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:
             starts, goals, steps = np.split(sampled[kept], 3, axis=1)
             cost = steps[:, 0] + steps[:, 1] * movement.diagonal_cost
             hard_so_far = hard + np.cumsum(hardness(cost, starts, goals, movement) >= HARD)
-            kept = kept[: np.searchsorted(hard_so_far, until_hard) + 1]
-            hard = int(hard_so_far[: len(kept)].max(initial=hard))
+            enough = int(np.searchsorted(hard_so_far, until_hard)) + 1
+            kept = kept[:enough]
+            hard = int(hard_so_far[:enough].max(initial=hard))
         found.append((indices[kept], grids[kept], sampled[kept]))
         if left == 0 or hard == until_hard:
             break
-    if not any(len(index) for index, _, _ in found):
+    if not any(len(kept) for kept, _, _ in found):
         raise ValueError(f"{where}: no map has a problem that meets {problems}")
     if until_hard is not None and hard < until_hard:
         raise ValueError(

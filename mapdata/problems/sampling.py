@@ -1,5 +1,6 @@
-"""Problems that are sampled anew each epoch: functions of (sampling seed, epoch, index), never of
-worker state.
+"""Problems that are sampled anew each epoch.
+
+They are functions of (sampling seed, epoch, index), never of the state of a worker.
 """
 
 from __future__ import annotations
@@ -41,11 +42,10 @@ def sample_problems(
     diagonals: Int,
     step: Int,
 ) -> Ints:
-    """Sample a problem on each grid (docs/format.md, section 6): a goal, then one of the starts
-    that fit it.
+    """Sample a problem on each grid: a goal, then one of the starts that fit it.
 
-    The goal comes first so that the costs to it, which the conditions need, are those that fields
-    of the goal need.
+    docs/format.md, section 6, fixes the draws. The goal comes first so that the costs to it, which
+    the conditions need, are those that fields of the goal need.
 
     Args:
         grids: (B, H, W).
@@ -60,7 +60,7 @@ def sample_problems(
         (B, 6): start, goal, straight and diagonal steps of a shortest path (all count as straight
         where they cost the same); -1 where the map has no such problem.
     """
-    rows, columns = grids.shape[1], grids.shape[2]
+    rows, columns = grids.shape[1:]
     lattice = lattice_of((rows, columns), (diagonals, step))
     buffers = scratch(COSTS, lattice)
     costs = buffers.g
@@ -70,13 +70,17 @@ def sample_problems(
         free: Int = 0
         for row in range(rows):
             for column in range(columns):
-                free += grids[b, row, column] == 0
-        for attempt in range(_ATTEMPTS if free > 1 else 0):
-            w0, w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
+                if grids[b, row, column] == 0:
+                    free += 1
+        if free < 2:
+            continue
+        for attempt in range(_ATTEMPTS):
+            w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
             goal_row, goal_column = _free_cell(grids[b], bounded(w0, 0, free - 1))
             goal = cell_at(goal_row, goal_column, lattice)
             load(grids[b], buffers.came)
             shortest_costs(goal, lattice, buffers)
+            # A uniform start among those that fit: they are listed in row-major order.
             fitting = 0
             for row in range(rows):
                 for column in range(columns):
@@ -90,9 +94,11 @@ def sample_problems(
             if fitting:
                 start = starts[bounded(w1, 0, fitting - 1)]
                 sampled[b, 0], sampled[b, 1] = position(start, lattice)
-                sampled[b, 2], sampled[b, 3] = goal_row, goal_column
+                sampled[b, 2] = goal_row
+                sampled[b, 3] = goal_column
                 sampled[b, 4], sampled[b, 5] = parts(costs[start])
                 break
+            # Nothing fits this goal: another one.
     return sampled
 
 
@@ -138,7 +144,7 @@ def solve_pairs(
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """Sample a pair of seed points on each grid and search its path.
 
-    A pair without a path gives way to the next one, until all pairs of the map were tried.
+    A pair without a path gives way to the next one, until all pairs of the map have been tried.
 
     Args:
         grids: (B, H, W).
@@ -180,8 +186,8 @@ def solve_pairs(
                 continue
             if search == BFS and attempt:  # A* wipes what it wrote, BFS does not
                 load(grids[b], buffers.came)
-            straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
-            length = straight + diagonal + 1
+            straight, diagonal, expansions, pushes = find(start, goal, search, lattice, buffers)
+            length = straight + diagonal + 1  # no path: -1 + 0 + 1 cells
             if length or unsolvable:
                 ends[b, 0], ends[b, 1] = position(start, lattice)
                 ends[b, 2], ends[b, 3] = position(goal, lattice)
@@ -191,7 +197,7 @@ def solve_pairs(
                     cells = longer
                 write_cells(buffers.came, goal, lattice, cells[used : used + length])
                 offsets[b + 1] = used + length
-                iterations[b] = expanded
+                iterations[b] = expansions
                 break
             if search == ASTAR:
                 wipe(buffers, pushes)
@@ -200,13 +206,11 @@ def solve_pairs(
 
 @kernel
 def _pair(number: Int, rooms: Int, route: Int) -> tuple[Int, Int]:
-    """Return seed points i < j of pair ``number``: (q, q + 1) of the route, else in row-major
-    order.
-    """
+    """Return seed points i < j of pair ``number``: of the route, or of all in row-major order."""
     if route:
         return number, number + 1
     i = 0
-    while number >= rooms - 1 - i:
+    while number >= rooms - 1 - i:  # row i has the pairs with j from i + 1 to rooms - 1
         number -= rooms - 1 - i
         i += 1
     return i, i + 1 + number

@@ -45,11 +45,11 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Random:
-    """One problem a map between two free cells that are connected, sampled anew each epoch
-    (docs/format.md, section 6).
+    """One problem a map between two connected free cells, sampled anew each epoch.
 
-    Each condition is None or a band (lowest, highest), both included; a bound that is None or
-    infinite leaves its side open. Afterwards a band is a tuple of floats.
+    docs/format.md, section 6, says how. Each condition is None or a band (lowest, highest), both
+    included; a bound that is None or infinite leaves its side open. Afterwards a band is a tuple of
+    floats.
 
     Attributes:
         distance: cost of the shortest path, in cells.
@@ -79,10 +79,7 @@ class Random:
     @property
     def bands(self) -> Bands:
         """The limits of distance, hardness and length."""
-        distance, hardness, length = (
-            _check_band("", band or (None, None)) for band in vars(self).values()
-        )
-        return distance, hardness, length
+        return _limits(self.distance), _limits(self.hardness), _limits(self.length)
 
 
 Source = Route | Pairs | Random
@@ -113,15 +110,15 @@ def problem_source(value: str | Source | dict[str, Any]) -> Source:
 
 
 def plain_text(source: Source) -> str:
-    """Return the text that `problem_source` reads as ``source``: its name, or JSON where it has
-    arguments.
-    """
+    """Return the text that `problem_source` reads as ``source``: its name, or JSON."""
     arguments = {name: value for name, value in asdict(source).items() if value}
-    return (
-        json.dumps({source.name: arguments}).replace("Infinity", "null")
-        if arguments
-        else source.name
-    )
+    if not arguments:
+        return source.name
+    return json.dumps({source.name: arguments}).replace("Infinity", "null")
+
+
+def _limits(band: Band | None) -> Limits:
+    return _check_band("", band or (None, None))
 
 
 def _check_band(name: str, band: object) -> Limits:

@@ -1,6 +1,4 @@
-"""The symmetries of a map: the 8 of a square (4 of a rectangle), drawn anew each epoch, and what
-they do to cells.
-"""
+"""The symmetries of a map, 8 of a square and 4 of a rectangle, and what they do to cells."""
 
 from __future__ import annotations
 
@@ -13,13 +11,14 @@ from mapdata.rng import AUGMENTATION, block, bounded
 
 @kernel
 def sample_symmetries(seed: np.uint64, epoch: Int, indices: Ints, square: Int) -> Ints:
-    """Return (B,) codes of symmetries: bit 0 flips rows, bit 1 flips columns, bit 2 (only square
-    maps) transposes.
+    """Return (B,) codes of symmetries, drawn anew each epoch.
+
+    Bit 0 flips rows, bit 1 flips columns, bit 2 (only of square maps) transposes after that.
     """
     codes = np.empty(len(indices), np.int64)
     for b in range(len(indices)):
-        w0, _w1, _w2, _w3 = block(seed, np.uint64(indices[b]), epoch, AUGMENTATION, 0)
-        codes[b] = bounded(w0, 0, 7 if square else 3)
+        word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, AUGMENTATION, 0)
+        codes[b] = bounded(word, 0, 7 if square else 3)
     return codes
 
 
@@ -27,7 +26,7 @@ def sample_symmetries(seed: np.uint64, epoch: Int, indices: Ints, square: Int) -
 def transform_grids(grids: Bytes, codes: Ints) -> Bytes:
     """Return the grids (B, H, W) after their symmetries."""
     transformed = np.empty_like(grids)
-    rows, columns = grids.shape[1], grids.shape[2]
+    rows, columns = grids.shape[1:]
     for b in range(len(grids)):
         for row in range(rows):
             for column in range(columns):
@@ -41,12 +40,11 @@ def transform_cells(cells: Ints, codes: Ints, rows: Int, columns: Int) -> Ints:
     """Return cells (M, 2) after their symmetries, (M,); (-1, -1) stays what it is."""
     transformed = np.empty_like(cells)
     for k in range(len(cells)):
-        if cells[k, 0] < 0:
-            transformed[k, 0] = transformed[k, 1] = -1
-        else:
-            transformed[k, 0], transformed[k, 1] = transform_cell(
-                cells[k, 0], cells[k, 1], rows, columns, codes[k]
-            )
+        row, column = cells[k]
+        if row >= 0:
+            row, column = transform_cell(row, column, rows, columns, codes[k])
+        transformed[k, 0] = row
+        transformed[k, 1] = column
     return transformed
 
 

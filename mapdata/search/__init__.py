@@ -1,5 +1,4 @@
-"""Solving maps: BFS, A*, distance fields, the path check, the labels of the paper. docs/format.md
-fixes their order.
+"""Solving maps: BFS, A*, distance fields, the path check, the labels of the paper.
 
 For kernels of your own: the lattice, its legal moves and its heuristic.
 """

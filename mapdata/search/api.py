@@ -1,10 +1,7 @@
-"""Shortest paths on grids: BFS, A*, distance fields and the path check, in the exact order that the
-format fixes.
+"""Shortest paths on grids: BFS, A*, distance fields and the path check.
 
-The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f,
-among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's
-parent changes only for a smaller g. The work is done in `mapdata.search.kernels`; here arguments
-are checked.
+Arguments are checked here; `mapdata.search.kernels` does the work, in the exact order that the
+format fixes (docs/format.md).
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ from mapdata.spec import Movement
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
 
-_UINT8 = np.dtype(np.uint8)  # to compare with the class itself takes twice as long
+_UINT8 = np.dtype(np.uint8)  # comparing with the class itself takes twice as long
 
 
 class SearchResult(NamedTuple):
@@ -43,8 +40,9 @@ class SearchResult(NamedTuple):
 def bfs(
     grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
 ) -> SearchResult:
-    """Return the path that breadth-first search finds: first in, first out, neighbours N, E, S, W,
-    NE, SE, SW, NW.
+    """Return the path with the fewest moves that breadth-first search finds.
+
+    Cells are first in, first out; neighbours come in the order N, E, S, W, NE, SE, SW, NW.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool; at most ``MAX_CELLS`` cells.
@@ -56,7 +54,7 @@ def bfs(
         ValueError: a grid that is not 2-D or holds other values, a start or goal outside it or on
             an occupied cell.
 
-    Source: arXiv 2110.13242, section III-C.
+    Source: arXiv 2110.13242, section 4.
     """
     return _search(BFS, grid, start, goal, movement)
 
@@ -64,13 +62,14 @@ def bfs(
 def astar(
     grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
 ) -> SearchResult:
-    """Return a shortest path by A*; least f first, among equal f the most recently pushed.
+    """Return a shortest path by A*.
 
-    The heuristic is Manhattan (4), octile (8) or Chebyshev (8, diagonal cost 1). Arguments and
-    errors are those of `bfs`.
+    It expands the cell of least f, among equal f the most recently pushed one; a cell's parent
+    changes only for a smaller g. The heuristic is Manhattan (4), octile (8) or Chebyshev (8,
+    diagonal cost 1). Arguments and errors are those of `bfs`.
 
     Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242,
-    section III-C.
+    section 4.
 
     >>> astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
     SearchResult(path=array([[0, 0],
@@ -105,8 +104,7 @@ def search_batch(
     goals: npt.ArrayLike,
     movement: Movement = Movement(),
 ) -> BatchResult:
-    """Solve B problems in one call: as `bfs` or `astar` of each, without the cost of a Python call
-    a problem.
+    """Solve B problems as `bfs` or `astar` would, without the cost of a Python call for each.
 
     Args:
         search: "bfs" or "astar".
@@ -134,40 +132,40 @@ def solve_batch(
     """Solve B problems by any ``search``; else as `search_batch`."""
     array = np.asarray(grids)
     stack = _grid(array if array.ndim == 3 else array[None], 3)
-    cells = [
-        np.ascontiguousarray(points, np.int64)
-        for points in (_whole("starts", starts), _whole("goals", goals))
-    ]
-    count = len(cells[0])
-    if cells[1].shape != cells[0].shape or (array.ndim == 3 and len(stack) != count):
+    begins = np.ascontiguousarray(_whole("starts", starts), np.int64)
+    ends = np.ascontiguousarray(_whole("goals", goals), np.int64)
+    count = len(begins)
+    if len(ends) != count or (array.ndim == 3 and len(stack) != count):
         raise ValueError(
-            f"got {len(stack)} grids, {count} starts and {len(cells[1])} goals, expected equal "
-            "numbers"
+            f"got {len(stack)} grids, {count} starts and {len(ends)} goals, expected equal numbers"
         )
-    for name, points in zip(("start", "goal"), cells, strict=True):
-        outside = np.flatnonzero(((points < 0) | (points >= stack.shape[1:])).any(axis=1))
+    for name, cells in (("start", begins), ("goal", ends)):
+        outside = np.flatnonzero(((cells < 0) | (cells >= stack.shape[1:])).any(axis=1))
         if len(outside):
             k = int(outside[0])
             raise ValueError(
-                f"problem {k}: {name} {_cell_text(points[k])} is outside the map of "
+                f"problem {k}: {name} {_cell_text(cells[k])} is outside the map of "
                 f"{_size(stack)} cells"
             )
-    path, found, solved = solve_all(stack, cells[0], cells[1], search, rule_of(movement))
+    path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement))
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
-        raise ValueError(
-            f"problem {solved}: {_complaint(grid, *(tuple(p[solved].tolist()) for p in cells))}"
-        )
-    straight, diagonal, iterations, ends = found.T
+        start = tuple(begins[solved].tolist())
+        goal = tuple(ends[solved].tolist())
+        raise ValueError(f"problem {solved}: {_complaint(grid, start, goal)}")
+    straight, diagonal, iterations, bounds = found.T
     costs = straight + diagonal * movement.diagonal_cost
-    return BatchResult(path, np.concatenate(([0], ends)), costs, iterations.copy())
+    offsets = np.concatenate(([0], bounds))
+    return BatchResult(path, offsets, costs, iterations.copy())
 
 
 def distance_field(
     grid: npt.ArrayLike, goal: object, movement: Movement = Movement()
 ) -> npt.NDArray[np.float32]:
-    """Return the cost of the shortest path from every cell to ``goal``: (H, W) float32, in cells,
-    -1 where there is none.
+    """Return the cost of the shortest path from every cell to ``goal``.
+
+    Returns:
+        (H, W) float32, in cells; -1 where there is no path.
 
     Raises:
         ValueError: what `bfs` refuses.
@@ -179,10 +177,11 @@ def distance_field(
     array = _grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    if not write_field(array, row, column, rule_of(movement), out) or array[row, column]:
-        raise ValueError(
-            _complaint(array, (row, column), (row, column)).replace("start", "goal", 1)
-        )
+    good = write_field(array, row, column, rule_of(movement), out)
+    if not good:
+        raise ValueError(_values_complaint(array))
+    if array[row, column]:
+        raise ValueError(f"goal: {row, column} is on an occupied cell")
     return out
 
 
@@ -195,8 +194,8 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
         movement: the rule that every step must obey.
 
     Raises:
-        ValueError: the path is empty or not (k, 2), or names the first cell outside or occupied, or
-            the first bad step.
+        ValueError: the path is empty or not (k, 2); a cell is outside or occupied; a step is not
+            legal. Names the first such cell or step.
 
     >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
     2.0
@@ -207,7 +206,8 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
         raise ValueError("path: got no cell, expected at least one")
     bad, diagonal = first_bad_cell(array, cells, rule_of(movement))
     if bad == -1:
-        return float(len(cells) - 1 - diagonal + diagonal * movement.diagonal_cost)
+        straight = len(cells) - 1 - diagonal
+        return float(straight + diagonal * movement.diagonal_cost)
     if bad == -2:
         raise ValueError(_values_complaint(array))
     cell = _cell_text(cells[bad])
@@ -223,17 +223,17 @@ def _search(
     search: Weights, grid: npt.ArrayLike, start: object, goal: object, movement: Movement
 ) -> SearchResult:
     array = _grid(grid, 2)
-    begin, end = _cell("start", start, array), _cell("goal", goal, array)
+    begin = _cell("start", start, array)
+    end = _cell("goal", goal, array)
     path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))
-    if iterations == 0:
+    if iterations == 0:  # every search expands its start
         raise ValueError(_complaint(array, begin, end))
-    return SearchResult(path, straight + diagonal * movement.diagonal_cost, iterations)
+    cost = straight + diagonal * movement.diagonal_cost
+    return SearchResult(path, cost, iterations)
 
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
-    """Return ``grid`` as the one flavour that the kernels are compiled for: writable, contiguous
-    uint8.
-    """
+    """Return ``grid`` as what the kernels are compiled for: writable, contiguous uint8."""
     try:
         array = np.asarray(grid)
     except ValueError as error:
@@ -266,8 +266,7 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
 def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
     """Return ``cell`` as two ints inside ``grid``."""
     try:
-        row, column = cell  # type: ignore[misc]
-        row, column = index(row), index(column)  # type: ignore[has-type]
+        row, column = map(index, cell)  # type: ignore[call-overload]
     except (TypeError, ValueError):
         raise ValueError(
             f"{name}: got {cell!r}, expected a cell (row, col) of two integers"
@@ -294,8 +293,9 @@ def _complaint(grid: Bytes, start: tuple[int, ...], goal: tuple[int, ...]) -> st
     """Return why a problem was refused."""
     if np.any(grid > 1):
         return _values_complaint(grid)
-    name, cell = ("start", start) if grid[start] else ("goal", goal)
-    return f"{name}: {tuple(cell)} is on an occupied cell"
+    if grid[start]:
+        return f"start: {start} is on an occupied cell"
+    return f"goal: {goal} is on an occupied cell"
 
 
 def _values_complaint(grid: npt.NDArray[np.generic]) -> str:

@@ -1,11 +1,22 @@
-"""The search kernels: BFS, two A*, shortest costs, on flat grids with a wall around them.
+"""The search kernels: BFS, two A*, and shortest costs from one cell to all.
 
-The order is part of the data (docs/format.md): BFS is first in, first out; A* pops the least f,
-among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW; a cell's
-parent changes only for a smaller g.
+How they order the cells is part of the data (docs/format.md): BFS is first in, first out; A* pops
+the least f, among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW;
+a cell's parent changes only for a smaller g.
 
-Inside, a grid is a flat array with a wall around it, and cells are numbers
-(`mapdata.search.lattice`).
+A grid is a flat array with a wall around it, and a cell is its place in there
+(`mapdata.search.lattice`). A search keeps one byte a cell, in ``came``: WALL, UNSEEN, ROOT, or the
+move that led to the cell, 0 to 7, which gives its parent; A* adds CLOSED, 8, when it expands the
+cell. So ``came[cell] < CLOSED`` means that the cell is in the open list.
+
+Two habits of these kernels look odd and are for speed:
+
+- Hot loops index by np.uint64. numba lets a signed index count from the end, as Python does, and
+  tests its sign at each access. (uint64 with int64 would give float64, hence constants like _ONE.)
+- A push is written to a log that is never shortened, and links between its entries make the stacks,
+  buckets and heaps. No entry moves or is changed when its cell gets a smaller g: the cell is pushed
+  again, and the older entry is dropped when it is popped. The log also says which cells a search
+  has touched, so `wipe` makes a grid ready for the next search without a pass over all of it.
 """
 
 from __future__ import annotations
@@ -40,7 +51,10 @@ from mapdata.search.lattice import (
     position,
 )
 
+_ZERO = np.uint64(0)
 _ONE = np.uint64(1)
+_MOVE = np.uint8(7)
+"""The bits of ``came`` that hold the move."""
 
 
 class Scratch(NamedTuple):
@@ -49,11 +63,10 @@ class Scratch(NamedTuple):
     Kernels take its arrays by name: to unpack it counts references of all five.
 
     Attributes:
-        came: (cells,) WALL, UNSEEN, or the move that led to a cell, with CLOSED once that is
-            expanded.
-        g: (cells,) cost of the best path to a cell so far.
-        pushed: (pushes,) cells, in the order in which they were pushed.
-        links: (pushes,) a heap of pushes, or lists of them: the next push of each.
+        came: (cells,) uint8: WALL, UNSEEN, or the move that led to a cell.
+        g: (cells,) cost of the best path to a cell so far; valid where ``came`` holds a move.
+        pushed: (pushes,) the log: cells, in the order in which they were pushed.
+        links: (pushes,) a heap of pushes, or for each push the next one of its list.
         f: (pushes,) priorities of the pushes in the heap; empty where a search has none.
     """
 
@@ -76,50 +89,56 @@ def flood(start: Int, targets: Ints, lattice: Lattice, buffers: Scratch) -> Int:
     """
     came = buffers.came
     queue = buffers.pushed
-    p = np.uint64(lattice.stride)
-    head = np.uint64(0)
+    stride = np.uint64(lattice.stride)
+    head = _ZERO
     tail = _ONE
     level = 0
     queue[0] = start
     came[start] = ROOT
     while head < tail:
-        end = tail
-        while head < end:  # one level
-            c = np.uint64(queue[head])
+        # Level by level, so that targets are looked for between levels and not at each cell.
+        level_end = tail
+        while head < level_end:
+            cell = np.uint64(queue[head])
             head += _ONE
-            tail = _see(came, queue, tail, c - p, 0)
-            tail = _see(came, queue, tail, c + _ONE, 1)
-            tail = _see(came, queue, tail, c + p, 2)
-            tail = _see(came, queue, tail, c - _ONE, 3)
+            tail = _enqueue(came, queue, tail, cell - stride, 0)
+            tail = _enqueue(came, queue, tail, cell + _ONE, 1)
+            tail = _enqueue(came, queue, tail, cell + stride, 2)
+            tail = _enqueue(came, queue, tail, cell - _ONE, 3)
             if lattice.diagonals:
                 # The corner rule of `is_legal`, with each neighbour read once: a third of the time.
-                n, e = came[c - p] != WALL, came[c + _ONE] != WALL
-                s, w = came[c + p] != WALL, came[c - _ONE] != WALL
+                north = came[cell - stride] != WALL
+                east = came[cell + _ONE] != WALL
+                south = came[cell + stride] != WALL
+                west = came[cell - _ONE] != WALL
                 cut = lattice.diagonals == 2
-                if cut or (n and e):
-                    tail = _see(came, queue, tail, c - p + _ONE, 4)
-                if cut or (s and e):
-                    tail = _see(came, queue, tail, c + p + _ONE, 5)
-                if cut or (s and w):
-                    tail = _see(came, queue, tail, c + p - _ONE, 6)
-                if cut or (n and w):
-                    tail = _see(came, queue, tail, c - p - _ONE, 7)
+                if cut or (north and east):
+                    tail = _enqueue(came, queue, tail, cell - stride + _ONE, 4)
+                if cut or (south and east):
+                    tail = _enqueue(came, queue, tail, cell + stride + _ONE, 5)
+                if cut or (south and west):
+                    tail = _enqueue(came, queue, tail, cell + stride - _ONE, 6)
+                if cut or (north and west):
+                    tail = _enqueue(came, queue, tail, cell - stride - _ONE, 7)
         level += 1
+        # A level too many costs less than to look for the targets after each one.
         if level & 7 == 0 and len(targets) and _all_seen(came, targets):
             break
     return np.int64(tail)
 
 
 @inlined
-def _see(came: Bytes, queue: UInt32s, tail: np.uint64, cell: np.uint64, move: Int) -> np.uint64:
-    """Append ``cell`` if it is unseen. Without a branch: it is always stored, the tail moves or
-    not.
+def _enqueue(came: Bytes, queue: UInt32s, tail: np.uint64, cell: np.uint64, move: Int) -> np.uint64:
+    """Append ``cell`` to the queue if it is unseen; return the new tail.
+
+    Without a branch, which the processor would often guess wrong: the cell is always stored, and
+    the next one overwrites it unless the tail moves on.
     """
     before = came[cell]
-    fresh = before == UNSEEN
+    unseen = before == UNSEEN
     queue[tail] = cell
-    came[cell] = np.uint8(move) if fresh else before
-    return tail + np.uint64(fresh)
+    came[cell] = np.uint8(move) if unseen else before
+    return tail + (_ONE if unseen else _ZERO)
 
 
 @inlined
@@ -132,9 +151,7 @@ def _all_seen(came: Bytes, targets: Ints) -> Int:
 
 @kernel
 def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
-    """Return how many of the ``count`` cells of ``queue`` are expanded until ``goal`` is, or
-    all.
-    """
+    """Return how many of the ``count`` cells in ``queue`` are expanded up to ``goal``, or all."""
     for k in range(count):
         if queue[np.uint64(k)] == goal:
             return k + 1
@@ -145,23 +162,28 @@ def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
 def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
 
-    A step changes f by 0 or 2, so two stacks replace the heap, and taking from the top of the
-    nearer one is exactly the order of the format. Both stacks are lists through ``pushed[1:]``,
-    where link 0 ends a list. ``came`` holds WALL and UNSEEN, then the move that led to a cell, with
-    CLOSED once it is expanded; ``g``, in moves, needs no content.
+    Two stacks are the open list, and no heap is needed. A step adds 1 to g and changes h by 1, so f
+    stays as it is (a step closer to the goal) or grows by 2 (a step away). While cells of one f are
+    expanded, the open list holds only that f (``near``) and f + 2 (``far``); once ``near`` is
+    empty, ``far`` takes its place. Within one f the top of the stack is the latest push, so the
+    order is exactly that of a heap which prefers the latest push among equal f.
+
+    Both stacks are lists through the log: ``near`` and ``far`` are the numbers of their top pushes,
+    ``links`` leads from a push to the one below it. Push 0 does not exist, so that a link of 0 ends
+    a list. ``g`` counts moves and needs no content before.
     """
     came = buffers.came
     g = buffers.g
     pushed = buffers.pushed
     links = buffers.links
-    p = np.uint32(lattice.stride)
+    stride = np.uint32(lattice.stride)
     target = np.uint32(goal)
-    goal_row = target // p
-    goal_column = target - goal_row * p
+    goal_row = target // stride
+    goal_column = target - goal_row * stride
     near = np.uint32(1)
     far = np.uint32(0)
     pushes = np.uint32(2)
-    expanded = 0
+    expansions = 0
     pushed[1] = start
     links[1] = 0
     came[start] = 0
@@ -169,40 +191,51 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
     while True:
         if near == 0:
             if far == 0:
-                return expanded, np.int64(pushes)
-            near, far = far, near
-        c = pushed[np.uint64(near)]
+                return expansions, np.int64(pushes)
+            near = far
+            far = np.uint32(0)
+        cell = pushed[np.uint64(near)]
         near = links[np.uint64(near)]
-        if came[np.uint64(c)] & CLOSED:
+        # Pushed again with a smaller g, and expanded then: its f was smaller, too.
+        if came[np.uint64(cell)] & CLOSED:
             continue
-        came[np.uint64(c)] |= CLOSED
-        expanded += 1
-        if c == target:
-            return expanded, np.int64(pushes)
-        longer = g[np.uint64(c)] + 1
-        row = c // p
-        column = c - row * p
+        came[np.uint64(cell)] |= CLOSED
+        expansions += 1
+        if cell == target:
+            return expansions, np.int64(pushes)
+        tentative = g[np.uint64(cell)] + 1
+        row = cell // stride
+        column = cell - row * stride
         for move in range(4):
             if move == 0:
-                to, closer = np.uint64(c - p), row > goal_row
+                to = np.uint64(cell - stride)
+                closer = row > goal_row
             elif move == 1:
-                to, closer = np.uint64(c + np.uint32(1)), column < goal_column
+                to = np.uint64(cell + np.uint32(1))
+                closer = column < goal_column
             elif move == 2:
-                to, closer = np.uint64(c + p), row < goal_row
+                to = np.uint64(cell + stride)
+                closer = row < goal_row
             else:
-                to, closer = np.uint64(c - np.uint32(1)), column > goal_column
+                to = np.uint64(cell - np.uint32(1))
+                closer = column > goal_column
             before = came[to]
-            if before == UNSEEN or (before < CLOSED and g[to] > longer):
-                came[to], g[to] = move, longer
+            if before == UNSEEN or (before < CLOSED and g[to] > tentative):
+                came[to] = move
+                g[to] = tentative
                 pushed[np.uint64(pushes)] = to
-                links[np.uint64(pushes)] = near if closer else far
-                near, far = (pushes, far) if closer else (near, pushes)
+                if closer:
+                    links[np.uint64(pushes)] = near
+                    near = pushes
+                else:
+                    links[np.uint64(pushes)] = far
+                    far = pushes
                 pushes += np.uint32(1)
 
 
 @inlined
 def wipe(buffers: Scratch, pushes: Int) -> None:
-    """Make ``came`` fresh again after an A*."""
+    """Make ``came`` fresh again after an A*: every cell that it changed is in the log."""
     came = buffers.came
     pushed = buffers.pushed
     for k in range(1, pushes):
@@ -215,16 +248,15 @@ def astar_heap(
 ) -> tuple[Int, Int]:
     """A* with any moves and weights; return (iterations, pushes).
 
-    A binary heap with the least f on top, and among equal f the latest push. ``links`` holds the
-    numbers of the pushes in the heap, ``f`` their priorities; ``came`` and ``g`` are as in
-    `astar_manhattan`, costs in 1 / UNIT.
+    The textbook's A* with a binary heap. ``links`` is the heap, of the numbers of pushes, and ``f``
+    their priorities beside it; ``g`` is in 1 / UNIT.
     """
     came = buffers.came
     g = buffers.g
     pushed = buffers.pushed
     heap = buffers.links
     f = buffers.f
-    way, weight = search
+    g_weight, h_weight = search
     goal_row, goal_column = position(goal, lattice)
     came[start] = 0
     g[start] = 0
@@ -233,62 +265,77 @@ def astar_heap(
     heap[0] = 1
     pushes = 2
     size = 1
-    expanded = 0
+    expansions = 0
     while size:
-        c = np.int64(pushed[heap[0]])
+        cell = np.int64(pushed[heap[0]])
         size -= 1
-        # The last entry goes to the top and down to its place.
-        last = heap[size]
-        key = f[size]
-        at = 0
-        child = 1
-        while child < size:
-            other = child + 1
-            if other < size and (
-                f[other] < f[child] or (f[other] == f[child] and heap[other] > heap[child])
-            ):
-                child = other
-            if key < f[child] or (key == f[child] and last > heap[child]):
-                break
-            f[at] = f[child]
-            heap[at] = heap[child]
-            at = child
-            child = 2 * child + 1
-        f[at] = key
-        heap[at] = last
-        if came[c] & CLOSED:  # it was pushed again with a smaller g, and expanded then
+        _remove_top(heap, f, size)
+        if came[cell] & CLOSED:  # it was pushed again with a smaller g, and expanded then
             continue
-        came[c] |= CLOSED
-        cost = g[c]
-        expanded += 1
-        if c == goal:
+        came[cell] |= CLOSED
+        cost = g[cell]
+        expansions += 1
+        if cell == goal:
             break
-        row, column = position(c, lattice)
+        row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
-            if not is_legal(came, c, move, lattice):
+            if not is_legal(came, cell, move, lattice):
                 continue
-            to = c + lattice.offsets[move]
-            longer = cost + (UNIT if move < 4 else lattice.step)
+            to = cell + lattice.offsets[move]
+            tentative = cost + (UNIT if move < 4 else lattice.step)
             before = came[to]
-            if before == UNSEEN or (before < CLOSED and g[to] > longer):
+            if before == UNSEEN or (before < CLOSED and g[to] > tentative):
                 came[to] = move
-                g[to] = longer
-                h = heuristic(
-                    row + STEPS[move, 0] - goal_row, column + STEPS[move, 1] - goal_column, lattice
-                )
-                # A float would round the h of long distances: the weight of A* keeps it exact.
-                key = way * longer + (h if weight == 1 else np.int64(weight * h))
+                g[to] = tentative
+                rows = row + STEPS[move, 0] - goal_row
+                columns = column + STEPS[move, 1] - goal_column
+                h = heuristic(rows, columns, lattice)
+                if h_weight != 1:  # with 1, the weight of A*, a float would round large h
+                    h = np.int64(h_weight * h)
                 pushed[pushes] = to
-                at = size
-                while at and f[(at - 1) >> 1] >= key:  # up past equal f: this is the latest push
-                    f[at] = f[(at - 1) >> 1]
-                    heap[at] = heap[(at - 1) >> 1]
-                    at = (at - 1) >> 1
-                f[at] = key
-                heap[at] = pushes
+                _insert(heap, f, size, pushes, g_weight * tentative + h)
                 pushes += 1
                 size += 1
-    return expanded, pushes
+    return expansions, pushes
+
+
+@inlined
+def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
+    """Remove the top of a heap, in which ``size`` entries are left.
+
+    The last entry goes to the top and sinks to its place. An entry is above another if its f is
+    less, or equal and its push later.
+    """
+    last = heap[size]
+    key = f[size]
+    at = 0
+    child = 1
+    while child < size:
+        right = child + 1
+        if right < size and (
+            f[right] < f[child] or (f[right] == f[child] and heap[right] > heap[child])
+        ):
+            child = right
+        if key < f[child] or (key == f[child] and last > heap[child]):
+            break
+        f[at] = f[child]
+        heap[at] = heap[child]
+        at = child
+        child = 2 * child + 1
+    f[at] = key
+    heap[at] = last
+
+
+@inlined
+def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, key: Int) -> None:
+    """Insert the latest ``push`` into a heap of ``size`` entries: it rises past equal f, too."""
+    at = size
+    while at and f[(at - 1) >> 1] >= key:
+        f[at] = f[(at - 1) >> 1]
+        heap[at] = heap[(at - 1) >> 1]
+        at = (at - 1) >> 1
+    f[at] = key
+    heap[at] = push
 
 
 @kernel
@@ -296,14 +343,14 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
     """Return how many straight and diagonal moves led from ``start`` to ``goal``."""
     straight: Int = 0
     diagonal: Int = 0
-    c = goal
-    while c != start:
-        move = np.uint64(came[np.uint64(c)] & np.uint8(7))
+    cell = goal
+    while cell != start:
+        move = np.uint64(came[np.uint64(cell)] & _MOVE)
         if move < 4:
             straight += 1
         else:
             diagonal += 1
-        c -= lattice.offsets[move]
+        cell -= lattice.offsets[move]
     return straight, diagonal
 
 
@@ -311,25 +358,23 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
 def write_moves(
     came: Bytes, start: Int, goal: Int, lattice: Lattice, moves: Bytes, end: Int
 ) -> None:
-    """Write the moves that led from ``start`` to ``goal`` so that the last one stands before
-    ``moves[end]``.
-    """
-    c = goal
-    while c != start:
-        move = np.uint64(came[np.uint64(c)] & np.uint8(7))
+    """Write the moves from ``start`` to ``goal``; the last one goes to ``moves[end - 1]``."""
+    cell = goal
+    while cell != start:
+        move = np.uint64(came[np.uint64(cell)] & _MOVE)
         end -= 1
         moves[end] = move
-        c -= lattice.offsets[move]
+        cell -= lattice.offsets[move]
 
 
 @kernel
 def write_cells(came: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
     """Write the cells of a path that ends at ``goal``, as many as ``path`` (k, 2) holds."""
-    c = goal
+    cell = goal
     for k in range(len(path) - 1, -1, -1):
-        path[k, 0], path[k, 1] = position(c, lattice)
+        path[k, 0], path[k, 1] = position(cell, lattice)
         if k:
-            c -= lattice.offsets[np.uint64(came[np.uint64(c)] & np.uint8(7))]
+            cell -= lattice.offsets[np.uint64(came[np.uint64(cell)] & _MOVE)]
 
 
 @kernel
@@ -349,7 +394,8 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 def scratch(search: Weights, lattice: Lattice) -> Scratch:
     """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
     cells = lattice.cells
-    # A cell is pushed at most once for each neighbour, so that the logs cannot overflow.
+    # A cell is pushed at most once for each neighbour, so that the logs cannot overflow. Two more:
+    # the start, and the entry 0 that does not exist.
     pushes = len(lattice.offsets) * cells + 2
     keys = 0
     if search == BFS or (search == COSTS and lattice.step == UNIT):
@@ -382,19 +428,19 @@ def find(
         target = np.empty(1, np.int64)
         target[0] = goal
         count = flood(start, target, lattice, buffers)
-        expanded = expansions_until(buffers.pushed, count, goal)
+        expansions = expansions_until(buffers.pushed, count, goal)
     elif search == ASTAR and lattice.diagonals == 0:
-        expanded, pushes = astar_manhattan(start, goal, lattice, buffers)
+        expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
         if came[goal] != UNSEEN:
-            return buffers.g[goal], 0, expanded, pushes
+            return buffers.g[goal], 0, expansions, pushes
     else:
-        expanded, pushes = astar_heap(start, goal, search, lattice, buffers)
+        expansions, pushes = astar_heap(start, goal, search, lattice, buffers)
     if came[goal] == UNSEEN:
-        return -1, 0, expanded, pushes
+        return -1, 0, expansions, pushes
     straight, diagonal = count_moves(came, start, goal, lattice)
     if search == BFS:
-        return straight + diagonal, 0, expanded, pushes
-    return straight, diagonal, expanded, pushes
+        return straight + diagonal, 0, expansions, pushes
+    return straight, diagonal, expansions, pushes
 
 
 @kernel
@@ -407,8 +453,9 @@ def solve_one(
     search: Weights,
     rule: Rule,
 ) -> tuple[Ints, Int, Int, Int]:
-    """Search one problem; return its path, straight and diagonal moves, and iterations (0 when the
-    problem is bad).
+    """Search one problem; return its path, straight and diagonal moves, and iterations.
+
+    The iterations are 0 if ``grid`` holds other values than 0 and 1, or if an end is occupied.
     """
     lattice = lattice_of(grid.shape, rule)
     buffers = scratch(search, lattice)
@@ -417,18 +464,17 @@ def solve_one(
         return np.empty((0, 2), np.int64), -1, 0, 0
     start = cell_at(start_row, start_column, lattice)
     goal = cell_at(goal_row, goal_column, lattice)
-    straight, diagonal, expanded, _ = find(start, goal, search, lattice, buffers)
+    straight, diagonal, expansions, _ = find(start, goal, search, lattice, buffers)
     path = np.empty((straight + diagonal + 1, 2), np.int64)
     write_cells(buffers.came, goal, lattice, path)
-    return path, straight, diagonal, expanded
+    return path, straight, diagonal, expansions
 
 
 @kernel
 def solve_all(
     grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule
 ) -> tuple[Ints, Ints, Int]:
-    """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]`` (or on the one
-    grid).
+    """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]``, or on the one grid.
 
     Returns:
         cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1,
@@ -442,6 +488,7 @@ def solve_all(
     used = 0
     for k in range(len(starts)):
         grid = grids[k if len(grids) > 1 else 0]
+        # A* wipes what it wrote. BFS touches most of a grid, and copying it anew costs less.
         stale = k == 0 or len(grids) > 1 or search == BFS
         if stale and not load(grid, buffers.came):
             return path, found, k
@@ -449,15 +496,18 @@ def solve_all(
             return path, found, k
         start = cell_at(starts[k, 0], starts[k, 1], lattice)
         goal = cell_at(goals[k, 0], goals[k, 1], lattice)
-        straight, diagonal, expanded, pushes = find(start, goal, search, lattice, buffers)
-        end = used + straight + diagonal + 1
+        straight, diagonal, expansions, pushes = find(start, goal, search, lattice, buffers)
+        end = used + straight + diagonal + 1  # no path: -1 + 0 + 1 cells
         if end > len(path):
-            longer = np.empty((2 * end, 2), np.int64)
-            longer[:used] = path[:used]
-            path = longer
+            larger = np.empty((2 * end, 2), np.int64)
+            larger[:used] = path[:used]
+            path = larger
         write_cells(buffers.came, goal, lattice, path[used:end])
         used = end
-        found[k, 0], found[k, 1], found[k, 2], found[k, 3] = straight, diagonal, expanded, used
+        found[k, 0] = straight
+        found[k, 1] = diagonal
+        found[k, 2] = expansions
+        found[k, 3] = used
         if search != BFS:
             wipe(buffers, pushes)
     return path[:used], found, len(starts)
@@ -465,8 +515,10 @@ def solve_all(
 
 @kernel
 def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
-    """Return the first k whose cell is not free, or not one move from cell k - 1, or -1 when all is
-    well, and how many moves are diagonal. The first is -2 when ``grid`` is not of 0 and 1.
+    """Return where ``path`` breaks the rule, and how many of its moves are diagonal.
+
+    The first is the least k whose cell is not free or not one move from cell k - 1; -1 when all is
+    well; -2 when ``grid`` is not of 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
     came = np.full(lattice.cells, WALL)
@@ -479,29 +531,32 @@ def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
             return k, diagonal
         if k == 0:
             continue
-        good = False
-        for move in range(len(lattice.offsets)):
-            if row - path[k - 1, 0] == STEPS[move, 0] and column - path[k - 1, 1] == STEPS[move, 1]:
-                good = is_legal(
-                    came, cell_at(path[k - 1, 0], path[k - 1, 1], lattice), move, lattice
-                )
-                diagonal += move >= 4
-        if not good:
+        before = cell_at(path[k - 1, 0], path[k - 1, 1], lattice)
+        move = 0
+        while move < len(lattice.offsets) and (
+            row - path[k - 1, 0] != STEPS[move, 0] or column - path[k - 1, 1] != STEPS[move, 1]
+        ):
+            move += 1
+        if move == len(lattice.offsets) or not is_legal(came, before, move, lattice):
             return k, diagonal
+        if move >= 4:
+            diagonal += 1
     return -1, diagonal
 
 
 @kernel
 def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -> Int:
-    """Write the cost from every cell to (row, column) into ``out``, -1 where there is none; return
-    whether grid is 0/1.
+    """Write the cost from every cell to (row, column) into ``out``, -1 where there is no path.
+
+    Returns whether ``grid`` is of 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
     buffers = scratch(COSTS, lattice)
     good = load(grid, buffers.came)
     out[:, :] = -1
     if good and not grid[row, column]:
-        for k in range(shortest_costs(cell_at(row, column, lattice), lattice, buffers)):
+        reached = shortest_costs(cell_at(row, column, lattice), lattice, buffers)
+        for k in range(reached):
             cell = np.int64(buffers.pushed[k])
             out[position(cell, lattice)] = in_cells(buffers.g[cell])
     return good
@@ -509,8 +564,7 @@ def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -
 
 @kernel
 def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
-    """Write the cost of the shortest path from ``source`` to every cell into ``g``, FAR where there
-    is none.
+    """Write the cost of the shortest path from ``source`` to every cell into ``g``, else FAR.
 
     ``came`` is as `load` leaves it; the buffers are `scratch` of COSTS. Returns how many cells are
     reached; they stand in ``pushed``, each once.
@@ -523,6 +577,7 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
     if lattice.step != UNIT:
         queue[1] = source
         return bucket_search(1, lattice, buffers)
+    # All moves cost 1: a cell is one move farther than its parent, which stands before it.
     count = flood(source, np.empty(0, np.int64), lattice, buffers)
     for k in range(1, count):
         cell = np.int64(queue[k])
@@ -532,18 +587,19 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
 
 @kernel
 def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
-    """Write costs from the nearest of the sources ``pushed[1:sources + 1]``, whose ``g`` is 0
-    already.
+    """Write costs from the nearest of the sources ``pushed[1:sources + 1]``, whose ``g`` is 0.
 
-    Buckets one UNIT wide, the shortest step (Dinitz 1978): what lies in the nearest bucket cannot
-    become cheaper, whatever the order, and a step of sqrt(2) reaches at most two buckets ahead, so
-    that three lists through one log replace a heap. Returns as `shortest_costs` does.
+    Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A step costs at
+    least UNIT, so it leads out of its bucket, and what lies in the nearest bucket cannot become
+    cheaper, whatever the order within. A step of sqrt(2) ends one or two buckets ahead, so that
+    three lists through the log, used in turns, are all buckets there can be at a time. Returns as
+    `shortest_costs` does.
     """
     came = buffers.came
     costs = buffers.g
     pushed = buffers.pushed
     links = buffers.links
-    heads = np.zeros(3, np.int64)  # entry 0 ends a list
+    heads = np.zeros(3, np.int64)  # the latest push of each bucket; push 0 does not exist
     heads[0] = sources
     for k in range(1, sources + 1):
         links[k] = k - 1
@@ -557,24 +613,24 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
             continue
         heads[bucket % 3] = links[entry]
         waiting -= 1
-        c = np.int64(pushed[entry])
-        cost = costs[c]
+        cell = np.int64(pushed[entry])
+        cost = costs[cell]
         if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
         for move in range(len(lattice.offsets)):
-            if not is_legal(came, c, move, lattice):
+            if not is_legal(came, cell, move, lattice):
                 continue
-            to = c + lattice.offsets[move]
-            longer = cost + (UNIT if move < 4 else lattice.step)
-            if longer < costs[to]:
-                costs[to] = longer
-                ahead = (longer >> UNIT_BITS) % 3
+            to = cell + lattice.offsets[move]
+            tentative = cost + (UNIT if move < 4 else lattice.step)
+            if tentative < costs[to]:
+                costs[to] = tentative
+                ahead = (tentative >> UNIT_BITS) % 3
                 pushed[pushes] = to
                 links[pushes] = heads[ahead]
                 heads[ahead] = pushes
                 pushes += 1
                 waiting += 1
-    # The log is over: what was reached takes its place.
+    # The log holds some cells twice and is not needed any more: the cells reached take its place.
     count = 0
     for k in range(len(costs)):
         if costs[k] != FAR:

@@ -1,6 +1,4 @@
-"""What the paper computes of a map: the route by BFS and by A*, their iterations, and both
-connection matrices.
-"""
+"""What the paper computes of a map: routes by BFS and A*, their iterations, connection matrices."""
 
 from __future__ import annotations
 
@@ -49,17 +47,17 @@ _MANY = 3
 
 @dataclass(frozen=True)
 class SearchLabels:
-    """What one planner finds on N maps with S segments and P pairs of rooms.
+    """What one search finds on N maps with S segments and P pairs of rooms.
 
     Segment q of a map leads from room q to room q + 1, pairs are i < j in the order of
     `numpy.triu_indices` (scipy's condensed form); `Maps.segment_offsets` and `Maps.pair_offsets`
     say where those of a map begin.
 
     Attributes:
-        moves: (M,) uint8, the moves of all segments one after another, numbered as `kernels.STEPS`.
+        moves: (M,) uint8, the moves of all segments one after another, numbered as `STEPS`.
         offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves,
             like one from a cell to itself.
-        iterations: (S,) int64, cells taken from the frontier.
+        iterations: (S,) int64, cells expanded.
         costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair, (-1, 0)
             without a path.
     """
@@ -72,9 +70,7 @@ class SearchLabels:
 
 @dataclass(frozen=True)
 class Labels:
-    """The paper's characterization of a batch of maps: routes, iterations and matrices by both
-    planners.
-    """
+    """The paper's characterization (its section 4) of a batch of maps, by both searches."""
 
     maps: Maps
     bfs: SearchLabels
@@ -82,24 +78,27 @@ class Labels:
 
     @cached_property
     def reachable(self) -> Flags:
-        """(S,) bool: a path exists between rooms q and q + 1, whether or not a passage was
-        drawn.
-        """
-        first = np.repeat(self.maps.pair_offsets[:-1], self.maps.rooms - 1)
-        q = np.arange(len(first)) - np.repeat(self.maps.segment_offsets[:-1], self.maps.rooms - 1)
-        n = np.repeat(self.maps.rooms, self.maps.rooms - 1)
-        return np.asarray(self.astar.costs[first + q * (2 * n - q - 1) // 2, 0] >= 0)
+        """(S,) bool: a path joins rooms q and q + 1, whether or not a passage was drawn."""
+        maps = self.maps
+        segments = maps.rooms - 1
+        n = np.repeat(maps.rooms, segments)
+        q = np.arange(len(n)) - np.repeat(maps.segment_offsets[:-1], segments)
+        # Rooms 0 to q - 1 come first as i of a pair, with n - 1, n - 2, ... pairs each.
+        pairs_before = q * (2 * n - q - 1) // 2
+        pair = np.repeat(maps.pair_offsets[:-1], segments) + pairs_before
+        return np.asarray(self.astar.costs[pair, 0] >= 0)
 
     @cached_property
     def all_connected(self) -> Flags:
         """(N,) bool: paths exist between all rooms of a map."""
-        paths = np.concatenate(([0], np.cumsum(self.reachable)))
-        offsets = self.maps.segment_offsets
-        return np.asarray(paths[offsets[1:]] - paths[offsets[:-1]] == self.maps.rooms - 1)
+        paths_before = np.concatenate(([0], np.cumsum(self.reachable)))
+        paths = np.diff(paths_before[self.maps.segment_offsets])
+        return np.asarray(paths == self.maps.rooms - 1)
 
     def segment(self, search: str, i: int, q: int) -> Ints:
-        """Return segment q of map i of the batch as found by ``search``: (k, 2) int64 cells, (0, 2)
-        without a path.
+        """Return the cells of segment q of map i of the batch, (k, 2) int64.
+
+        ``search`` is "bfs" or "astar"; a segment without a path has no cell, (0, 2).
         """
         labels = self.of(search)
         if not 0 <= q < self._rooms(i) - 1:
@@ -108,15 +107,12 @@ class Labels:
         if not self.reachable[s]:
             return np.empty((0, 2), np.int64)
         moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
-        return np.concatenate(
-            (
-                self.maps.seed_points[i, q : q + 1],
-                self.maps.seed_points[i, q] + np.cumsum(STEPS[moves], axis=0),
-            )
-        )
+        start = self.maps.seed_points[i, q]
+        others = start + np.cumsum(STEPS[moves], axis=0)
+        return np.concatenate((start[None], others))
 
     def route(self, search: str, i: int) -> list[Ints]:
-        """Return the path through all rooms of map i in their order, a segment an array (k, 2)."""
+        """Return the path through all rooms of map i in their order, as its segments (k, 2)."""
         return [self.segment(search, i, q) for q in range(self._rooms(i) - 1)]
 
     def iterations(self, search: str, i: int) -> Ints:
@@ -125,11 +121,13 @@ class Labels:
         return self.of(search).iterations[first : first + self._rooms(i) - 1]
 
     def matrix(self, search: str, i: int) -> npt.NDArray[np.float64]:
-        """Return the connection matrix of map i, (n, n) float64: path costs (BFS: moves), 0 on the
-        diagonal, -1 no path.
+        """Return the connection matrix of map i, (n, n) float64.
+
+        It holds path costs (BFS: moves), 0 on the diagonal, -1 where there is no path.
         """
         n = self._rooms(i)
-        straight, diagonal = self.of(search).costs[slice(*self.maps.pair_offsets[i : i + 2])].T
+        first, end = self.maps.pair_offsets[i : i + 2]
+        straight, diagonal = self.of(search).costs[first:end].T
         step = 1.0 if search == "bfs" else self.maps.movement.diagonal_cost
         matrix = np.zeros((n, n))
         matrix[_pairs_of(n)] = straight + diagonal * step
@@ -155,15 +153,17 @@ def _pairs_of(rooms: int) -> tuple[Ints, Ints]:
 
 
 def label(maps: Maps) -> Labels:
-    """Return the paper's characterization of ``maps``: routes, iterations and connection matrices
-    by BFS and by A*.
+    """Return routes, iterations and connection matrices of ``maps`` by BFS and by A*.
 
     One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
     the iterations. A* searches each segment; what it would cost between the other rooms is found by
     one search a room, where the shortest paths of a pair of rooms can have only one number of
     straight and diagonal moves.
 
-    Source: arXiv 2110.13242, section III-C and III-D.
+    Source: arXiv 2110.13242, section 4 (Characterization).
+
+    Raises:
+        ValueError: a seed point that is not a free cell of its map.
 
     >>> from mapdata import MapSpec, generate
     >>> labels = label(generate(MapSpec(), seed=0, indices=[2]))
@@ -171,26 +171,14 @@ def label(maps: Maps) -> Labels:
     array([[ 0., 39.],
            [39.,  0.]])
     """
-    used = np.arange(maps.seed_points.shape[1]) < maps.rooms[:, None]
-    seed_points, owner = maps.seed_points[used], np.repeat(np.arange(len(maps)), maps.rooms)
-    outside = (seed_points < 0) | (seed_points >= (maps.packed.shape[1], maps.columns))
-    words = maps.packed[
-        owner,
-        seed_points[:, 0] * ~outside.any(axis=1),
-        seed_points[:, 1] // WORD * ~outside.any(axis=1),
-    ]
-    bad = outside.any(axis=1) | (
-        words >> (seed_points[:, 1] % WORD).astype(np.uint64) & np.uint64(1) == 1
-    )
-    if bad.any():
-        k = int(np.flatnonzero(bad)[0])
-        raise ValueError(
-            f"seeds: {tuple(seed_points[k].tolist())} of map {maps.index[owner[k]]} is not a free "
-            "cell"
-        )
-    segments, pairs = int(maps.segment_offsets[-1]), int(maps.pair_offsets[-1])
-    tables = [np.empty((count, 2), np.int64) for count in (segments, pairs, segments, pairs)]
-    moves = _label(
+    _check_seed_points(maps)
+    segments = int(maps.segment_offsets[-1])
+    pairs = int(maps.pair_offsets[-1])
+    bfs_table = np.empty((segments, 2), np.int64)
+    bfs_costs = np.empty((pairs, 2), np.int64)
+    astar_table = np.empty_like(bfs_table)
+    astar_costs = np.empty_like(bfs_costs)
+    bfs_moves, astar_moves = _label(
         maps.packed,
         maps.columns,
         maps.rooms,
@@ -198,18 +186,37 @@ def label(maps: Maps) -> Labels:
         maps.segment_offsets,
         maps.pair_offsets,
         rule_of(maps.movement),
-        *tables,
+        bfs_table,
+        bfs_costs,
+        astar_table,
+        astar_costs,
     )
-    bfs, astar = (
-        SearchLabels(
-            found,
-            np.concatenate(([0], np.cumsum(table[:, 0]))),
-            np.ascontiguousarray(table[:, 1]),
-            costs,
-        )
-        for found, table, costs in zip(moves, tables[::2], tables[1::2], strict=True)
-    )
+    bfs = _search_labels(bfs_moves, bfs_table, bfs_costs)
+    astar = _search_labels(astar_moves, astar_table, astar_costs)
     return Labels(maps, bfs, astar)
+
+
+def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
+    """Return the labels of one search from what `_label` gave."""
+    offsets = np.concatenate(([0], np.cumsum(table[:, 0])))
+    return SearchLabels(moves, offsets, np.ascontiguousarray(table[:, 1]), costs)
+
+
+def _check_seed_points(maps: Maps) -> None:
+    """Refuse maps with a seed point that is outside or occupied."""
+    used = np.arange(maps.seed_points.shape[1]) < maps.rooms[:, None]
+    seed_points = maps.seed_points[used]
+    owner = np.repeat(np.arange(len(maps)), maps.rooms)
+    size = (maps.packed.shape[1], maps.columns)
+    bad: Flags = np.any((seed_points < 0) | (seed_points >= size), axis=1)
+    rows, columns = np.where(bad[:, None], 0, seed_points).T  # (0, 0) is inside every map
+    words = maps.packed[owner, rows, columns // WORD]
+    occupied = words >> (columns % WORD).astype(np.uint64) & np.uint64(1)
+    bad |= occupied == 1
+    if bad.any():
+        k = int(np.argmax(bad))
+        cell = tuple(seed_points[k].tolist())
+        raise ValueError(f"seeds: {cell} of map {maps.index[owner[k]]} is not a free cell")
 
 
 @kernel
@@ -228,8 +235,8 @@ def _label(
 ) -> tuple[Bytes, Bytes]:
     """Label every map; return the moves of BFS and of A*.
 
-    The tables are (S, 2), number of moves and iterations; the costs (P, 2), straight and diagonal
-    moves.
+    Fills the tables, (S, 2), with number of moves and iterations, and the costs, (P, 2), with
+    straight and diagonal moves.
     """
     lattice = lattice_of((packed.shape[1], columns), rule)
     fresh = np.full(lattice.cells, WALL)
@@ -238,8 +245,8 @@ def _label(
     searching = scratch(ASTAR, lattice)
     bfs_moves = np.empty(1024, np.uint8)
     astar_moves = np.empty(1024, np.uint8)
-    # numbers that are handed on get their final type at once: else the kernels that take them are
-    # compiled twice
+    # Numbers that are handed on get their final type at once: else the kernels that take them are
+    # compiled twice.
     bfs_used = np.int64(0)
     astar_used = np.int64(0)
     small = lattice.diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
@@ -289,17 +296,13 @@ def _label(
 
 @kernel
 def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
-    """Write one packed map into the padded ``fresh`` as UNSEEN and WALL (the codes differ in the
-    lowest bit).
-    """
+    """Write one packed map into the padded ``fresh``, as `load` does with a grid."""
     stride = columns + 2
     for row in range(words.shape[0]):
         for j in range(words.shape[1]):
-            word, base, count = (
-                words[row, j],
-                (row + 1) * stride + 1 + WORD * j,
-                min(WORD, columns - WORD * j),
-            )
+            word = words[row, j]
+            base = (row + 1) * stride + 1 + WORD * j
+            count = min(WORD, columns - WORD * j)
             if row and word == words[row - 1, j]:  # most rows: maps are made of rectangles
                 for k in range(count):
                     fresh[base + k] = fresh[base + k - stride]
@@ -319,8 +322,7 @@ def _bfs_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by BFS: one flood from each of the seed ``cells`` until all later ones are
-    seen.
+    """Label one map by BFS: a flood from each of the seed ``cells`` until all later ones are seen.
 
     Returns the moves and their number.
     """
@@ -360,8 +362,7 @@ def _astar_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by A*: a search for each segment, and the costs of all pairs as `_fill_costs`
-    finds them.
+    """Label one map by A*: a search for each segment; costs of the other pairs by `_fill_costs`.
 
     Returns the moves and their number.
     """
@@ -369,10 +370,12 @@ def _astar_labels(
     came[:] = fresh
     pair = 0
     for a in range(len(cells) - 1):
-        straight, diagonal, expanded, pushes = find(cells[a], cells[a + 1], ASTAR, lattice, buffers)
+        straight, diagonal, expansions, pushes = find(
+            cells[a], cells[a + 1], ASTAR, lattice, buffers
+        )
         length = max(straight + diagonal, 0)
         table[a, 0] = length
-        table[a, 1] = expanded
+        table[a, 1] = expansions
         moves = with_capacity(moves, used, length)
         used += length
         if length:
@@ -400,13 +403,13 @@ def _fill_costs(
 ) -> None:
     """Write the costs from ``source`` to each of ``cells``, as A* finds them, by the least work."""
     if lattice.diagonals == 0:
-        # Both searches are optimal, and each move costs 1.
+        # Both searches are optimal, and each move costs 1: what BFS found is it.
         for k in range(len(cells)):
             costs[k, 0] = bfs_costs[k, 0]
             costs[k, 1] = 0
     elif lattice.step != UNIT and len(cells) >= _MANY:
-        # Only one pair of numbers of moves has the least cost, so any optimal search finds that of
-        # A*.
+        # sqrt(2) is irrational: only one pair of numbers of straight and diagonal moves has the
+        # least cost, so that any optimal search finds that of A*.
         shortest_costs(source, lattice, buffers)
         for k in range(len(cells)):
             costs[k, 0] = -1

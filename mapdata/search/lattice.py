@@ -1,11 +1,18 @@
-"""The lattice that searches run on: a padded grid, its moves, the corner rule, exact costs, the
-heuristic.
+"""The lattice that searches run on: the padded grid, its moves, exact costs, the heuristic.
 
 A grid is a flat array with a wall around it, so that no step needs a bounds check: cell (row, col)
-of a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``. The legal moves, the heuristic
-and hardness are defined here. The corner rule is written twice more, each for a reason that is said
-there: `flood` in kernels.py, and on tensors `legal_moves` in models/path_predictor.py; tests hold
-all three together.
+of a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
+
+Costs are integers in fixed point. A cost of s straight and d diagonal steps is ``s * UNIT + d *
+DIAGONAL``, where DIAGONAL is sqrt(2) * UNIT rounded, so sums are exact, in any order. Two such
+costs compare as the real numbers s + d * sqrt(2) do: these differ by at least 1 / (2 sqrt(2) d),
+and the rounding is off by less than d / 2**42, which is smaller for all paths on a grid of at most
+`MAX_CELLS` cells. (s, d) can be read back from a cost: modulo UNIT it is d * DIAGONAL, and
+DIAGONAL, being odd, has an inverse modulo UNIT, a power of two.
+
+The legal moves, the heuristic and hardness are defined here. The corner rule is written twice more,
+each for a reason that is given there: `flood` in kernels.py, and on tensors `legal_moves` in
+models/path_predictor.py; tests hold all three together.
 """
 
 from __future__ import annotations
@@ -21,48 +28,49 @@ from mapdata.jit import Int, inlined, kernel
 from mapdata.spec import Movement
 
 MAX_CELLS = 2**21
-"""Largest number of cells of a grid. Up to here the fixed-point costs below order all paths
-exactly.
-"""
+"""Largest number of cells of a grid: up to here costs order all paths exactly, and fit int64."""
 
 UNIT_BITS = 41
 
 UNIT = 1 << UNIT_BITS
+"""The cost of a straight step."""
 
 DIAGONAL = 3109888511975
-"""sqrt(2) * UNIT, an odd integer. A cost of s straight and d diagonal steps is ``s * UNIT + d *
-DIAGONAL``: sums are exact, and two costs compare as ``s + d * sqrt(2)`` does, since those differ by
-at least 1 / (2
-sqrt(2) d) and the error is below d / 2**42. DIAGONAL being odd, (s, d) can be read back from the
-sum.
-"""
+"""sqrt(2) * UNIT, rounded; an odd integer."""
 
 _DIAGONAL_INVERSE = pow(DIAGONAL, -1, UNIT)
 
 STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
-"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); the number of a move is its code
-everywhere.
-"""
+"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); their numbers are their codes."""
 
-WALL, UNSEEN, ROOT = np.uint8(255), np.uint8(254), np.uint8(253)
+WALL = np.uint8(255)
+"""An occupied cell, or one of the wall around the grid. Differs from UNSEEN in the lowest bit."""
+
+UNSEEN = np.uint8(254)
+"""A free cell that the search has not reached."""
+
+ROOT = np.uint8(253)
+"""Where a breadth-first search began."""
 
 CLOSED = np.uint8(8)
+"""The bit that A* adds to a cell's move, 0 to 7, when it expands the cell."""
 
 FAR = np.int64(2**62)
+"""The cost of a cell that is not reached: more than any path costs."""
 
 Weights: TypeAlias = tuple[Int, float]
-"""Which search, as kernels take it: (way, weight) of a best-first search by f = way * g + weight *
-h.
-A plain tuple, like `Rule`: a NamedTuple costs 2 us a call from Python, a third of a short
-search.
+"""Which search, as kernels take it: the weights in f = g_weight * g + h_weight * h.
+
+A plain tuple, like `Rule`: a NamedTuple costs 2 us a call from Python, a third of a short search.
 """
 
 ASTAR: Weights = (1, 1.0)
 
 BFS: Weights = (-1, 0.0)
+"""Breadth-first search; the numbers are but a name, for it has no f."""
 
 COSTS: Weights = (-2, 0.0)
-"""The costs of all cells. Neither this nor BFS has an f."""
+"""The costs of all cells; a name, too."""
 
 Rule: TypeAlias = tuple[Int, Int]
 """How one moves, as kernels take it: ``diagonals`` and ``step`` of a `Lattice`."""
@@ -72,8 +80,11 @@ def rule_of(movement: Movement) -> Rule:
     """Return ``movement`` as kernels take it."""
     if not isinstance(movement, Movement):
         raise ValueError(f"movement: got {movement!r}, expected a Movement")
-    diagonals = 0 if movement.connectivity == 4 else 2 if movement.corner_cutting else 1
-    return diagonals, UNIT if movement.diagonal_cost == 1 or not diagonals else DIAGONAL
+    if movement.connectivity == 4:
+        return 0, UNIT
+    diagonals = 2 if movement.corner_cutting else 1
+    step = UNIT if movement.diagonal_cost == 1 else DIAGONAL
+    return diagonals, step
 
 
 class Lattice(NamedTuple):
@@ -118,15 +129,15 @@ def position(cell: Int, lattice: Lattice) -> tuple[Int, Int]:
 
 
 _ROW_PART = np.array([0, 1, 2, 3, 0, 2, 2, 0])
+"""The vertical half of each diagonal move: N of NE, S of SE, and so on."""
 
 _COLUMN_PART = np.array([0, 1, 2, 3, 1, 1, 3, 3])
+"""The horizontal half."""
 
 
 @inlined
 def is_legal(came: Bytes, cell: Int, move: Int, lattice: Lattice) -> Int:
-    """Tell whether ``move`` leads from ``cell`` to a free one without cutting a forbidden
-    corner.
-    """
+    """Tell whether ``move`` leads from ``cell`` to a free one and cuts no forbidden corner."""
     if came[cell + lattice.offsets[move]] == WALL:
         return False
     if move < 4 or lattice.diagonals == 2:
@@ -137,9 +148,7 @@ def is_legal(came: Bytes, cell: Int, move: Int, lattice: Lattice) -> Int:
 
 @inlined
 def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
-    """Return the cost of moving by (rows, columns) on an empty map: Manhattan, octile or
-    Chebyshev.
-    """
+    """Return the cost of (rows, columns) on an empty map: Manhattan, octile or Chebyshev."""
     rows = abs(rows)
     columns = abs(columns)
     if lattice.diagonals == 0:
@@ -157,20 +166,17 @@ def _heuristics(gaps: Ints, rule: Rule) -> Floats:
 
 
 def heuristics(starts: npt.ArrayLike, goals: npt.ArrayLike, movement: Movement) -> Floats:
-    """Return the heuristic from ``starts`` to ``goals``, cells (..., 2), as (...) float64 in
-    cells.
-    """
-    gaps = np.subtract(
-        starts, goals, dtype=np.int64, order="C"
-    )  # fresh: one flavour for the kernel
+    """Return the heuristic from ``starts`` to ``goals``, (..., 2), as (...) float64 in cells."""
+    # A new array of one dtype and layout: the kernel is compiled once.
+    gaps = np.subtract(starts, goals, dtype=np.int64, order="C")
     return _heuristics(gaps.reshape(-1, 2), rule_of(movement)).reshape(gaps.shape[:-1])
 
 
 def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Floats:
-    """Return optimal ``costs`` (n,) over the heuristic, 1 from a cell to itself, -1 where the cost
-    is -1.
+    """Return optimal ``costs`` (n,) over the heuristic.
 
-    Exact: 1, not 1 - 1e-16, where a shortest path is as long as on an empty map.
+    1 from a cell to itself, -1 where the cost is -1; exactly 1, not 1 - 1e-16, where a shortest
+    path is as long as on an empty map.
     """
     least = heuristics(starts, goals, movement)
     ratio = np.where(least > 0, costs / np.maximum(least, 1), 1.0)
@@ -179,28 +185,32 @@ def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Fl
 
 @kernel
 def load(grid: Bytes, came: Bytes) -> Int:
-    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL; return whether all of it is 0 or
-    1.
+    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL.
+
+    Returns whether all of it is 0 or 1. The wall around it is there already.
     """
     rows, columns = grid.shape
     flat = grid.reshape(-1)
+    # A loop of its own, and unsigned indices: so both loops become vector instructions.
     seen = np.uint8(0)
-    for k in range(len(flat)):  # a loop of its own: both become vector instructions
+    for k in range(len(flat)):
         seen |= flat[np.uint64(k)]
     for row in range(rows):
         base = np.uint64((row + 1) * (columns + 2) + 1)
         first = np.uint64(row * columns)
         for column in range(columns):
-            came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]
+            came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]  # 1: WALL
     return seen <= 1
 
 
 @kernel
 def parts(cost: Int) -> tuple[Int, Int]:
     """Return the straight and diagonal steps of a cost ``s * UNIT + d * DIAGONAL``."""
-    low = np.uint64(UNIT - 1)
-    diagonal = np.int64(((np.uint64(cost) & low) * np.uint64(_DIAGONAL_INVERSE)) & low)
-    return (cost - diagonal * DIAGONAL) >> UNIT_BITS, diagonal
+    low_bits = np.uint64(UNIT - 1)
+    rest = np.uint64(cost) & low_bits  # d * DIAGONAL modulo UNIT
+    diagonal = np.int64((rest * np.uint64(_DIAGONAL_INVERSE)) & low_bits)
+    straight = (cost - diagonal * DIAGONAL) >> UNIT_BITS
+    return straight, diagonal
 
 
 @kernel
