@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytorch_lightning as pl
+import torch
 from torch.utils.data import DataLoader
 
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
-from mapdata.datasets.sample import Sample
+from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
@@ -39,11 +40,6 @@ elif (
 else:
     _Base = pl.LightningDataModule
 
-FLOATS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
-"""The uint8 fields that become float32 on the device; ``optimal_moves`` is a bit set and stays what
-it is.
-"""
-
 Dataset = MapDataset | OnlineMapDataset
 
 
@@ -51,10 +47,10 @@ class MapDataModule(_Base):
     """Loaders for training, validation, test and prediction.
 
     ``prepare_data`` only builds what is missing, ``setup`` only opens; without a Trainer the
-    loaders call both themselves. Loaders deliver uint8 fields; under a Trainer they become float32
-    on the device. ``num_workers=0`` is
-    the fast way: whole batches come from one kernel call, and workers only add the cost of sending
-    them.
+    loaders call both themselves. Loaders deliver maps and masks as uint8; under a Trainer they
+    become float32 on the device, or what ``Trainer(precision=...)`` makes of the model.
+    ``num_workers=0`` is the fast way: whole batches come from one kernel call, and workers only add
+    the cost of sending them.
 
     Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left
     out of an epoch), and validation, test and prediction see every sample exactly once. So metrics
@@ -192,8 +188,11 @@ class MapDataModule(_Base):
         return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
 
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
-        """Cast maps and masks to float32, on whatever device the batch is."""
+        """Cast maps and masks to the model's type, float32 unless the Trainer's ``precision`` says
+        otherwise, on whatever device the batch is.
+        """
         if not isinstance(batch, Sample):
             return batch
-        values = zip(batch._fields, batch, strict=True)
-        return type(batch)(*(value.float() if name in FLOATS else value for name, value in values))
+        model = None if self.trainer is None else self.trainer.lightning_module
+        dtype: Any = torch.float32 if model is None else model.dtype
+        return cast(batch, dtype)

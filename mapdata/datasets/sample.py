@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
 
+from mapdata.arrays import summary
 from mapdata.datasets.field_kernels import PADDING
 
 PATH_STEP = 16
 """Batches pad paths to a multiple of this, so that their shapes are few."""
+
+MAPS_AND_MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
+"""The uint8 fields that networks take as numbers; ``optimal_moves`` is a bit set and stays one."""
 
 
 class Sample(tuple[Any, ...]):
@@ -40,6 +44,9 @@ class Sample(tuple[Any, ...]):
         find it again.
         """
         return _restore, (self._fields, self._capacity, tuple(self))
+
+    def __repr__(self) -> str:
+        return summary("Sample", dict(zip(self._fields, self, strict=True)))
 
 
 @cache
@@ -67,6 +74,9 @@ class Rows(Sequence[Sample]):
         self.batch = batch
         self._length = length
 
+    def __repr__(self) -> str:
+        return f"Rows({self.batch})"
+
     def __len__(self) -> int:
         return self._length
 
@@ -90,6 +100,14 @@ def row(batch: Sample, i: int) -> Sample:
         k = batch._fields.index("path")
         values[k] = values[k][: int((values[k][:, 0] != PADDING).sum())]
     return type(batch)(*values)
+
+
+def cast(batch: Sample, dtype: torch.dtype) -> Sample:
+    """Return a sample or batch whose maps and masks have another type; all else stays as it is."""
+    values = zip(batch._fields, batch, strict=True)
+    return type(batch)(
+        *(value.to(dtype) if name in MAPS_AND_MASKS else value for name, value in values)
+    )
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:
