@@ -108,17 +108,18 @@ class ProblemDataset(Dataset[Sample], ABC):
             index = np.arange(*index.indices(len(self)))
         if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)) and np.ndim(index):
             rows = self.__getitems__(index)
-            return rows.batch if isinstance(rows, Rows) else default_collate(list(rows))
+            return rows.batch if isinstance(rows, Rows) else default_collate(rows)
         i = operator.index(index)
         if not -len(self) <= i < len(self):
             raise IndexError(f"index {i} is out of range for {len(self)} problems")
-        return self.__getitems__([i])[0]
+        sample: Sample = self.__getitems__([i])[0]
+        return sample
 
-    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Sequence[Sample]:
+    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Any:
         """Return a list of samples; torch's DataLoader calls this.
 
-        Without a transform it only looks like a list: it is a whole batch, which torch's collate
-        function takes as it is.
+        Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
+        collate function takes as it is.
         """
         rows = self._rows_at(indices)
         return rows if self.transform is None else [self.transform(sample) for sample in rows]

@@ -21,6 +21,7 @@ from helpers import ranks, run_helper, samples
 from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
+from torch.utils.data import DataLoader
 
 from mapdata import (
     DatasetNotFoundError,
@@ -90,6 +91,50 @@ def test_a_plain_loop_needs_nothing_else(root: str) -> None:
         whole = MapDataset(root, split, FIELDS)
         samples.assert_all_same(list(loader), [whole[k : k + 8] for k in range(0, len(whole), 8)])
     samples.assert_all_same(list(data.predict_dataloader()), list(data.test_dataloader()))
+
+
+class Convolution(pl.LightningModule):
+    """Feeds maps to a layer, remembers their types."""
+
+    def __init__(self) -> None:
+        """Make the layer."""
+        super().__init__()
+        self.layer = torch.nn.Conv2d(1, 1, 3)
+        self.types: set[torch.dtype] = set()
+
+    def training_step(self, batch: Sample, _: int) -> torch.Tensor:
+        """Return a loss of maps and a field of floats."""
+        self.types |= {batch.map.dtype, batch.cost_to_go.dtype}
+        loss: torch.Tensor = self.layer(batch.map).mean() + 0 * batch.cost_to_go.mean()
+        return loss
+
+    def validation_step(self, batch: Sample, _: int) -> None:
+        """Remember the types alone."""
+        self.types |= {batch.map.dtype, batch.cost_to_go.dtype}
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Return any optimizer."""
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("precision", "dtype"),
+    [("32-true", torch.float32), ("bf16-true", torch.bfloat16), ("64-true", torch.float64)],
+)
+def test_maps_have_the_type_of_the_model(root: str, precision: Any, dtype: torch.dtype) -> None:
+    """Whatever precision the Trainer gives the model, maps and other floats have it, too."""
+    model = Convolution()
+    data = module(root, fields=("map", "cost_to_go"))
+    trainer(precision=precision, max_steps=1).fit(model, datamodule=data)
+    assert model.types == {dtype}
+
+
+def test_a_trainer_takes_a_plain_loader(root: str) -> None:
+    """No data module, no cast: the dataset makes floats itself."""
+    model = Convolution()
+    dataset = MapDataset(root, "train", ("map", "cost_to_go"), dtype=torch.float32)
+    trainer(max_steps=1).fit(model, DataLoader(dataset, 8))
+    assert model.types == {torch.float32}
 
 
 def test_each_pass_is_an_epoch(root: str) -> None:
