@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import astuple
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +18,13 @@ from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.generators.generator import identity
 from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
-from mapdata.spec import SPLITS, Movement
+from mapdata.spec import SPLITS, Movement, canonical_json
 
 if TYPE_CHECKING:
 
@@ -51,6 +53,9 @@ class MapDataModule(_Base):
     become float32 on the device, or what ``Trainer(precision=...)`` makes of the model.
     ``num_workers=0`` is the fast way: whole batches come from one kernel call, and workers only add
     the cost of sending them.
+
+    ``setup`` adds recipe, identity and content hash of the maps to ``hparams``, and tells loggers
+    them with all arguments, as ``data``: checkpoints and logs say what was trained on.
 
     Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left
     out of an epoch), and validation, test and prediction see every sample exactly once. So metrics
@@ -153,6 +158,32 @@ class MapDataModule(_Base):
         for split in SPLITS if stage is None else stages[stage]:
             if split not in self.datasets:
                 self.datasets[split] = self._open(split)
+        self._log(next(iter(self.datasets.values())))
+
+    def _log(self, dataset: Dataset) -> None:
+        """Say in ``hparams``, and so in checkpoints, and to loggers what the maps are."""
+        if isinstance(dataset, MapDataset):
+            manifests = dataset.reader.manifests
+            found: dict[str, list[Any]] = {
+                "recipe": [each.recipe() if each.spec else None for each in manifests],
+                "identity": [each.identity for each in manifests],
+                "content_hash": [each.content_hash for each in manifests],
+            }
+        else:
+            assert self.build is not None  # there are roots or a recipe
+            recipe = Recipe.load(self.build)
+            found = {
+                "recipe": [canonical_json({**vars(recipe), "spec": recipe.spec.to_dict()})],
+                "identity": [identity(recipe.spec, recipe.seed)],
+                "content_hash": [None],
+            }
+        for name, values in found.items():
+            self.hparams[name] = values[0] if len(values) == 1 else tuple(values)
+        # In a group of its own, since Lightning refuses a name that a model gives another value.
+        # Unlike the arguments it has the stored movement, and the names of functions.
+        told = {"fields": self.serving.names, "movement": astuple(dataset.movement)}
+        for logger in self.trainer.loggers if self.trainer else ():
+            logger.log_hyperparams({"data": {**self.hparams, **told}})
 
     def _open(self, split: str) -> Dataset:
         arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}

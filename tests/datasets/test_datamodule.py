@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 import pytorch_lightning as pl
 import torch
+import yaml
 from helpers import ranks, run_helper, samples
 from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
+from pytorch_lightning.loggers import CSVLogger, Logger, TensorBoardLogger
 from torch.utils.data import DataLoader
 
 from mapdata import (
@@ -36,6 +38,7 @@ from mapdata import (
     verify,
 )
 from mapdata.datasets import EpochSampler
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.problems import Source
 from mapdata.shards import Recipe, read_manifest
 
@@ -133,7 +136,7 @@ def test_a_trainer_takes_a_plain_loader(root: str) -> None:
     """No data module, no cast: the dataset makes floats itself."""
     model = Convolution()
     dataset = MapDataset(root, "train", ("map", "cost_to_go"), dtype=torch.float32)
-    trainer(max_steps=1).fit(model, DataLoader(dataset, 8))
+    trainer(max_steps=1).fit(model, DataLoader(dataset, 8), DataLoader(dataset, 8))
     assert model.types == {torch.float32}
 
 
@@ -373,12 +376,91 @@ def test_checkpoints_load_with_torchs_safe_default(
     again = MapDataModule.load_from_checkpoint(path)
     assert (again.roots, again.batch_size, again.serving) == (data.roots, 8, data.serving)
     assert again.serving.movement == movement
-    assert again.hparams == data.hparams
     assert isinstance(data.hparams["problems"], str)
     samples.assert_all_same(batches_of(again), batches_of(module(root, **vars(data.serving))))
+    assert again.hparams == data.hparams
     assert MapDataModule.load_from_checkpoint(path, batch_size=5).batch_size == 5
     model = Model.load_from_checkpoint(path)
     assert model.size == 3
+
+
+class Told(Logger):
+    """A logger that keeps what it is told, as W&B and MLflow do."""
+
+    name, version = "told", 0
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        super().__init__()
+        self.params: dict[str, Any] = {}
+
+    def log_hyperparams(self, params: Any, *_: Any, **__: Any) -> None:
+        """Keep them."""
+        self.params.update(params)
+
+    def log_metrics(self, metrics: Any, step: int | None = None) -> None:
+        """Leave them."""
+
+
+def plain(value: object) -> bool:
+    """Return whether a value is text, a number, None, or a tuple of these."""
+    if isinstance(value, tuple):
+        return all(plain(each) for each in value)
+    return value is None or type(value) in (str, int, float, bool)
+
+
+@pytest.mark.parametrize("kind", ["disk", "roots", "online", "imported"])
+def test_logs_and_checkpoints_say_what_was_trained_on(root: str, tmp_path: Path, kind: str) -> None:
+    """Recipe, identity, content hash and all arguments, in plain values; the recipe builds it."""
+    manifest = read_manifest(Path(root))
+    folder: Any = {"roots": [root, root], "online": None}.get(kind, root)
+    recipe: str | None = manifest.recipe()
+    identity, content = manifest.identity, manifest.content_hash
+    if kind == "imported":
+        folder = str(tmp_path / "imported")
+        import_maps(folder, Collection([ForeignMap("eye", np.eye(20, dtype=np.uint8))] * 40))
+        recipe, identity = None, None
+        content = read_manifest(Path(folder)).content_hash
+    data = module(folder, build=RECIPE if kind == "online" else None, fields=(*FIELDS, own_field))
+    told, csv = Told(), CSVLogger(tmp_path / "logs")
+    run = trainer(max_steps=1, logger=[told, csv], log_every_n_steps=1)
+    run.fit(Model(size=2), datamodule=data)
+    path = tmp_path / "last.ckpt"
+    run.save_checkpoint(path)
+    saved = torch.load(path, weights_only=True)["datamodule_hyper_parameters"]
+    assert all(plain(value) for value in saved.values())
+    logged = told.params["data"]
+    assert {name: logged[name] for name in saved if name != "movement"} == {
+        name: value for name, value in saved.items() if name != "movement"
+    }
+    assert logged["movement"] == (4, False, Movement().diagonal_cost)
+    assert logged["fields"] == (*FIELDS, "own_field")
+    assert logged["batch_size"] == 8
+    assert told.params["size"] == 2  # the model's own
+    written = yaml.full_load(Path(csv.log_dir, "hparams.yaml").read_text())
+    assert written["data"] == logged
+    if kind == "online":
+        made = Recipe.load(logged["recipe"])
+        assert made == Recipe.load(RECIPE)
+        assert (logged["identity"], logged["content_hash"]) == (identity, None)
+        return
+    found = (logged["recipe"], logged["identity"], logged["content_hash"])
+    if kind == "roots":
+        assert logged["root"] == (root, root)
+        assert found == ((recipe, recipe), (identity, identity), (content, content))
+    else:
+        assert found == (recipe, identity, content)
+    assert MapDataModule.load_from_checkpoint(path, fields=FIELDS).roots == data.roots
+
+
+def test_tensorboard_shows_what_was_trained_on(root: str, tmp_path: Path) -> None:
+    """Its hparams.yaml, which was empty, has the data module's arguments."""
+    pytest.importorskip("tensorboard")
+    logger = TensorBoardLogger(tmp_path)
+    data = module(root)
+    trainer(max_steps=1, logger=logger, log_every_n_steps=1).fit(Model(), datamodule=data)
+    written = yaml.full_load(Path(logger.log_dir, "hparams.yaml").read_text())
+    assert written["data"]["identity"] == read_manifest(Path(root)).identity
 
 
 def own_field(sample: Sample) -> torch.Tensor:
