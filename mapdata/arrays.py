@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import prod
 from typing import Any
 
@@ -19,13 +18,20 @@ Floats = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
 
 
-def summary(name: str, values: Mapping[str, Any]) -> str:
-    """Return a ``repr`` that tells dtype and shape of arrays and tensors instead of their values.
+def summary(self: Any) -> str:
+    """Return the ``repr`` of a dataclass or NamedTuple that holds arrays: their dtype and shape.
 
-    >>> summary("Sample", {"map": np.zeros((1, 64, 64), np.uint8), "start": np.array([3, 5])})
-    'Sample(map=uint8 (1, 64, 64), start=[3, 5])'
+    >>> from dataclasses import dataclass
+    >>> @dataclass
+    ... class Problem:
+    ...     map: Bytes
+    ...     goal: Ints
+    ...     __repr__ = summary
+    >>> Problem(np.zeros((1, 64, 64), np.uint8), np.array([3, 5]))
+    Problem(map=uint8 (1, 64, 64), goal=[3, 5])
     """
-    return f"{name}({', '.join(f'{key}={_brief(value)}' for key, value in values.items())})"
+    shown = (f"{name}={_brief(getattr(self, name))}" for name in self.__match_args__)
+    return f"{type(self).__name__}({', '.join(shown)})"
 
 
 def _brief(value: Any) -> str:
@@ -34,4 +40,4 @@ def _brief(value: Any) -> str:
         return repr(value)
     if 1 <= prod(value.shape) <= 2:
         return str(value.tolist())
-    return f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)}"
+    return f"{value.dtype} {tuple(value.shape)}".removeprefix("torch.")

@@ -125,6 +125,16 @@ class MapDataModule(_Base):
         plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None
         self.save_hyperparameters(plain, logger=False)
 
+    def __repr__(self) -> str:
+        sizes = {split: len(dataset) for split, dataset in self.datasets.items()}
+        return (
+            f"MapDataModule(root={self.hparams['root']!r}, build={self.build!r}, "
+            f"batch_size={self.batch_size}, fields={self.serving.names}, "
+            f"problems={self.serving.problems}): {sizes or 'not set up'}"
+        )
+
+    __str__ = __repr__  # Lightning's own opens all loaders, and so builds a missing dataset
+
     def prepare_data(self) -> None:
         """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many
         processes at once.
@@ -163,22 +173,18 @@ class MapDataModule(_Base):
     def _log(self, dataset: Dataset) -> None:
         """Say in ``hparams``, and so in checkpoints, and to loggers what the maps are."""
         if isinstance(dataset, MapDataset):
-            manifests = dataset.reader.manifests
-            found: dict[str, list[Any]] = {
-                "recipe": [each.recipe() if each.spec else None for each in manifests],
-                "identity": [each.identity for each in manifests],
-                "content_hash": [each.content_hash for each in manifests],
-            }
+            found: list[tuple[str | None, ...]] = [
+                (each.recipe() if each.spec else None, each.identity, each.content_hash)
+                for each in dataset.reader.manifests
+            ]
         else:
             assert self.build is not None  # there are roots or a recipe
             recipe = Recipe.load(self.build)
-            found = {
-                "recipe": [canonical_json({**vars(recipe), "spec": recipe.spec.to_dict()})],
-                "identity": [identity(recipe.spec, recipe.seed)],
-                "content_hash": [None],
-            }
-        for name, values in found.items():
-            self.hparams[name] = values[0] if len(values) == 1 else tuple(values)
+            text = canonical_json({**vars(recipe), "spec": recipe.spec.to_dict()})
+            found = [(text, identity(recipe.spec, recipe.seed), None)]
+        for k, name in enumerate(("recipe", "identity", "content_hash")):
+            values = tuple(origin[k] for origin in found)
+            self.hparams[name] = values if len(values) > 1 else values[0]
         # In a group of its own, since Lightning refuses a name that a model gives another value.
         # Unlike the arguments it has the stored movement, and the names of functions.
         told = {"fields": self.serving.names, "movement": astuple(dataset.movement)}
@@ -224,6 +230,5 @@ class MapDataModule(_Base):
         """
         if not isinstance(batch, Sample):
             return batch
-        model = None if self.trainer is None else self.trainer.lightning_module
-        dtype: Any = torch.float32 if model is None else model.dtype
+        dtype: Any = self.trainer.lightning_module.dtype if self.trainer else torch.float32
         return cast(batch, dtype)

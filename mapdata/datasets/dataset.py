@@ -78,14 +78,6 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise ValueError(
                 f"augment: would change the split {split!r}, expected the training split"
             )
-        if dtype is not None and not isinstance(dtype, torch.dtype):
-            raise ValueError(f"dtype: got {dtype!r}, expected one of torch's, as torch.float32")
-        if dtype is not None and not set(serving.names) & set(MAPS_AND_MASKS):
-            raise ValueError(
-                f"dtype: changes {', '.join(MAPS_AND_MASKS)}, expected one of them among the fields"
-            )
-        if transform is not None and not callable(transform):
-            raise ValueError(f"transform: got {transform!r}, expected a function of a sample")
         self.split = split
         self.serving = serving
         self.dtype = dtype
@@ -94,6 +86,12 @@ class ProblemDataset(Dataset[Sample], ABC):
         _keep_freed_memory()
         self._class = sample_class(serving.names, serving.max_length)
         self._wanted = frozenset(serving.names)
+        changed = isinstance(dtype, torch.dtype) and self._wanted.intersection(MAPS_AND_MASKS)
+        if dtype is not None and not changed:
+            raise ValueError(
+                f"dtype: got {dtype!r}, expected one of torch, such as torch.float32, and one of "
+                f"{', '.join(MAPS_AND_MASKS)} among the fields"
+            )
 
     @abstractmethod
     def __len__(self) -> int:
@@ -121,10 +119,6 @@ class ProblemDataset(Dataset[Sample], ABC):
         Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
         collate function takes as it is.
         """
-        rows = self._rows_at(indices)
-        return rows if self.transform is None else [self.transform(sample) for sample in rows]
-
-    def _rows_at(self, indices: Sequence[int] | Ints | torch.Tensor) -> Rows:
         given, length = np.asarray(indices), len(self)
         if given.size and given.dtype.kind not in "iu":
             raise TypeError(f"indices: got {given.dtype}, expected integers")
@@ -133,11 +127,16 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
         epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
         if len(wanted) == 0 or (epochs == epochs[0]).all():
-            return Rows(self._make(indices, int(epochs[0]) if len(wanted) else 0), len(wanted))
-        rows = [
-            row(self._make(indices[k : k + 1], epoch), 0) for k, epoch in enumerate(epochs.tolist())
-        ]
-        return Rows(stack(rows), len(rows))
+            batch = self._make(indices, int(epochs[0]) if len(wanted) else 0)
+        else:
+            batch = stack(
+                [
+                    row(self._make(indices[k : k + 1], epoch), 0)
+                    for k, epoch in enumerate(epochs.tolist())
+                ]
+            )
+        rows = Rows(batch, len(wanted))
+        return rows if self.transform is None else [self.transform(sample) for sample in rows]
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
@@ -308,7 +307,9 @@ class MapDataset(ProblemDataset):
         )
         where = self.roots[0] if len(self.roots) == 1 else self.roots
         arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
-        return f"MapDataset({arguments}){filters}: {len(self)} problems"
+        content = [each.content_hash[:12] for each in self.reader.manifests]
+        known = f"map_size={self.map_size}, content_hash={content}"
+        return f"MapDataset({arguments}){filters}: {len(self)} problems, {known}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""

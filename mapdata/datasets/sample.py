@@ -5,7 +5,7 @@ any DataLoader.
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -45,8 +45,7 @@ class Sample(tuple[Any, ...]):
         """
         return _restore, (self._fields, self._capacity, tuple(self))
 
-    def __repr__(self) -> str:
-        return summary("Sample", dict(zip(self._fields, self, strict=True)))
+    __repr__ = summary
 
 
 @cache
@@ -74,9 +73,6 @@ class Rows(Sequence[Sample]):
         self.batch = batch
         self._length = length
 
-    def __repr__(self) -> str:
-        return f"Rows({self.batch})"
-
     def __len__(self) -> int:
         return self._length
 
@@ -86,9 +82,6 @@ class Rows(Sequence[Sample]):
         if not -len(self) <= i < len(self):
             raise IndexError(f"row {i} of {len(self)}")
         return row(self.batch, i)
-
-    def __iter__(self) -> Iterator[Sample]:
-        return (row(self.batch, k) for k in range(len(self)))
 
 
 def row(batch: Sample, i: int) -> Sample:
@@ -104,10 +97,9 @@ def row(batch: Sample, i: int) -> Sample:
 
 def cast(batch: Sample, dtype: torch.dtype) -> Sample:
     """Return a sample or batch whose maps and masks have another type; all else stays as it is."""
-    values = zip(batch._fields, batch, strict=True)
-    return type(batch)(
-        *(value.to(dtype) if name in MAPS_AND_MASKS else value for name, value in values)
-    )
+    names = [name for name in MAPS_AND_MASKS if name in batch._fields]
+    changed: Sample = batch._replace(**{name: getattr(batch, name).to(dtype) for name in names})
+    return changed
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:

@@ -69,6 +69,10 @@ class Maps:
             split=np.zeros(count, np.uint8),
         )
 
+    def __repr__(self) -> str:
+        size = (self.packed.shape[1], self.columns)
+        return f"Maps({len(self)}, map_size={size}, {self.rooms.sum()} rooms, {self.movement})"
+
     def __len__(self) -> int:
         """Return N, the number of maps."""
         return len(self.index)

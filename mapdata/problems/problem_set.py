@@ -66,6 +66,10 @@ class Problems:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
+    def __repr__(self) -> str:
+        size = self.grids.shape[1:]
+        return f"Problems({len(self)}, map_size={size}, {self.movement}, {self.description!r})"
+
     def __len__(self) -> int:
         """Return N, the number of problems."""
         return len(self.starts)

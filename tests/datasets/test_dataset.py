@@ -963,15 +963,12 @@ def test_workers_call_the_transform(root: str, method: str) -> None:
 
 
 def test_dtypes_and_transforms_that_cannot_be_are_refused(root: str) -> None:
-    """No type of torch, nothing that would change, nothing that can be called."""
+    """No type of torch, or nothing that would change."""
     wrong: Any = "float32"
-    with pytest.raises(ValueError, match="dtype: got 'float32', expected one of torch's"):
+    with pytest.raises(ValueError, match="dtype: got 'float32', expected one of torch"):
         MapDataset(root, dtype=wrong)
-    with pytest.raises(ValueError, match=r"dtype: changes map, free, .* one of them among"):
+    with pytest.raises(ValueError, match=r"expected .* and one of map, free, .* among the"):
         OnlineMapDataset(samples.SPEC, fields=("start", "cost"), dtype=torch.float32)
-    wrong = (masked,)
-    with pytest.raises(ValueError, match=r"transform: got .*, expected a function of a sample"):
-        MapDataset(root, transform=wrong)
 
 
 class _Ratios(torch.nn.Module):
