@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.plotting.plot import COLOURS, head, mark, plot_grid
+from mapdata.plotting.plot import COLOURS, head, mark, plot_cells, plot_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,30 +75,19 @@ def plot_prediction(
     axes = plot_grid(grid, axes, paper_colours=paper_colours)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
-    paths = {"true": _cells(truth), "predicted": _cells(predicted)}
-    looks = {"true": ("astar", 5.0, "-"), "predicted": ("bfs", 2.5, (0, (3, 1)))}
-    for name, path in paths.items():
-        colour, width, style = looks[name]
-        label = f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
-        axes.plot(
-            path[:, 1],
-            path[:, 0],
-            color=COLOURS[colour],
-            linewidth=width,
-            linestyle=style,
-            label=label,
-        )
-    rows, columns = paths["predicted"].T
-    inside = (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
-    hit = paths["predicted"][inside][grid[rows[inside], columns[inside]] == 1]
+    true = _cells(truth)
+    found = _cells(predicted)
+    plot_cells(axes, true, COLOURS["astar"], _in_words("true", true), lane=-1)
+    plot_cells(axes, found, COLOURS["bfs"], _in_words("predicted", found), lane=1)
+    inside = found[((found >= 0) & (found < grid.shape)).all(axis=1)]
+    hit = inside[grid[tuple(inside.T)] == 1]
     if len(hit):
         label = f"{len(hit)} in occupied cells"
-        axes.plot(
-            hit[:, 1], hit[:, 0], "x", color="#CC79A7", markersize=7, markeredgewidth=2, label=label
-        )
-    ends = paths["true"] if len(paths["true"]) else paths["predicted"]
-    for name, cell in zip("SG", ends[[0, -1]] if len(ends) else (), strict=False):
-        mark(axes, name, cell[0], cell[1])
+        axes.plot(hit[:, 1], hit[:, 0], "x", color="#CC79A7", ms=7, mew=2, label=label)
+    ends = true if len(true) else found
+    if len(ends):
+        mark(axes, "S", *ends[0])
+        mark(axes, "G", *ends[-1])
     head(axes, "predicted and true path")
     return axes
 
@@ -132,12 +121,15 @@ def plot_roadmap(
         LineCollection(list(points[joined][..., ::-1]), colors="#56B4E9", linewidths=1, label=label)
     )
     if path is not None:
-        cells = np.asarray(path, np.float64).reshape(-1, 2)
-        axes.plot(cells[:, 1], cells[:, 0], color=COLOURS["bfs"], linewidth=2.5, label="path")
+        plot_cells(axes, np.asarray(path, np.float64).reshape(-1, 2), COLOURS["bfs"], "path")
     label = f"{len(points):,} samples"
     axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
     head(axes, "roadmap")
     return axes
+
+
+def _in_words(name: str, path: npt.NDArray[np.int64]) -> str:
+    return f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
 
 
 def _cells(path: npt.ArrayLike) -> npt.NDArray[np.int64]:
