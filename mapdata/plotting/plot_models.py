@@ -4,43 +4,58 @@ roadmap. Axes in, axes out, as in `mapdata.plotting.plot`.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.plotting.plot import COLOURS, head, mark, plot_cells, plot_grid
+from mapdata.plotting.plot import COLOURS, head, mark, new_axes, plot_cells, plot_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from mapdata.datasets.sample import Sample
 
+MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask", "optimal_moves")
+"""Fields of maps' size that are not drawn as a shade."""
+
+_SHOWN = 9
+
 
 def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
-    """Draw one sample of a dataset: its map, start S and goal G, and its path, as far as it has
-    these fields.
+    """Draw a sample of a dataset, or the first 9 of a batch: map, start S, goal G and path, as far
+    as it has these fields, over a shade of its first dense field, such as ``cost_to_go``.
+
+    ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
     Args:
-        sample: what ``dataset[i]`` gives; with the field ``map`` or ``free``, (1, H, W).
-        axes: where to draw; a new figure without.
+        sample: what ``dataset[i]`` or a loader gives; with the field ``map`` or ``free``.
+        axes: where to draw one sample; a new figure without. A batch always has one of its own.
         paper_colours: free black, occupied white.
 
+    Returns:
+        The axes, of a batch those of its first sample.
+
     Raises:
-        ValueError: a batch, or a sample without a map.
+        ValueError: no map, or no sample.
     """
-    values = {name: np.asarray(value) for name, value in sample._asdict().items()}
+    values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
     grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
-    if grid is None or grid.ndim != 3:
-        found = f"fields {', '.join(values)}" if grid is None else f"a map of shape {grid.shape}"
-        raise ValueError(
-            f"sample: got {found}, expected one sample with a map of shape (1, rows, columns)"
-        )
+    if grid is None or not len(grid):
+        raise ValueError(f"sample: got {sample}, expected one sample or more with a map")
+    if grid.ndim == 4:
+        return _plot_batch(sample, min(len(grid), _SHOWN), paper_colours)
     axes = plot_grid(grid[0], axes, paper_colours=paper_colours)
+    dense = [name for name in values if name not in MASKS and values[name].shape == grid.shape]
+    for name in dense[:1]:
+        shade = np.ma.masked_where((grid == 1) | (values[name] < 0), values[name])
+        image = axes.imshow(shade[0], "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
+        axes.figure.colorbar(image, ax=axes, label=name, shrink=0.8)
     words = []
     if "path" in values:
         path = _cells(values["path"])
-        axes.plot(path[:, 1], path[:, 0], color=COLOURS["astar"], linewidth=2.5)
+        plot_cells(axes, path, COLOURS["astar"], "path")
         words.append(f"{len(path)} cells" if len(path) else "no path")
     words += [
         f"{name} {float(values[name]):.4g}" for name in ("cost", "hardness") if name in values
@@ -50,6 +65,19 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
             mark(axes, letter, *values[name].tolist())
     axes.set_title(", ".join(words))
     return axes
+
+
+def _plot_batch(batch: Sample, count: int, paper_colours: bool) -> Axes:
+    """Draw the first samples of a batch in a square, and return the axes of the first one."""
+    columns = math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
+    for k in range(count):
+        one = type(batch)(*(value[k] for value in batch))
+        plot_sample(one, axes[k], paper_colours=paper_colours).set(xlabel="", ylabel="")
+    for spare in axes[count:]:
+        spare.set_axis_off()
+    return axes[0]
 
 
 def plot_prediction(
