@@ -21,7 +21,6 @@ from mapdata import (
     label,
     search_batch,
 )
-from mapdata.datasets import EpochSampler
 from mapdata.evaluation import classical
 from mapdata.formats import Collection, ForeignMap
 from mapdata.shards import Recipe, Root, dataset_statistics, open_shard, read_manifest
@@ -49,7 +48,6 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "dataset": dataset,
         "online": OnlineMapDataset(samples.SPEC, 7, 300),
         "module": module,
-        "sampler": EpochSampler(dataset, 8, 0),
         "root": Root.open([root, root]),
         "manifest": read_manifest(Path(root)),
         "recipe": Recipe(samples.SPEC, 3),
@@ -80,18 +78,18 @@ def test_sizes_seed_and_identity_are_printed(shown: dict[str, str]) -> None:
     """What one looks for first."""
     manifest = "Manifest(60 maps, map_size=(20, 20), seed=5, identity="
     for name, parts in {
-        "maps": ["Maps(40, map_size=(20, 20), "],
-        "labels": ["Labels(maps=Maps(40, ", "astar=SearchLabels(moves=uint8 ("],
+        "maps": ["Maps(movement=", "packed=uint64 (40, 20, 1), rooms=int64 (40,)"],
+        "labels": ["Labels(maps=Maps(", "astar=SearchLabels(moves=uint8 ("],
         "sample": ["Sample(map=uint8 (1, 20, 20), ", "problem=0"],
         "batch": ["Sample(map=uint8 (40, 1, 20, 20), ", "start=int64 (40, 2), goal="],
         "dataset": ["map_size=(20, 20)", "content_hash=["],
         "online": ["seed=7", "300 problems"],
-        "module": ["batch_size=256", "{'train': "],
+        "module": ["batch_size=256", "{'train': MapDataset("],
         "root": [manifest],
         "manifest": [manifest],
         "shard": ["seed=5", "start=0, stop=16"],
         "statistics": ["DatasetStatistics(60 maps, ", manifest],
-        "problems": ["Problems(40, map_size=(64, 64), Movement(", "problems by seed 77"],
+        "problems": ["Problems(grids=uint8 (40, 64, 64), ", "problems by seed 77"],
         "result": ["BatchResult(cells=int64 (", "cost=float64 (40,)"],
         "plan": ["Plan(path=int64 (", "expansions=99)"],
         "foreign": ["ForeignMap('eye', 20 x 20 cells)"],

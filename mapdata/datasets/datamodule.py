@@ -24,7 +24,7 @@ from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
-from mapdata.spec import SPLITS, Movement, canonical_json
+from mapdata.spec import SPLITS, Movement
 
 if TYPE_CHECKING:
 
@@ -55,7 +55,9 @@ class MapDataModule(_Base):
     the cost of sending them.
 
     ``setup`` adds recipe, identity and content hash of the maps to ``hparams``, and tells loggers
-    them with all arguments, as ``data``: checkpoints and logs say what was trained on.
+    them with all arguments, as ``data``: checkpoints and logs say what was trained on. (Imported
+    maps have no recipe and no identity; maps made online have no content hash, and ``build`` is
+    their recipe.)
 
     Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left
     out of an epoch), and validation, test and prediction see every sample exactly once. So metrics
@@ -126,11 +128,10 @@ class MapDataModule(_Base):
         self.save_hyperparameters(plain, logger=False)
 
     def __repr__(self) -> str:
-        sizes = {split: len(dataset) for split, dataset in self.datasets.items()}
         return (
-            f"MapDataModule(root={self.hparams['root']!r}, build={self.build!r}, "
-            f"batch_size={self.batch_size}, fields={self.serving.names}, "
-            f"problems={self.serving.problems}): {sizes or 'not set up'}"
+            f"MapDataModule({self.hparams['root']!r}, build={self.build!r}, "
+            f"batch_size={self.batch_size}, fields={self.serving.names}): "
+            f"{self.datasets or 'not set up'}"
         )
 
     __str__ = __repr__  # Lightning's own opens all loaders, and so builds a missing dataset
@@ -177,19 +178,16 @@ class MapDataModule(_Base):
                 (each.recipe() if each.spec else None, each.identity, each.content_hash)
                 for each in dataset.reader.manifests
             ]
-        else:
-            assert self.build is not None  # there are roots or a recipe
-            recipe = Recipe.load(self.build)
-            text = canonical_json({**vars(recipe), "spec": recipe.spec.to_dict()})
-            found = [(text, identity(recipe.spec, recipe.seed), None)]
-        for k, name in enumerate(("recipe", "identity", "content_hash")):
-            values = tuple(origin[k] for origin in found)
-            self.hparams[name] = values if len(values) > 1 else values[0]
+        else:  # what was given as ``build`` is its recipe
+            found = [(None, identity(dataset.spec, dataset.seed), None)]
+        values = found[0] if len(found) == 1 else zip(*found, strict=True)
+        self.hparams.update(zip(("recipe", "identity", "content_hash"), values, strict=True))
         # In a group of its own, since Lightning refuses a name that a model gives another value.
         # Unlike the arguments it has the stored movement, and the names of functions.
-        told = {"fields": self.serving.names, "movement": astuple(dataset.movement)}
+        movement = astuple(dataset.movement)
+        told = {**self.hparams, "fields": self.serving.names, "movement": movement}
         for logger in self.trainer.loggers if self.trainer else ():
-            logger.log_hyperparams({"data": {**self.hparams, **told}})
+            logger.log_hyperparams({"data": told})
 
     def _open(self, split: str) -> Dataset:
         arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}

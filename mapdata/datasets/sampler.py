@@ -56,9 +56,6 @@ class EpochSampler(DistributedSampler[Any]):
         self._passes = 0
         self._epoch: int | None = None
 
-    def __repr__(self) -> str:
-        return f"EpochSampler({self.dataset}, batch_size={self.batch_size})"
-
     def set_epoch(self, epoch: int) -> None:
         """Say which epoch the next pass is."""
         self._epoch = epoch

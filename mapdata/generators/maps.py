@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Ints, Words
+from mapdata.arrays import Bytes, Flags, Ints, Words, summary
 from mapdata.jit import Int, kernel
 from mapdata.spec import Movement
 
@@ -69,9 +69,7 @@ class Maps:
             split=np.zeros(count, np.uint8),
         )
 
-    def __repr__(self) -> str:
-        size = (self.packed.shape[1], self.columns)
-        return f"Maps({len(self)}, map_size={size}, {self.rooms.sum()} rooms, {self.movement})"
+    __repr__ = summary
 
     def __len__(self) -> int:
         """Return N, the number of maps."""

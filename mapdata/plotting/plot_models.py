@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
     from mapdata.datasets.sample import Sample
 
-MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask", "optimal_moves")
-"""Fields of maps' size that are not drawn as a shade."""
-
 _SHOWN = 9
+"""Samples of a batch that are drawn."""
 
 
 def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
@@ -40,14 +38,25 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
     Raises:
         ValueError: no map, or no sample.
     """
+    from mapdata.datasets.sample import MAPS_AND_MASKS, row
+
     values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
     grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
     if grid is None or not len(grid):
         raise ValueError(f"sample: got {sample}, expected one sample or more with a map")
     if grid.ndim == 4:
-        return _plot_batch(sample, min(len(grid), _SHOWN), paper_colours)
+        count = min(len(grid), _SHOWN)
+        columns = math.ceil(math.sqrt(count))
+        rows = math.ceil(count / columns)
+        places = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
+        for k in range(count):
+            plot_sample(row(sample, k), places[k], paper_colours=paper_colours)
+        for spare in places[count:]:
+            spare.set_axis_off()
+        return places[0]
     axes = plot_grid(grid[0], axes, paper_colours=paper_colours)
-    dense = [name for name in values if name not in MASKS and values[name].shape == grid.shape]
+    others = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and bit sets
+    dense = [name for name in values if name not in others and values[name].shape == grid.shape]
     for name in dense[:1]:
         shade = np.ma.masked_where((grid == 1) | (values[name] < 0), values[name])
         image = axes.imshow(shade[0], "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
@@ -65,19 +74,6 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
             mark(axes, letter, *values[name].tolist())
     axes.set_title(", ".join(words))
     return axes
-
-
-def _plot_batch(batch: Sample, count: int, paper_colours: bool) -> Axes:
-    """Draw the first samples of a batch in a square, and return the axes of the first one."""
-    columns = math.ceil(math.sqrt(count))
-    rows = math.ceil(count / columns)
-    axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
-    for k in range(count):
-        one = type(batch)(*(value[k] for value in batch))
-        plot_sample(one, axes[k], paper_colours=paper_colours).set(xlabel="", ylabel="")
-    for spare in axes[count:]:
-        spare.set_axis_off()
-    return axes[0]
 
 
 def plot_prediction(

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Flags, Floats, Ints
+from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, generate, identity
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
@@ -66,9 +66,7 @@ class Problems:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
-    def __repr__(self) -> str:
-        size = self.grids.shape[1:]
-        return f"Problems({len(self)}, map_size={size}, {self.movement}, {self.description!r})"
+    __repr__ = summary
 
     def __len__(self) -> int:
         """Return N, the number of problems."""

@@ -440,9 +440,9 @@ def test_logs_and_checkpoints_say_what_was_trained_on(root: str, tmp_path: Path,
     written = yaml.full_load(Path(csv.log_dir, "hparams.yaml").read_text())
     assert written["data"] == logged
     if kind == "online":
-        made = Recipe.load(logged["recipe"])
-        assert made == Recipe.load(RECIPE)
-        assert (logged["identity"], logged["content_hash"]) == (identity, None)
+        assert Recipe.load(logged["build"]) == Recipe.load(RECIPE)
+        found = (logged["recipe"], logged["identity"], logged["content_hash"])
+        assert found == (None, identity, None)
         return
     found = (logged["recipe"], logged["identity"], logged["content_hash"])
     if kind == "roots":
