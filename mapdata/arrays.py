@@ -1,6 +1,9 @@
-"""The types of arrays, named by what they hold."""
+"""The types of arrays, named by what they hold, and how objects that hold arrays are printed."""
 
 from __future__ import annotations
+
+from math import prod
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,3 +16,28 @@ Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
+
+
+def summary(self: Any) -> str:
+    """Return the ``repr`` of a dataclass or NamedTuple that holds arrays: their dtype and shape.
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass
+    ... class Problem:
+    ...     map: Bytes
+    ...     goal: Ints
+    ...     __repr__ = summary
+    >>> Problem(np.zeros((1, 64, 64), np.uint8), np.array([3, 5]))
+    Problem(map=uint8 (1, 64, 64), goal=[3, 5])
+    """
+    shown = (f"{name}={_brief(getattr(self, name))}" for name in self.__match_args__)
+    return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _brief(value: Any) -> str:
+    """Return dtype and shape of an array or tensor, the values of one of up to two."""
+    if not hasattr(value, "dtype"):
+        return repr(value)
+    if 1 <= prod(value.shape) <= 2:
+        return str(value.tolist())
+    return f"{value.dtype} {tuple(value.shape)}".removeprefix("torch.")

@@ -31,7 +31,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 from torch.utils.data import Dataset
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.datasets import MapDataModule, Sample

@@ -148,9 +148,9 @@ def python_files(*folders: str) -> list[str]:
 MODULES = [
     name
     for name in python_files("mapdata", "models")
-    if Path(name).stem not in ("__init__", "_version", "arrays")
+    if Path(name).stem not in ("__init__", "_version")
 ]
-"""All but those that have nothing to test: faces, the version, names of types."""
+"""All but those that have nothing to test: faces and the version."""
 
 
 def mirror(module: str) -> str:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import astuple
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytorch_lightning as pl
+import torch
 from torch.utils.data import DataLoader
 
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
-from mapdata.datasets.sample import Sample
+from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.generators.generator import identity
 from mapdata.problems.sources import Source, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
@@ -39,11 +42,6 @@ elif (
 else:
     _Base = pl.LightningDataModule
 
-FLOATS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
-"""The uint8 fields that become float32 on the device; ``optimal_moves`` is a bit set and stays what
-it is.
-"""
-
 Dataset = MapDataset | OnlineMapDataset
 
 
@@ -51,10 +49,15 @@ class MapDataModule(_Base):
     """Loaders for training, validation, test and prediction.
 
     ``prepare_data`` only builds what is missing, ``setup`` only opens; without a Trainer the
-    loaders call both themselves. Loaders deliver uint8 fields; under a Trainer they become float32
-    on the device. ``num_workers=0`` is
-    the fast way: whole batches come from one kernel call, and workers only add the cost of sending
-    them.
+    loaders call both themselves. Loaders deliver maps and masks as uint8; under a Trainer they
+    become float32 on the device, or what ``Trainer(precision=...)`` makes of the model.
+    ``num_workers=0`` is the fast way: whole batches come from one kernel call, and workers only add
+    the cost of sending them.
+
+    ``setup`` adds recipe, identity and content hash of the maps to ``hparams``, and tells loggers
+    them with all arguments, as ``data``: checkpoints and logs say what was trained on. (Imported
+    maps have no recipe and no identity; maps made online have no content hash, and ``build`` is
+    their recipe.)
 
     Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left
     out of an epoch), and validation, test and prediction see every sample exactly once. So metrics
@@ -124,6 +127,15 @@ class MapDataModule(_Base):
         plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None
         self.save_hyperparameters(plain, logger=False)
 
+    def __repr__(self) -> str:
+        return (
+            f"MapDataModule({self.hparams['root']!r}, build={self.build!r}, "
+            f"batch_size={self.batch_size}, fields={self.serving.names}): "
+            f"{self.datasets or 'not set up'}"
+        )
+
+    __str__ = __repr__  # Lightning's own opens all loaders, and so builds a missing dataset
+
     def prepare_data(self) -> None:
         """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many
         processes at once.
@@ -157,6 +169,25 @@ class MapDataModule(_Base):
         for split in SPLITS if stage is None else stages[stage]:
             if split not in self.datasets:
                 self.datasets[split] = self._open(split)
+        self._log(next(iter(self.datasets.values())))
+
+    def _log(self, dataset: Dataset) -> None:
+        """Say in ``hparams``, and so in checkpoints, and to loggers what the maps are."""
+        if isinstance(dataset, MapDataset):
+            found: list[tuple[str | None, ...]] = [
+                (each.recipe() if each.spec else None, each.identity, each.content_hash)
+                for each in dataset.reader.manifests
+            ]
+        else:  # what was given as ``build`` is its recipe
+            found = [(None, identity(dataset.spec, dataset.seed), None)]
+        values = found[0] if len(found) == 1 else zip(*found, strict=True)
+        self.hparams.update(zip(("recipe", "identity", "content_hash"), values, strict=True))
+        # In a group of its own, since Lightning refuses a name that a model gives another value.
+        # Unlike the arguments it has the stored movement, and the names of functions.
+        movement = astuple(dataset.movement)
+        told = {**self.hparams, "fields": self.serving.names, "movement": movement}
+        for logger in self.trainer.loggers if self.trainer else ():
+            logger.log_hyperparams({"data": told})
 
     def _open(self, split: str) -> Dataset:
         arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}
@@ -192,8 +223,10 @@ class MapDataModule(_Base):
         return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
 
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
-        """Cast maps and masks to float32, on whatever device the batch is."""
+        """Cast maps and masks to the model's type, float32 unless the Trainer's ``precision`` says
+        otherwise, on whatever device the batch is.
+        """
         if not isinstance(batch, Sample):
             return batch
-        values = zip(batch._fields, batch, strict=True)
-        return type(batch)(*(value.float() if name in FLOATS else value for name, value in values))
+        dtype: Any = self.trainer.lightning_module.dtype if self.trainer else torch.float32
+        return cast(batch, dtype)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, default_collate
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
@@ -23,7 +23,15 @@ from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.fields import hardness as problem_hardness
 from mapdata.datasets.fields import length as path_length_of
-from mapdata.datasets.sample import Rows, Sample, row, sample_class, stack
+from mapdata.datasets.sample import (
+    MAPS_AND_MASKS,
+    Rows,
+    Sample,
+    cast,
+    row,
+    sample_class,
+    stack,
+)
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
@@ -35,6 +43,8 @@ from mapdata.spec import SPLITS, Movement, check_choice
 if TYPE_CHECKING:
     import pandas as pd
 
+Transform = Callable[[Sample], Any]
+
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
@@ -43,15 +53,24 @@ class ProblemDataset(Dataset[Sample], ABC):
     """What both datasets share: indexing, fields, epochs, symmetries.
 
     ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader
-    gets whole batches made at once. A sampler may yield ``index + epoch * len(dataset)``: what is
-    drawn anew each epoch is a function of (sampling_seed, epoch, index), never of worker state. A
-    plain ``dataset[i]`` is epoch 0.
+    gets whole batches made at once. With a ``transform``, ``dataset[i]`` is what it returns, and
+    batches are stacked from such samples as a DataLoader does.
+
+    A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a
+    function of (sampling_seed, epoch, index), never of worker state. A plain ``dataset[i]`` is
+    epoch 0.
     """
 
     movement: Movement
     """How the served paths move."""
 
-    def __init__(self, split: str | None, serving: Serving) -> None:
+    def __init__(
+        self,
+        split: str | None,
+        serving: Serving,
+        dtype: torch.dtype | None,
+        transform: Transform | None,
+    ) -> None:
         """Check and keep the arguments that `MapDataset` describes."""
         if split is not None:
             check_choice("split", split, SPLITS)
@@ -61,9 +80,18 @@ class ProblemDataset(Dataset[Sample], ABC):
             )
         self.split = split
         self.serving = serving
+        self.dtype = dtype
+        self.transform = transform
+        self._arguments = {**vars(serving), "dtype": dtype, "transform": transform}
         _keep_freed_memory()
         self._class = sample_class(serving.names, serving.max_length)
         self._wanted = frozenset(serving.names)
+        changed = isinstance(dtype, torch.dtype) and self._wanted.intersection(MAPS_AND_MASKS)
+        if dtype is not None and not changed:
+            raise ValueError(
+                f"dtype: got {dtype!r}, expected one of torch, such as torch.float32, and one of "
+                f"{', '.join(MAPS_AND_MASKS)} among the fields"
+            )
 
     @abstractmethod
     def __len__(self) -> int:
@@ -75,16 +103,22 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     def __getitem__(self, index: Any) -> Sample:
         if isinstance(index, slice):
-            return self._make(np.arange(*index.indices(len(self))), 0)
+            index = np.arange(*index.indices(len(self)))
         if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)) and np.ndim(index):
-            return self.__getitems__(index).batch
+            rows = self.__getitems__(index)
+            return rows.batch if isinstance(rows, Rows) else default_collate(rows)
         i = operator.index(index)
         if not -len(self) <= i < len(self):
             raise IndexError(f"index {i} is out of range for {len(self)} problems")
-        return row(self._make(np.array([i % len(self)]), 0), 0)
+        sample: Sample = self.__getitems__([i])[0]
+        return sample
 
-    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Rows:
-        """Return a batch that looks like a list of samples; torch's DataLoader calls this."""
+    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Any:
+        """Return a list of samples; torch's DataLoader calls this.
+
+        Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
+        collate function takes as it is.
+        """
         given, length = np.asarray(indices), len(self)
         if given.size and given.dtype.kind not in "iu":
             raise TypeError(f"indices: got {given.dtype}, expected integers")
@@ -93,11 +127,16 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
         epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
         if len(wanted) == 0 or (epochs == epochs[0]).all():
-            return Rows(self._make(indices, int(epochs[0]) if len(wanted) else 0), len(wanted))
-        rows = [
-            row(self._make(indices[k : k + 1], epoch), 0) for k, epoch in enumerate(epochs.tolist())
-        ]
-        return Rows(stack(rows), len(rows))
+            batch = self._make(indices, int(epochs[0]) if len(wanted) else 0)
+        else:
+            batch = stack(
+                [
+                    row(self._make(indices[k : k + 1], epoch), 0)
+                    for k, epoch in enumerate(epochs.tolist())
+                ]
+            )
+        rows = Rows(batch, len(wanted))
+        return rows if self.transform is None else [self.transform(sample) for sample in rows]
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
@@ -115,7 +154,7 @@ class ProblemDataset(Dataset[Sample], ABC):
                 so_far = sample_class(self.serving.names[: len(values)])(*values)
                 values.append(torch.as_tensor(field(so_far)))
         sample: Sample = self._class(*values)
-        return sample
+        return sample if self.dtype is None else cast(sample, self.dtype)
 
     @abstractmethod
     def _grids(self, places: Ints) -> Bytes:
@@ -218,6 +257,14 @@ class MapDataset(ProblemDataset):
             for val and test.
         sampling_seed: seed of all that is drawn while loading; the maps have a seed of their own.
         max_length: fixed number of rows of ``path``; a longer path is an error.
+        dtype: what maps and masks become, such as torch.float32, which networks take; cells,
+            counts and bit sets stay integers. None leaves them uint8, a quarter of the bytes.
+        transform: a function of one sample (never of a batch), called after all else, as in
+            torchvision; what it returns is what ``dataset[i]`` gives. Return a `Sample`, such as
+            ``sample._replace(map=...)``, and ragged paths are still padded in batches. The price:
+            each batch is taken apart and stacked again. A function among the fields gets whole
+            batches, and is the fast way to values of your own. What it draws at random is its own
+            affair. Loader workers started by spawn need one that can be pickled, so no lambda.
 
     Raises:
         DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
@@ -237,12 +284,13 @@ class MapDataset(ProblemDataset):
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
+        dtype: torch.dtype | None = None,
+        transform: Transform | None = None,
     ) -> None:
         """Read the manifests; shards are opened at their first touch."""
         source = problem_source(problems)
-        super().__init__(
-            split, Serving(fields, source, search, movement, augment, sampling_seed, max_length)
-        )
+        serving = Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        super().__init__(split, serving, dtype, transform)
         self.reader = BatchReader(root, split, source)
         self.roots = self.reader.root.places
         self.movement = movement or self.reader.movement
@@ -259,12 +307,14 @@ class MapDataset(ProblemDataset):
         )
         where = self.roots[0] if len(self.roots) == 1 else self.roots
         arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
-        return f"MapDataset({arguments}){filters}: {len(self)} problems"
+        content = [each.content_hash[:12] for each in self.reader.manifests]
+        known = f"map_size={self.map_size}, content_hash={content}"
+        return f"MapDataset({arguments}){filters}: {len(self)} problems, {known}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""
         content = [manifest.content_hash for manifest in self.reader.manifests]
-        return _reopen, (self.roots, self.split, self.serving, self.filters, content)
+        return _reopen, (self.roots, self.split, self._arguments, self.filters, content)
 
     @property
     def map_size(self) -> tuple[int, int]:
@@ -444,14 +494,14 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
 def _reopen(
     roots: tuple[str, ...],
     split: str | None,
-    serving: Serving,
+    arguments: dict[str, Any],
     filters: tuple[dict[str, Any], ...],
     content: list[str],
 ) -> MapDataset:
     """Return the dataset that was pickled, if it still is: in another its problems would have other
     numbers.
     """
-    dataset = MapDataset(roots, split, **vars(serving))
+    dataset = MapDataset(roots, split, **arguments)
     for root, manifest, expected in zip(
         dataset.roots, dataset.reader.manifests, content, strict=True
     ):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Bytes, Float32s, Ints, summary
 from mapdata.datasets.field_kernels import (
     GoalFields,
     count_steps,
@@ -101,6 +101,8 @@ class Batch:
     find_rooms: Callable[[], Rooms]
     wanted: frozenset[str]
     max_length: int | None = None
+
+    __repr__ = summary
 
     def __len__(self) -> int:
         """Return B."""

@@ -9,10 +9,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
-from mapdata.datasets.dataset import ProblemDataset
+from mapdata.datasets.dataset import ProblemDataset, Transform
 from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
@@ -55,12 +56,13 @@ class OnlineMapDataset(ProblemDataset):
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
+        dtype: torch.dtype | None = None,
+        transform: Transform | None = None,
     ) -> None:
         """Check the arguments; no map is made yet."""
         source = problem_source(problems)
-        super().__init__(
-            split, Serving(fields, source, search, movement, augment, sampling_seed, max_length)
-        )
+        serving = Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        super().__init__(split, serving, dtype, transform)
         if length < 1:
             raise ValueError(f"length: got {length}, expected at least 1")
         self.spec = spec
@@ -76,7 +78,7 @@ class OnlineMapDataset(ProblemDataset):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as arguments: no maps, no class made at run time."""
         return partial(
-            OnlineMapDataset, self.spec, self.seed, self.length, self.split, **vars(self.serving)
+            OnlineMapDataset, self.spec, self.seed, self.length, self.split, **self._arguments
         ), ()
 
     def __repr__(self) -> str:

@@ -5,17 +5,21 @@ any DataLoader.
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
 
+from mapdata.arrays import summary
 from mapdata.datasets.field_kernels import PADDING
 
 PATH_STEP = 16
 """Batches pad paths to a multiple of this, so that their shapes are few."""
+
+MAPS_AND_MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
+"""The uint8 fields that networks take as numbers; ``optimal_moves`` is a bit set and stays one."""
 
 
 class Sample(tuple[Any, ...]):
@@ -40,6 +44,8 @@ class Sample(tuple[Any, ...]):
         find it again.
         """
         return _restore, (self._fields, self._capacity, tuple(self))
+
+    __repr__ = summary
 
 
 @cache
@@ -77,9 +83,6 @@ class Rows(Sequence[Sample]):
             raise IndexError(f"row {i} of {len(self)}")
         return row(self.batch, i)
 
-    def __iter__(self) -> Iterator[Sample]:
-        return (row(self.batch, k) for k in range(len(self)))
-
 
 def row(batch: Sample, i: int) -> Sample:
     """Return sample ``i`` of a batch; its path without padding, unless the dataset has a
@@ -90,6 +93,13 @@ def row(batch: Sample, i: int) -> Sample:
         k = batch._fields.index("path")
         values[k] = values[k][: int((values[k][:, 0] != PADDING).sum())]
     return type(batch)(*values)
+
+
+def cast(batch: Sample, dtype: torch.dtype) -> Sample:
+    """Return a sample or batch whose maps and masks have another type; all else stays as it is."""
+    names = [name for name in MAPS_AND_MASKS if name in batch._fields]
+    changed: Sample = batch._replace(**{name: getattr(batch, name).to(dtype) for name in names})
+    return changed
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.search.api import check_path
 
@@ -37,6 +37,9 @@ class Plan(NamedTuple):
 
     path: npt.NDArray[np.integer[Any]]
     expansions: int
+
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 class Planner(Protocol):

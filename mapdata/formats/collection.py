@@ -49,6 +49,9 @@ class ForeignMap:
     shape: tuple[int, int] = field(init=False)
     _bits: Bytes = field(init=False, repr=False)
 
+    def __repr__(self) -> str:
+        return f"ForeignMap({self.name!r}, {self.shape[0]} x {self.shape[1]} cells)"
+
     def __post_init__(self, cells: Bytes) -> None:
         """Pack the cells.
 
@@ -84,6 +87,12 @@ class Collection:
     movement: Movement | None = None
     left_out: list[tuple[str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        return (
+            f"Collection({len(self.maps)} maps, {self.movement}, {len(self.left_out)} left out, "
+            f"{len(self.notes)} notes)"
+        )
 
     @contextmanager
     def leaving_out(self, name: object) -> Iterator[None]:

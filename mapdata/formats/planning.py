@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from mapdata.arrays import Bytes
 from mapdata.formats.collection import Collection, ForeignMap

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Ints, Words
+from mapdata.arrays import Bytes, Flags, Ints, Words, summary
 from mapdata.jit import Int, kernel
 from mapdata.spec import Movement
 
@@ -66,6 +66,8 @@ class Maps:
             directions=np.full((count, most - 1, 2), -1, np.int64),
             split=np.zeros(count, np.uint8),
         )
+
+    __repr__ = summary
 
     def __len__(self) -> int:
         """Return N, the number of maps."""

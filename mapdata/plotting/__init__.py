@@ -1,6 +1,4 @@
-"""Looking at maps: one map, a whole dataset, what models do, the report page. matplotlib is
-imported when it draws.
-"""
+"""Looking at maps: one map, a whole dataset, what models do, the report page."""
 
 from mapdata.plotting.figures import plot_distributions, plot_figure, plot_gallery
 from mapdata.plotting.html_report import report
@@ -8,6 +6,7 @@ from mapdata.plotting.plot import (
     COLOURS,
     MARKERS,
     PALETTE,
+    STYLE,
     plot_grid,
     plot_map,
     plot_matrix,
@@ -20,6 +19,7 @@ __all__ = [
     "COLOURS",
     "MARKERS",
     "PALETTE",
+    "STYLE",
     "plot_distributions",
     "plot_figure",
     "plot_gallery",

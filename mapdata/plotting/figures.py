@@ -1,6 +1,4 @@
-"""Figures of a whole dataset: the gallery of the paper's Figure 2, distributions, and what
-``mapdata show`` draws.
-"""
+"""Figures of a whole dataset, and what ``mapdata show`` draws."""
 
 from __future__ import annotations
 
@@ -11,7 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Floats
-from mapdata.plotting.plot import COLOURS, plot_grid, plot_map, plot_matrix, plot_path
+from mapdata.plotting.plot import (
+    COLOURS,
+    new_axes,
+    plot_grid,
+    plot_map,
+    plot_matrix,
+    plot_path,
+    same_matrices,
+)
 from mapdata.shards.root import Places, Root
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
 
@@ -24,21 +30,7 @@ if TYPE_CHECKING:
 LOGARITHMIC = ("hardness of a segment",)
 """Distributions with a peak and a long tail: drawn with a logarithmic count."""
 
-_NUMBERS = (
-    "zero",
-    "one",
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
-)
+_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
 def pick_examples(of: DatasetStatistics) -> dict[str, int]:
@@ -101,15 +93,7 @@ def plot_gallery(
         ax.set_axis_on()
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
         seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
-        ax.scatter(
-            seed_points[:, 1],
-            seed_points[:, 0],
-            s=22,
-            color=COLOURS["seed"],
-            edgecolor="white",
-            linewidth=0.8,
-            zorder=3,
-        )
+        ax.plot(seed_points[:, 1], seed_points[:, 0], "o", color=COLOURS["seed"], mec="white", ms=6)
         ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
         ax.set_title(f"{caption}\nmap{index}", fontsize="medium")
     return list(axes)
@@ -188,8 +172,9 @@ def _figure_path(root: Root, index: int, paper_colours: bool) -> Figure:
 
 def _figure_matrix(root: Root, index: int, _: bool) -> Figure:
     labels, i = root.map(index)
-    axes = new_axes(1, 2, (12, 5.8))
-    for search, ax in zip(("bfs", "astar"), axes, strict=True):
+    searches = ["astar"] if same_matrices(labels, i) else ["bfs", "astar"]
+    axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
+    for search, ax in zip(searches, axes, strict=True):
         plot_matrix(labels, i, search, ax)
     return figure_of(axes[0])
 
@@ -218,14 +203,6 @@ WITH_GRID = ("map", "path", "gallery")
 """Those of `FIGURES` that show a grid, which ``--paper-colours`` turns over."""
 
 
-def new_axes(rows: int, columns: int, size: tuple[float, float]) -> list[Axes]:
-    """Return the axes of a new figure of this size in inches."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    return list(figure.subplots(rows, columns, squeeze=False).flat)
-
-
 def _height(labels: Labels, width: float) -> float:
     """Return the height of a picture of a map of this width, in inches."""
     rows, columns = labels.maps.occupancy.shape[1:]
@@ -244,4 +221,5 @@ def figure_of(axes: Axes) -> Figure:
 
 def _in_words(number: int, rooms: bool) -> str:
     word = _NUMBERS[number] if number < len(_NUMBERS) else str(number)
-    return f"{word} {'room' if rooms else 'seed point'}{'s' * (number != 1)}"
+    noun = "room" if rooms else "seed point"
+    return f"{word} {noun}" if number == 1 else f"{word} {noun}s"

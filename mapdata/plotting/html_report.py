@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Floats, Ints
-from mapdata.plotting.figures import figure_of, new_axes, plot_distribution
+from mapdata.plotting.figures import figure_of, plot_distribution
+from mapdata.plotting.plot import new_axes
 from mapdata.search.labels import Labels
 from mapdata.shards.dataset_card import Section, sections, title
 from mapdata.shards.root import Places

@@ -1,15 +1,15 @@
-"""Figures of one map: axes in, axes out. matplotlib is imported when one is drawn. What models do
-on a map is in
-`mapdata.plotting.plot_models`, figures of a dataset are in `mapdata.plotting.figures`.
+"""Figures of one map: axes in, axes out. matplotlib is imported when one is drawn.
 
-Axes that are made here sit in a figure with ``layout="constrained"``, which makes room for titles
-and legends; for your own axes beside others, make the figure that way, too.
+What models do on a map is in `mapdata.plotting.plot_models`, figures of a dataset are in
+`mapdata.plotting.figures`. Axes that are made here have the look of `STYLE` and sit in a figure
+with ``layout="constrained"``, which makes room for titles and legends. For your own axes beside
+others, make the figure that way, too, within ``matplotlib.rc_context(STYLE)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,25 +27,41 @@ NAMES = {"bfs": "BFS", "astar": "A*"}
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "osD^v<>PXph"
 
+STYLE: dict[Any, str] = {
+    "axes.edgecolor": "0.5",
+    "axes.labelsize": "small",
+    "axes.titlesize": "medium",
+    "xtick.color": "0.5",
+    "xtick.labelcolor": "0.2",
+    "xtick.labelsize": "small",
+    "ytick.color": "0.5",
+    "ytick.labelcolor": "0.2",
+    "ytick.labelsize": "small",
+}
+"""rcParams of the figures that are made here."""
+
 _LISTED = 16
 _NUMBERED = 16
+_ARROW_EVERY = 24
+_LANE = 1.6
+"""Points between paths that are drawn side by side; a cell has about 6 in a figure of one map."""
 
 
 def plot_grid(
     occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
 ) -> Axes:
-    """Draw a grid: free white and occupied black, or the other way round as the paper's Figure 2
-    does.
+    """Draw a grid: free white and occupied black, or as the paper's Figure 2 the other way round.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
         axes: where to draw; a new figure without.
         paper_colours: free black, occupied white.
     """
-    axes = axes or _new_axes()
-    cmap, top = (
-        ("gray", 1.0) if paper_colours else ("gray_r", 1.25)
-    )  # a grey black, on which dark lines are seen
+    axes = axes or new_axes()[0]
+    if paper_colours:
+        cmap, top = "gray", 1.0
+    else:
+        cmap, top = "gray_r", 1.25  # a grey black, on which dark lines are seen
     axes.imshow(occupancy, cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     return axes
@@ -65,11 +81,11 @@ def plot_map(
     """
     maps = labels.maps
     axes = plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours)
-    for search, width in (("bfs", 3.5), ("astar", 1.5)):
+    for search, lane in (("bfs", -1), ("astar", 1)):
         steps = int(labels.iterations(search, i).sum())
         label = f"{NAMES[search]}, {steps:,} iterations"
         for path in labels.route(search, i):
-            axes.plot(path[:, 1], path[:, 0], color=COLOURS[search], label=label, linewidth=width)
+            plot_cells(axes, path, COLOURS[search], label, lane=lane)
             label = "_"
     _plot_seed_points(axes, labels, i)
     state = "all connected" if labels.all_connected[i] else "not all connected"
@@ -85,7 +101,7 @@ def plot_path(
     *,
     paper_colours: bool = False,
 ) -> Axes:
-    """Draw the route of one planner on map ``i`` of a batch, each segment with its moves and
+    """Draw the route of one search on map ``i`` of a batch, each segment with its moves and
     iterations: the paper's Figure 3.
 
     Args:
@@ -96,28 +112,24 @@ def plot_path(
         paper_colours: free black, occupied white.
     """
     axes = plot_grid(labels.maps.occupancy[i], axes, paper_colours=paper_colours)
-    iterations, route = labels.iterations(search, i), labels.route(search, i)
+    iterations = labels.iterations(search, i)
+    route = labels.route(search, i)
     styles = ("-", (0, (4, 1.5)), (0, (1, 1)))
     for q, (path, count) in enumerate(zip(route, iterations.tolist(), strict=True)):
         moves = f"{len(path) - 1} moves" if len(path) else "no path"
         label = f"{q + 1} to {q + 2}: {moves}, {count:,} iterations"
         if q == _LISTED - 1 and len(route) > _LISTED:
             label = f"... and {len(route) - q} more"
-        axes.plot(
-            path[:, 1],
-            path[:, 0],
-            color=PALETTE[q % 6],
-            linestyle=styles[q // 6 % len(styles)],
-            linewidth=4.5
-            - 2.5 * q / max(len(route) - 1, 1),  # what lies below is wider, so that it is seen
-            label=label if q < _LISTED else "_",
-        )
+        if q >= _LISTED:
+            label = "_"
+        # Neighbouring segments often share cells, so they take three lanes in turn.
+        plot_cells(axes, path, PALETTE[q % 6], label, styles[q // 6 % len(styles)], q % 3 - 1)
     _plot_seed_points(axes, labels, i)
     axes.set_title(
         f"map{labels.maps.index[i]}, {NAMES[search]}: {iterations.sum():,} iterations in all"
     )
     if route:
-        _legend_below(axes, ncols=1 + (len(route) > 5))
+        _legend_below(axes, ncols=1 if len(route) <= 5 else 2)
     return axes
 
 
@@ -128,51 +140,48 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     Args:
         labels: labelled maps.
         i: which map of the batch.
-        search: "astar" or "bfs".
+        search: "astar" or "bfs"; the title names both where their matrices are equal.
         axes: where to draw; a new figure without.
     """
-    from matplotlib.patches import Patch, Rectangle
+    from matplotlib.patches import Rectangle
 
-    axes = axes or _new_axes()
+    axes = axes or new_axes()[0]
     matrix = labels.matrix(search, i)
-    n, top = len(matrix), max(float(matrix.max()), 1.0)
+    n = len(matrix)
+    top = max(float(matrix.max()), 1.0)
     image = axes.imshow(np.ma.masked_less(matrix, 0), cmap="cividis", vmin=0, vmax=top)
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
+    style: dict[str, Any] = {"facecolor": "white", "edgecolor": "0.6", "hatch": "////"}
     for row, column in np.argwhere(matrix < 0).tolist():
         corner = (column - 0.5, row - 0.5)
-        axes.add_patch(
-            Rectangle(corner, 1, 1, facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
-        )
+        axes.add_patch(Rectangle(corner, 1, 1, linewidth=0.0, label="no connection", **style))
     if n <= _NUMBERED:
         for row, column in np.argwhere(matrix >= 0).tolist():
             value = matrix[row, column]
             ink = "black" if value > 0.55 * top else "white"
+            size = 9 if n <= 10 else 6
             axes.text(
-                column,
-                row,
-                f"{value:.4g}",
-                ha="center",
-                va="center",
-                color=ink,
-                fontsize=9 if n <= 10 else 6,
+                column, row, f"{value:.4g}", ha="center", va="center", color=ink, fontsize=size
             )
     step = 1 if n <= 20 else -(-n // 12)
     places = np.arange(0, n, step)
+    names = [str(k + 1) for k in places]
     word = _points(labels, i).removesuffix("s")
-    axes.set(xticks=places, yticks=places, xlabel=word, ylabel=word)
-    axes.set_xticklabels([str(k + 1) for k in places])
-    axes.set_yticklabels([str(k + 1) for k in places])
-    axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {NAMES[search]}")
-    if (matrix < 0).any():
-        _legend_below(
-            axes,
-            handles=[
-                Patch(facecolor="white", edgecolor="0.6", hatch="////", label="no connection")
-            ],
-        )
+    axes.set(xlabel=word, ylabel=word)
+    axes.set_xticks(places, names)
+    axes.set_yticks(places, names)
+    name = "BFS and A*" if same_matrices(labels, i) else NAMES[search]
+    axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {name}")
+    if axes.patches:
+        _legend_below(axes, axes.patches[:1])  # one stands for all
     return axes
+
+
+def same_matrices(labels: Labels, i: int) -> bool:
+    """Return whether both searches gave map ``i`` the same matrix, as where all moves cost 1."""
+    return np.array_equal(labels.matrix("bfs", i), labels.matrix("astar", i))
 
 
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
@@ -184,30 +193,16 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
         axes: where to draw; a new figure without.
         subset: "hard" or "all".
     """
-    axes = axes or _new_axes()
+    axes = axes or new_axes()[0]
     rows = table[table["subset"] == subset]
     for k, row in enumerate(rows.to_dict("records")):
-        colour, x, y = PALETTE[k % len(PALETTE)], row["expansion_ratio"], row["cost_ratio"]
-        axes.plot(
-            [row["expansion_ratio_low"], row["expansion_ratio_high"]],
-            [y, y],
-            color=colour,
-            linewidth=1,
-        )
-        axes.plot(
-            [x, x], [row["cost_ratio_low"], row["cost_ratio_high"]], color=colour, linewidth=1
-        )
-        marker, label = MARKERS[k % len(MARKERS)], row["planner"]
-        axes.plot(
-            x,
-            y,
-            marker,
-            color=colour,
-            markersize=9,
-            markeredgewidth=2,
-            markerfacecolor="none",
-            label=label,
-        )
+        x = row["expansion_ratio"]
+        y = row["cost_ratio"]
+        colour = PALETTE[k % len(PALETTE)]
+        axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
+        axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour, linewidth=1)
+        marker = MARKERS[k % len(MARKERS)]
+        axes.plot(x, y, marker, color=colour, fillstyle="none", mew=2, ms=9, label=row["planner"])
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set(
@@ -216,8 +211,54 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
+    _legend_below(axes, ncols=3)
     return axes
+
+
+def plot_cells(
+    axes: Axes,
+    path: npt.NDArray[Any],
+    colour: str,
+    label: str,
+    style: Any = "-",
+    lane: int = 0,
+) -> None:
+    """Draw a path with arrow heads from its start to its goal.
+
+    Args:
+        axes: where to draw.
+        path: (k, 2) cells (row, col).
+        colour: of line and arrows.
+        label: its words in a legend.
+        style: of the line, as matplotlib has them.
+        lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
+            the cells; only the picture is shifted.
+    """
+    from matplotlib.transforms import offset_copy
+
+    # Down and to the right, so that horizontal and vertical stretches part alike.
+    shift = _LANE * lane
+    figure = axes.get_figure(root=True)
+    place = offset_copy(axes.transData, figure, shift, -shift, units="points")
+    look: dict[str, Any] = {"color": colour, "transform": place}
+    axes.plot(path[:, 1], path[:, 0], linestyle=style, linewidth=2.2, label=label, **look)
+    if len(path) < 6:  # an arrow head would hide it
+        return
+    arrows = -(-len(path) // _ARROW_EVERY)
+    for k in range(arrows):
+        middle = (2 * k + 1) * len(path) // (2 * arrows)
+        down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
+        angle = np.degrees(np.arctan2(-down, right)) - 90  # a triangle points up by itself
+        axes.scatter(
+            path[middle, 1],
+            path[middle, 0],
+            s=90,
+            marker=(3, 0, angle),
+            edgecolor="white",
+            linewidth=0.7,
+            zorder=3,
+            **look,
+        )
 
 
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
@@ -228,19 +269,17 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
 
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
-    """Put a disc with ``text`` on a cell of ``axes``."""
-    axes.scatter(
-        column, row, s=110, clip_on=False, color=COLOURS["seed"], edgecolor="white", zorder=4
-    )
+    """Put ``text`` on a cell of ``axes``: on a disc, the goal G on a square."""
+    marker = "s" if text == "G" else "o"
+    style: dict[str, Any] = {"s": 110, "marker": marker, "edgecolor": "white", "zorder": 4}
+    axes.scatter(column, row, clip_on=False, color=COLOURS["seed"], **style)
     axes.text(
         column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5
     )
 
 
 def head(axes: Axes, title: str) -> None:
-    """Put the legend over the axes and the title over it: both stay inside a figure of any
-    layout.
-    """
+    """Put the legend over the axes and the title over it, inside a figure of any layout."""
     if not axes.get_legend_handles_labels()[0]:  # a map with one seed point has no path
         axes.set_title(title)
         return
@@ -261,7 +300,7 @@ def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: in
     from matplotlib.transforms import offset_copy
 
     axes.legend(
-        handles=axes.get_legend_handles_labels()[0] if handles is None else handles,
+        handles=handles or axes.get_legend_handles_labels()[0],
         loc="upper center",
         bbox_to_anchor=(0.5, 0),
         bbox_transform=offset_copy(
@@ -275,15 +314,17 @@ def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: in
 
 
 def _points(labels: Labels, i: int) -> str:
-    """Return what the seeds of map ``i`` stand for: imported maps have seed points without
-    rooms.
-    """
+    """Return what the seeds of map ``i`` stand for: imported maps have no rooms."""
     maps = labels.maps
     known = bool(maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any())
     return "rooms" if known else "seed points"
 
 
-def _new_axes() -> Axes:
+def new_axes(rows: int = 1, columns: int = 1, size: tuple[float, float] = (6, 6.5)) -> list[Axes]:
+    """Return the axes of a new figure of this size in inches, in the look of `STYLE`."""
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(6, 6.5), layout="constrained").add_subplot()
+    with rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        return list(figure.subplots(rows, columns, squeeze=False).flat)

@@ -4,43 +4,67 @@ roadmap. Axes in, axes out, as in `mapdata.plotting.plot`.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.plotting.plot import COLOURS, head, mark, plot_grid
+from mapdata.plotting.plot import COLOURS, head, mark, new_axes, plot_cells, plot_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from mapdata.datasets.sample import Sample
 
+_SHOWN = 9
+"""Samples of a batch that are drawn."""
+
 
 def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
-    """Draw one sample of a dataset: its map, start S and goal G, and its path, as far as it has
-    these fields.
+    """Draw a sample of a dataset, or the first 9 of a batch: map, start S, goal G and path, as far
+    as it has these fields, over a shade of its first dense field, such as ``cost_to_go``.
+
+    ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
     Args:
-        sample: what ``dataset[i]`` gives; with the field ``map`` or ``free``, (1, H, W).
-        axes: where to draw; a new figure without.
+        sample: what ``dataset[i]`` or a loader gives; with the field ``map`` or ``free``.
+        axes: where to draw one sample; a new figure without. A batch always has one of its own.
         paper_colours: free black, occupied white.
 
+    Returns:
+        The axes, of a batch those of its first sample.
+
     Raises:
-        ValueError: a batch, or a sample without a map.
+        ValueError: no map, or no sample.
     """
-    values = {name: np.asarray(value) for name, value in sample._asdict().items()}
+    from mapdata.datasets.sample import MAPS_AND_MASKS, row
+
+    values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
     grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
-    if grid is None or grid.ndim != 3:
-        found = f"fields {', '.join(values)}" if grid is None else f"a map of shape {grid.shape}"
-        raise ValueError(
-            f"sample: got {found}, expected one sample with a map of shape (1, rows, columns)"
-        )
+    if grid is None or not len(grid):
+        raise ValueError(f"sample: got {sample}, expected one sample or more with a map")
+    if grid.ndim == 4:
+        count = min(len(grid), _SHOWN)
+        columns = math.ceil(math.sqrt(count))
+        rows = math.ceil(count / columns)
+        places = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
+        for k in range(count):
+            plot_sample(row(sample, k), places[k], paper_colours=paper_colours)
+        for spare in places[count:]:
+            spare.set_axis_off()
+        return places[0]
     axes = plot_grid(grid[0], axes, paper_colours=paper_colours)
+    others = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and bit sets
+    dense = [name for name in values if name not in others and values[name].shape == grid.shape]
+    for name in dense[:1]:
+        shade = np.ma.masked_where((grid == 1) | (values[name] < 0), values[name])
+        image = axes.imshow(shade[0], "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
+        axes.figure.colorbar(image, ax=axes, label=name, shrink=0.8)
     words = []
     if "path" in values:
         path = _cells(values["path"])
-        axes.plot(path[:, 1], path[:, 0], color=COLOURS["astar"], linewidth=2.5)
+        plot_cells(axes, path, COLOURS["astar"], "path")
         words.append(f"{len(path)} cells" if len(path) else "no path")
     words += [
         f"{name} {float(values[name]):.4g}" for name in ("cost", "hardness") if name in values
@@ -75,30 +99,19 @@ def plot_prediction(
     axes = plot_grid(grid, axes, paper_colours=paper_colours)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
-    paths = {"true": _cells(truth), "predicted": _cells(predicted)}
-    looks = {"true": ("astar", 5.0, "-"), "predicted": ("bfs", 2.5, (0, (3, 1)))}
-    for name, path in paths.items():
-        colour, width, style = looks[name]
-        label = f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
-        axes.plot(
-            path[:, 1],
-            path[:, 0],
-            color=COLOURS[colour],
-            linewidth=width,
-            linestyle=style,
-            label=label,
-        )
-    rows, columns = paths["predicted"].T
-    inside = (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
-    hit = paths["predicted"][inside][grid[rows[inside], columns[inside]] == 1]
+    true = _cells(truth)
+    found = _cells(predicted)
+    plot_cells(axes, true, COLOURS["astar"], _in_words("true", true), lane=-1)
+    plot_cells(axes, found, COLOURS["bfs"], _in_words("predicted", found), lane=1)
+    inside = found[((found >= 0) & (found < grid.shape)).all(axis=1)]
+    hit = inside[grid[tuple(inside.T)] == 1]
     if len(hit):
         label = f"{len(hit)} in occupied cells"
-        axes.plot(
-            hit[:, 1], hit[:, 0], "x", color="#CC79A7", markersize=7, markeredgewidth=2, label=label
-        )
-    ends = paths["true"] if len(paths["true"]) else paths["predicted"]
-    for name, cell in zip("SG", ends[[0, -1]] if len(ends) else (), strict=False):
-        mark(axes, name, cell[0], cell[1])
+        axes.plot(hit[:, 1], hit[:, 0], "x", color="#CC79A7", ms=7, mew=2, label=label)
+    ends = true if len(true) else found
+    if len(ends):
+        mark(axes, "S", *ends[0])
+        mark(axes, "G", *ends[-1])
     head(axes, "predicted and true path")
     return axes
 
@@ -132,12 +145,15 @@ def plot_roadmap(
         LineCollection(list(points[joined][..., ::-1]), colors="#56B4E9", linewidths=1, label=label)
     )
     if path is not None:
-        cells = np.asarray(path, np.float64).reshape(-1, 2)
-        axes.plot(cells[:, 1], cells[:, 0], color=COLOURS["bfs"], linewidth=2.5, label="path")
+        plot_cells(axes, np.asarray(path, np.float64).reshape(-1, 2), COLOURS["bfs"], "path")
     label = f"{len(points):,} samples"
     axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
     head(axes, "roadmap")
     return axes
+
+
+def _in_words(name: str, path: npt.NDArray[np.int64]) -> str:
+    return f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
 
 
 def _cells(path: npt.ArrayLike) -> npt.NDArray[np.int64]:

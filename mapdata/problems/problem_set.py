@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Flags, Floats, Ints
+from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, generate, identity
 from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
@@ -63,6 +63,8 @@ class Problems:
             array: npt.NDArray[np.generic] = np.array(getattr(self, name), dtype, order="C")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+
+    __repr__ = summary
 
     def __len__(self) -> int:
         """Return N, the number of problems."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Ints, summary
 from mapdata.search.kernels import first_bad_cell, solve_all, solve_one, write_field
 from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, Weights, rule_of
 from mapdata.spec import Movement
@@ -95,6 +95,9 @@ class BatchResult(NamedTuple):
     offsets: Ints
     cost: npt.NDArray[np.float64]
     iterations: Ints
+
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 def search_batch(

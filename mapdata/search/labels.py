@@ -8,7 +8,7 @@ from functools import cache, cached_property
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Bytes, Flags, Ints, summary
 from mapdata.generators.maps import WORD, Maps
 from mapdata.jit import Int, kernel
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
@@ -66,6 +66,8 @@ class SearchLabels:
     offsets: Ints
     iterations: Ints
     costs: Ints
+
+    __repr__ = summary
 
 
 @dataclass(frozen=True)

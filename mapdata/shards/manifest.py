@@ -147,6 +147,13 @@ class Manifest(Origin):
             return self.spec.most_seed_points
         return max(int(entry.counts["most_rooms"]) for entry in self.shards)
 
+    def __repr__(self) -> str:
+        return (
+            f"Manifest({self.maps} maps, map_size={self.map_size}, seed={self.seed}, "
+            f"identity={self.identity}, content_hash={self.content_hash}, "
+            f"{len(self.shards)} shards)"
+        )
+
     def total(self, name: str) -> int:
         """Return the sum of one of the counts over all shards."""
         return sum(int(entry.counts[name]) for entry in self.shards)

@@ -107,6 +107,9 @@ class Root:
             )
         return first
 
+    def __repr__(self) -> str:
+        return f"Root({', '.join(map(repr, (*self.places, *self.manifests)))})"
+
     def __str__(self) -> str:
         """Return the places."""
         return ", ".join(self.places)

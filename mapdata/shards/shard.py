@@ -162,6 +162,9 @@ class Shard(NamedTuple):
     content_hash: str
     arrays: Mapping[str, Array]
 
+    def __repr__(self) -> str:
+        return f"Shard({self.path}, {self.header}, content_hash={self.content_hash})"
+
 
 def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
     """Return the bytes of a shard file and its content hash.

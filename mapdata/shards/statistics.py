@@ -75,6 +75,9 @@ class DatasetStatistics:
     rooms_known: bool
     digests: tuple[Bytes, Bytes] | None
 
+    def __repr__(self) -> str:
+        return f"DatasetStatistics({len(self)} maps, {len(self.lengths)} segments, {self.root!r})"
+
     def __len__(self) -> int:
         """Return N, the number of maps."""
         return len(self.index)

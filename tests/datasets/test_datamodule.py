@@ -17,10 +17,13 @@ import numpy as np
 import pytest
 import pytorch_lightning as pl
 import torch
+import yaml
 from helpers import ranks, run_helper, samples
 from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
+from pytorch_lightning.loggers import CSVLogger, Logger, TensorBoardLogger
+from torch.utils.data import DataLoader
 
 from mapdata import (
     DatasetNotFoundError,
@@ -35,6 +38,7 @@ from mapdata import (
     verify,
 )
 from mapdata.datasets import EpochSampler
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.problems import Source
 from mapdata.shards import Recipe, read_manifest
 
@@ -90,6 +94,50 @@ def test_a_plain_loop_needs_nothing_else(root: str) -> None:
         whole = MapDataset(root, split, FIELDS)
         samples.assert_all_same(list(loader), [whole[k : k + 8] for k in range(0, len(whole), 8)])
     samples.assert_all_same(list(data.predict_dataloader()), list(data.test_dataloader()))
+
+
+class Convolution(pl.LightningModule):
+    """Feeds maps to a layer, remembers their types."""
+
+    def __init__(self) -> None:
+        """Make the layer."""
+        super().__init__()
+        self.layer = torch.nn.Conv2d(1, 1, 3)
+        self.types: set[torch.dtype] = set()
+
+    def training_step(self, batch: Sample, _: int) -> torch.Tensor:
+        """Return a loss of maps and a field of floats."""
+        self.types |= {batch.map.dtype, batch.cost_to_go.dtype}
+        loss: torch.Tensor = self.layer(batch.map).mean() + 0 * batch.cost_to_go.mean()
+        return loss
+
+    def validation_step(self, batch: Sample, _: int) -> None:
+        """Remember the types alone."""
+        self.types |= {batch.map.dtype, batch.cost_to_go.dtype}
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Return any optimizer."""
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("precision", "dtype"),
+    [("32-true", torch.float32), ("bf16-true", torch.bfloat16), ("64-true", torch.float64)],
+)
+def test_maps_have_the_type_of_the_model(root: str, precision: Any, dtype: torch.dtype) -> None:
+    """Whatever precision the Trainer gives the model, maps and other floats have it, too."""
+    model = Convolution()
+    data = module(root, fields=("map", "cost_to_go"))
+    trainer(precision=precision, max_steps=1).fit(model, datamodule=data)
+    assert model.types == {dtype}
+
+
+def test_a_trainer_takes_a_plain_loader(root: str) -> None:
+    """No data module, no cast: the dataset makes floats itself."""
+    model = Convolution()
+    dataset = MapDataset(root, "train", ("map", "cost_to_go"), dtype=torch.float32)
+    trainer(max_steps=1).fit(model, DataLoader(dataset, 8), DataLoader(dataset, 8))
+    assert model.types == {torch.float32}
 
 
 def test_each_pass_is_an_epoch(root: str) -> None:
@@ -328,12 +376,91 @@ def test_checkpoints_load_with_torchs_safe_default(
     again = MapDataModule.load_from_checkpoint(path)
     assert (again.roots, again.batch_size, again.serving) == (data.roots, 8, data.serving)
     assert again.serving.movement == movement
-    assert again.hparams == data.hparams
     assert isinstance(data.hparams["problems"], str)
     samples.assert_all_same(batches_of(again), batches_of(module(root, **vars(data.serving))))
+    assert again.hparams == data.hparams
     assert MapDataModule.load_from_checkpoint(path, batch_size=5).batch_size == 5
     model = Model.load_from_checkpoint(path)
     assert model.size == 3
+
+
+class Told(Logger):
+    """A logger that keeps what it is told, as W&B and MLflow do."""
+
+    name, version = "told", 0
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        super().__init__()
+        self.params: dict[str, Any] = {}
+
+    def log_hyperparams(self, params: Any, *_: Any, **__: Any) -> None:
+        """Keep them."""
+        self.params.update(params)
+
+    def log_metrics(self, metrics: Any, step: int | None = None) -> None:
+        """Leave them."""
+
+
+def plain(value: object) -> bool:
+    """Return whether a value is text, a number, None, or a tuple of these."""
+    if isinstance(value, tuple):
+        return all(plain(each) for each in value)
+    return value is None or type(value) in (str, int, float, bool)
+
+
+@pytest.mark.parametrize("kind", ["disk", "roots", "online", "imported"])
+def test_logs_and_checkpoints_say_what_was_trained_on(root: str, tmp_path: Path, kind: str) -> None:
+    """Recipe, identity, content hash and all arguments, in plain values; the recipe builds it."""
+    manifest = read_manifest(Path(root))
+    folder: Any = {"roots": [root, root], "online": None}.get(kind, root)
+    recipe: str | None = manifest.recipe()
+    identity, content = manifest.identity, manifest.content_hash
+    if kind == "imported":
+        folder = str(tmp_path / "imported")
+        import_maps(folder, Collection([ForeignMap("eye", np.eye(20, dtype=np.uint8))] * 40))
+        recipe, identity = None, None
+        content = read_manifest(Path(folder)).content_hash
+    data = module(folder, build=RECIPE if kind == "online" else None, fields=(*FIELDS, own_field))
+    told, csv = Told(), CSVLogger(tmp_path / "logs")
+    run = trainer(max_steps=1, logger=[told, csv], log_every_n_steps=1)
+    run.fit(Model(size=2), datamodule=data)
+    path = tmp_path / "last.ckpt"
+    run.save_checkpoint(path)
+    saved = torch.load(path, weights_only=True)["datamodule_hyper_parameters"]
+    assert all(plain(value) for value in saved.values())
+    logged = told.params["data"]
+    assert {name: logged[name] for name in saved if name != "movement"} == {
+        name: value for name, value in saved.items() if name != "movement"
+    }
+    assert logged["movement"] == (4, False, Movement().diagonal_cost)
+    assert logged["fields"] == (*FIELDS, "own_field")
+    assert logged["batch_size"] == 8
+    assert told.params["size"] == 2  # the model's own
+    written = yaml.full_load(Path(csv.log_dir, "hparams.yaml").read_text())
+    assert written["data"] == logged
+    if kind == "online":
+        assert Recipe.load(logged["build"]) == Recipe.load(RECIPE)
+        found = (logged["recipe"], logged["identity"], logged["content_hash"])
+        assert found == (None, identity, None)
+        return
+    found = (logged["recipe"], logged["identity"], logged["content_hash"])
+    if kind == "roots":
+        assert logged["root"] == (root, root)
+        assert found == ((recipe, recipe), (identity, identity), (content, content))
+    else:
+        assert found == (recipe, identity, content)
+    assert MapDataModule.load_from_checkpoint(path, fields=FIELDS).roots == data.roots
+
+
+def test_tensorboard_shows_what_was_trained_on(root: str, tmp_path: Path) -> None:
+    """Its hparams.yaml, which was empty, has the data module's arguments."""
+    pytest.importorskip("tensorboard")
+    logger = TensorBoardLogger(tmp_path)
+    data = module(root)
+    trainer(max_steps=1, logger=logger, log_every_n_steps=1).fit(Model(), datamodule=data)
+    written = yaml.full_load(Path(logger.log_dir, "hparams.yaml").read_text())
+    assert written["data"]["identity"] == read_manifest(Path(root)).identity
 
 
 def own_field(sample: Sample) -> torch.Tensor:

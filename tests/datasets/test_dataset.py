@@ -24,7 +24,7 @@ from helpers.builds import SOUND_SEED, SOUND_SPEC, publish
 from helpers.imported import imported
 from helpers.specs import MOVEMENTS
 from scipy import stats
-from torch.utils.data import DataLoader
+from torch.utils.data import ConcatDataset, DataLoader, Dataset, Subset, random_split
 
 from mapdata import (
     DatasetNotFoundError,
@@ -845,6 +845,188 @@ def test_online_workers_change_nothing() -> None:
     for workers in (1, 3):
         loader = DataLoader(dataset, 16, num_workers=workers, multiprocessing_context="fork")
         samples.assert_all_same(list(loader), expected)
+
+
+# --- types and transforms -----------------------------------------------------------------------
+
+INTEGERS = ("start", "goal", "path", "length", "iterations", "optimal_moves", "seed_points")
+GRIDS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16, torch.bool])
+def test_dtype_is_that_of_maps_and_masks_alone(root: str, dtype: torch.dtype) -> None:
+    """Their values stay 0 and 1; every other field, and what functions get, stays as it was."""
+
+    def seen(sample: Sample) -> torch.Tensor:
+        assert sample.map.dtype == torch.uint8
+        occupied: torch.Tensor = sample.map.sum(dim=(1, 2, 3))
+        return occupied
+
+    fields = (*samples.ALL_FIELDS, seen)
+    online = OnlineMapDataset(samples.SPEC, 3, 50, fields=fields, dtype=dtype)
+    for dataset, plain in (
+        (MapDataset(root, "train", fields, dtype=dtype), MapDataset(root, "train", fields)),
+        (online, OnlineMapDataset(samples.SPEC, 3, 50, fields=fields)),
+    ):
+        for index in (3, slice(2, 9)):
+            found, expected = dataset[index], plain[index]
+            samples.assert_same(found, expected, without=GRIDS)
+            for name in GRIDS:
+                assert getattr(found, name).dtype == dtype
+                assert torch.equal(getattr(found, name).to(torch.uint8), getattr(expected, name))
+        assert {getattr(found, name).dtype for name in INTEGERS} == {torch.int64, torch.uint8}
+
+
+class Masked(NamedTuple):
+    """What `masked` makes of a sample."""
+
+    grids: torch.Tensor
+    problem: int
+
+
+def masked(sample: Sample) -> Masked:
+    """Return a type of one's own from one sample."""
+    assert sample.map.ndim == 3
+    return Masked(torch.cat((sample.map, sample.goal_mask)), int(sample.problem))
+
+
+def without_walls(sample: Sample) -> Sample:
+    """Return the sample on an empty map, its ragged path untouched."""
+    assert sample.map.ndim == 3
+    changed: Sample = sample._replace(map=sample.map * 0)
+    return changed
+
+
+def test_a_transform_gets_single_samples(root: str) -> None:
+    """One index, a slice, a list, a DataLoader, views, subsets and joined datasets agree with the
+    transform of each sample by hand.
+    """
+    fields = ("map", "goal_mask", "path", "problem")
+    plain = MapDataset(root, "train", fields)
+    dataset = MapDataset(root, "train", fields, transform=masked)
+    by_hand = [masked(sample) for sample in plain]
+    loaders: list[Dataset[Any]] = [
+        dataset,
+        Subset(dataset, range(len(dataset))),
+        ConcatDataset([dataset]),
+        pickle.loads(pickle.dumps(dataset)),
+        dataset.filter(rooms=(2, 5)),
+    ]
+    for loaded in loaders:
+        batches = list(DataLoader(loaded, 8))
+        assert [type(batch) for batch in batches] == [Masked] * len(batches)
+        grids = torch.cat([batch.grids for batch in batches])
+        assert torch.equal(grids, torch.stack([one.grids for one in by_hand]))
+        numbers = torch.cat([batch.problem for batch in batches])
+        assert numbers.tolist() == [one.problem for one in by_hand]
+    first, second = random_split(dataset, [10, len(dataset) - 10])
+    parts = [batch.problem for part in (first, second) for batch in DataLoader(part, 8)]
+    assert sorted(torch.cat(parts).tolist()) == [one.problem for one in by_hand]
+    for index in (3, -1, np.int64(4)):
+        assert torch.equal(dataset[index].grids, by_hand[index].grids)
+    for several in (slice(2, 9), [4, 1], torch.tensor([5, 5])):
+        expected = torch.stack([by_hand[int(k)].grids for k in np.arange(len(dataset))[several]])
+        assert torch.equal(dataset[several].grids, expected)
+
+
+@pytest.mark.parametrize("max_length", [None, 90])
+def test_samples_that_a_transform_returns_are_padded(root: str, max_length: int | None) -> None:
+    """A `Sample` with its ragged path is still stacked into a padded batch, in the type asked for;
+    indices of later epochs are served, too.
+    """
+    arguments: dict[str, Any] = {"problems": "random", "augment": True, "max_length": max_length}
+    plain = MapDataset(root, "train", **arguments)
+    dataset = MapDataset(root, "train", **arguments, transform=without_walls, dtype=torch.float32)
+    indices = [3, 1 + len(plain), 2 + 5 * len(plain)]
+    for found, expected in (
+        (dataset[2:9], plain[2:9]),
+        (dataset[3], plain[3]),
+        (dataset[indices], plain[indices]),
+        (next(iter(DataLoader(dataset, 8))), plain[:8]),
+    ):
+        samples.assert_same(found, expected, without=("map",))
+        assert torch.equal(found.map, torch.zeros(expected.map.shape))
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_workers_call_the_transform(root: str, method: str) -> None:
+    """Batches of workers are those of the process itself, transformed."""
+    fields = ("map", "goal_mask", "problem")
+    datasets = [
+        MapDataset(root, "train", fields, transform=masked),
+        OnlineMapDataset(samples.SPEC, 3, 40, "train", fields, transform=masked),
+    ]
+    for dataset in datasets:
+        loader = DataLoader(dataset, 16, num_workers=1, multiprocessing_context=method)
+        for batch, expected in zip(loader, DataLoader(dataset, 16), strict=True):
+            assert torch.equal(batch.grids, expected.grids)
+            assert torch.equal(batch.problem, expected.problem)
+
+
+def test_dtypes_and_transforms_that_cannot_be_are_refused(root: str) -> None:
+    """No type of torch, or nothing that would change."""
+    wrong: Any = "float32"
+    with pytest.raises(ValueError, match="dtype: got 'float32', expected one of torch"):
+        MapDataset(root, dtype=wrong)
+    with pytest.raises(ValueError, match=r"expected .* and one of map, free, .* among the"):
+        OnlineMapDataset(samples.SPEC, fields=("start", "cost"), dtype=torch.float32)
+
+
+class _Ratios(torch.nn.Module):
+    """A layer that turns map and goal into ratios, for clients that call ``net(x)``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = torch.nn.Conv2d(2, 1, 3, padding=1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return ratios (B, 1, H, W) of maps and goals (B, 2, H, W)."""
+        ratios: torch.Tensor = self.layer(x)
+        return ratios
+
+
+def pair(sample: Sample) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return (input, target), as many clients want their samples."""
+    return torch.cat((sample.map, sample.goal_mask)), sample.heuristic_ratio
+
+
+LEARNT = ("map", "goal_mask", "heuristic_ratio")
+
+
+def test_a_plain_loader_feeds_a_network(root: str) -> None:
+    """Three lines of torch, without a cast."""
+    dataset = MapDataset(root, "train", LEARNT, dtype=torch.float32)
+    net = _Ratios()
+    for map_, goal, ratio in DataLoader(dataset, 64):
+        torch.nn.functional.mse_loss(net(torch.cat((map_, goal), dim=1)), ratio).backward()
+    assert net.layer.weight.grad is not None
+
+
+def test_skorch_fits(root: str) -> None:
+    """A NeuralNet takes the dataset as it is, with its own split and loaders."""
+    skorch = pytest.importorskip("skorch")
+    dataset = MapDataset(root, "train", LEARNT, dtype=torch.float32, transform=pair)
+    net = skorch.NeuralNet(_Ratios, torch.nn.MSELoss, max_epochs=2, batch_size=32, verbose=0)
+    net.fit(dataset, y=None)
+    assert np.isfinite(net.history[:, "valid_loss"]).all()
+    assert net.predict(dataset).shape == (len(dataset), 1, 20, 20)
+
+
+def test_accelerate_trains(root: str) -> None:
+    """A prepared loader gives whole batches of samples with names."""
+    accelerate = pytest.importorskip("accelerate")
+    accelerator = accelerate.Accelerator(cpu=True)
+    net = _Ratios()
+    dataset = MapDataset(root, "train", (*LEARNT, "path"), dtype=torch.float32)
+    optimizer = torch.optim.SGD(net.parameters(), 0.1)
+    net, optimizer, loader = accelerator.prepare(net, optimizer, DataLoader(dataset, 32))
+    count = 0
+    for batch in loader:
+        inputs = torch.cat((batch.map, batch.goal_mask), dim=1)
+        accelerator.backward((net(inputs) - batch.heuristic_ratio).square().mean())
+        optimizer.step()
+        count += len(batch.path)
+    assert count == len(dataset)
 
 
 # --- damaged and hostile files ------------------------------------------------------------------

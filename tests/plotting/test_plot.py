@@ -8,15 +8,28 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from helpers.figures import assert_lines, assert_tidy, drawn, figure_of
-from helpers.samples import SPEC, WIDE
+from helpers.samples import SPEC, WIDE, build_small
+from matplotlib.collections import PathCollection
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from mapdata import Labels, MapSpec, generate, label
-from mapdata.plotting import COLOURS, PALETTE, plot_grid, plot_map, plot_matrix, plot_path
+from mapdata.plotting import (
+    COLOURS,
+    PALETTE,
+    STYLE,
+    plot_figure,
+    plot_grid,
+    plot_map,
+    plot_matrix,
+    plot_path,
+)
+from mapdata.plotting.plot import mark, plot_cells
 
 OKABE_ITO = {"#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7"}
 
@@ -109,6 +122,52 @@ def test_path_of_many_rooms_lists_some() -> None:
     assert texts[-1] == "... and 24 more"
 
 
+def test_routes_lie_side_by_side_and_show_their_direction() -> None:
+    """The lines of both searches are parted by some points, and each arrow head points the way."""
+    labels = some(MapSpec(), 1)
+    axes = plot_map(labels, 0)
+    figure_of(axes).draw_without_rendering()
+    # where cell (0, 0) of a route of each search is drawn, in pixels
+    corners = {
+        to_hex(line.get_color()).upper(): line.get_transform().transform((0, 0))
+        for line in axes.get_lines()
+    }
+    apart = corners[COLOURS["astar"]] - corners[COLOURS["bfs"]]
+    assert np.abs(apart).min() > 2
+
+    steps = {"<": (0, -1), ">": (0, 1), "^": (-1, 0), "v": (1, 0)}
+    for way, (down, right) in steps.items():
+        path = np.array([(30 + down * k, 30 + right * k) for k in range(20)])
+        axes = plot_grid(np.zeros((61, 61)))
+        plot_cells(axes, path, "black", "a path")
+        (arrow,) = (one for one in axes.collections if isinstance(one, PathCollection))
+        points = np.asarray(arrow.get_paths()[0].vertices)[:3]
+        ahead = np.sort(points @ (right, -down))  # on the screen, where rows grow downwards
+        assert ahead[0] == pytest.approx(ahead[1]), way  # the base lies behind,
+        assert ahead[2] > ahead[1] + 0.5, way  # the tip before
+    plot_cells(axes, np.empty((0, 2), np.int64), "black", "no path")
+
+
+def test_start_and_goal_have_different_shapes() -> None:
+    """They can be told apart in print, too."""
+    axes = plot_grid(np.zeros((9, 9)))
+    for text in ("S", "G", "1"):
+        mark(axes, text, 4, 4)
+    start, goal, room = (len(np.asarray(one.get_paths()[0].vertices)) for one in axes.collections)
+    assert start == room != goal
+
+
+def test_the_style_is_that_of_new_figures_alone() -> None:
+    """Our own figures have it, axes of the user and the user's settings are left alone."""
+    before = dict(mpl.rcParams)
+    assert set(STYLE) <= set(before)
+    ours = plot_grid(np.zeros((9, 9)))
+    theirs = plot_grid(np.zeros((9, 9)), Figure().add_subplot())
+    assert to_hex(ours.spines["top"].get_edgecolor()) == to_hex(STYLE["axes.edgecolor"])
+    assert to_hex(theirs.spines["top"].get_edgecolor()) == to_hex(before["axes.edgecolor"])
+    assert dict(mpl.rcParams) == before
+
+
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
 def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) -> None:
     """Matrix shows each cost and hatches pairs without a path."""
@@ -137,6 +196,14 @@ def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) 
         assert_tidy(figure_of(axes))
     connected = int(np.flatnonzero(labels.all_connected)[0])
     assert plot_matrix(labels, connected).get_legend() is None
+
+
+def test_equal_matrices_are_drawn_once(tmp_path: Path) -> None:
+    """Both searches agree on each cost where all moves cost 1; with diagonals BFS counts moves."""
+    for spec, names in ((SPEC, ["BFS and A*"]), (WIDE, ["BFS", "A*"])):
+        figure = plot_figure(build_small(tmp_path / str(len(names)), spec), "matrix", index=7)
+        titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+        assert titles == [f"map7: connection matrix by {name}" for name in names]
 
 
 def test_colours_are_those_of_okabe_and_ito() -> None:

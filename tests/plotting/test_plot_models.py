@@ -5,14 +5,16 @@ or covered.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from helpers.figures import assert_lines, assert_tidy, drawn, figure_of
 from helpers.samples import WIDE, build_small
 from matplotlib.collections import LineCollection, PathCollection
 
-from mapdata import MapDataset
+from mapdata import MapDataset, Sample
 from mapdata.plotting import COLOURS, plot_prediction, plot_roadmap, plot_sample
 
 
@@ -36,13 +38,55 @@ def test_sample_shows_what_it_holds(tmp_path: Path) -> None:
         assert_tidy(figure_of(axes))
 
 
-def test_sample_without_a_map_and_batches_are_refused(tmp_path: Path) -> None:
-    """Sample without a map and batches are refused."""
+def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> None:
+    """The message says what was given."""
     root = build_small(tmp_path / "d")
-    with pytest.raises(ValueError, match="got fields start"):
+    with pytest.raises(ValueError, match=r"got Sample\(start=.*, expected one sample or more with"):
         plot_sample(MapDataset(root, fields=("start",))[0])
-    with pytest.raises(ValueError, match=r"shape \(3, 1, 20, 20\)"):
-        plot_sample(MapDataset(root)[0:3])
+    with pytest.raises(ValueError, match=r"got Sample\(map=uint8 \(0, 1, 20, 20\)"):
+        plot_sample(MapDataset(root)[0:0])
+
+
+@pytest.mark.parametrize("count", [1, 5, 12])
+@pytest.mark.parametrize("dtype", [None, torch.float32])
+def test_batch_is_a_grid_of_its_first_samples(
+    tmp_path: Path, count: int, dtype: torch.dtype | None
+) -> None:
+    """At most 9, each as it is drawn alone; axes without a sample are empty."""
+    fields = ("map", "path_mask", "start", "goal", "path", "cost", "optimal_moves")
+    dataset = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields, dtype=dtype)
+    figure = figure_of(plot_sample(dataset[:count]))
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert len(shown) == min(count, 9)
+    for k, axes in enumerate(shown):
+        alone = plot_sample(dataset[k])
+        assert axes.get_title() == alone.get_title()
+        assert_lines(drawn(axes, COLOURS["astar"]), drawn(alone, COLOURS["astar"]))
+        (image,) = axes.get_images()
+        np.testing.assert_array_equal(np.asarray(image.get_array()), np.asarray(dataset[k].map[0]))
+    assert_tidy(figure)
+
+
+def far_from_start(sample: Sample) -> torch.Tensor:
+    """Return a field of one's own, as large as a map."""
+    rows = torch.arange(9).reshape(1, 1, 9, 1)
+    distance: torch.Tensor = (rows - sample.start[:, :1, None, None]).abs().expand(-1, 1, 9, 70)
+    return distance
+
+
+@pytest.mark.parametrize("field", ["cost_to_go", "heuristic_ratio", far_from_start])
+def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
+    """Its values where cells are free and reach the goal, with a scale that bears its name."""
+    fields = ("map", "goal_mask", "start", "goal", field, "path_probability")
+    sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[3]
+    axes = plot_sample(sample)
+    _, shade = axes.get_images()
+    values: Any = shade.get_array()
+    truth = np.asarray(sample[4][0])
+    np.testing.assert_array_equal(values.mask, (np.asarray(sample.map[0]) == 1) | (truth < 0))
+    np.testing.assert_array_equal(values.compressed(), truth[~values.mask])
+    assert axes.figure.axes[1].get_ylabel() == sample._fields[4]
+    assert_tidy(figure_of(axes))
 
 
 def test_prediction_lies_over_the_truth_and_marks_walls() -> None:

@@ -556,6 +556,6 @@ def test_without_progress_there_is_no_tqdm(root: Path, monkeypatch: pytest.Monke
     def tqdm(*_: object, **__: object) -> None:
         raise AssertionError("a bar was made")
 
-    monkeypatch.setattr("mapdata.shards.builder.tqdm", tqdm, raising=False)
+    monkeypatch.setattr("mapdata.shards.workers.tqdm", tqdm)
     make(root)
     verify(root)
