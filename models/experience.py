@@ -376,9 +376,7 @@ def _dataset(h5: h5py.File, name: str, values: npt.NDArray[Any], description: st
 
 
 class FixedProblems(MapDataModule):
-    """A `MapDataModule` whose random problems are those of epoch 0 in every epoch: a bank knows no
-    others.
-    """
+    """A `MapDataModule` whose problems are those of epoch 0 in every epoch: those of a bank."""
 
     def setup(self, stage: str | None = None) -> None:
         """Open the datasets."""
@@ -386,6 +384,10 @@ class FixedProblems(MapDataModule):
         for split, dataset in self.datasets.items():
             if not isinstance(dataset, _FirstEpoch):
                 self.datasets[split] = _FirstEpoch(dataset)  # type: ignore[assignment]
+
+    def mine(self, folder: str) -> Bank:
+        """Return the bank of the training problems, as `Bank.of` does."""
+        return Bank.of(self.datasets["train"], folder)
 
 
 class _FirstEpoch(Dataset[Sample]):

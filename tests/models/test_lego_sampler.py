@@ -21,6 +21,7 @@ import pytorch_lightning as pl
 import torch
 
 from mapdata import MapDataModule, MapSpec, Problems
+from models.common import load_model
 from models.cvae import CVAE, LocalCVAE
 from models.experience import (
     KINDS,
@@ -31,10 +32,16 @@ from models.experience import (
     mine,
     near_optimal_paths,
 )
-from models.lego_sampler import Heatmap, load, select
+from models.lego_sampler import FIELDS, Heatmap, Sampler, encode, random_symmetry, select
 from models.roadmap import build_roadmap, free_at, halton, radius, sees
-from models.sampler import FIELDS, Sampler, _transformed, encode
-from models.sampler_table import compare, contenders, plot_roadmaps, plot_success, to_text
+from models.sampler_table import (
+    RoadmapSuccess,
+    compare,
+    contenders,
+    plot_roadmaps,
+    plot_success,
+    to_text,
+)
 
 ROOT = Path(__file__).parents[2]
 WEIGHTS = sorted(
@@ -49,6 +56,11 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:.*TF32",
     "ignore:Checkpoint directory",
 )
+
+
+def load(file: str | Path) -> Sampler:
+    """Return the sampler in a file, of whichever kind."""
+    return load_model(file, Heatmap, CVAE, LocalCVAE)
 
 
 @cache
@@ -333,7 +345,7 @@ def test_symmetries_move_everything_along() -> None:
     torch.manual_seed(0)
     kinds = set()
     for _ in range(300):
-        turned, points = _transformed(fields, torch.tensor(ends[0]) + 0.25)
+        turned, points = random_symmetry(fields, torch.tensor(ends[0]) + 0.25)
         for name in ("start", "goal"):
             row, column = turned[name].T
             assert (turned["optimal_mask"][torch.arange(len(grids)), 0, row, column] == 1).all()
@@ -377,6 +389,7 @@ def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
         max_steps=60,
         max_epochs=-1,
         limit_val_batches=1,
+        callbacks=[RoadmapSuccess()],
         **quiet,
     )
     run.fit(model, module)
