@@ -8,11 +8,11 @@ import json
 import math
 import runpy
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -192,14 +192,14 @@ def test_the_bank(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_workers_change_nothing(tmp_path: Path) -> None:
-    """Two processes mine what one mines."""
+    """Two threads mine what one mines."""
     module = data(230)
     module.setup("fit")
     banks = [
         Bank.of(module.datasets["train"], tmp_path / str(workers), QUICK, workers)
-        for workers in (0, 2)
+        for workers in (1, 2)
     ]
-    files = [next((tmp_path / name).iterdir()).read_bytes() for name in ("0", "2")]
+    files = [next((tmp_path / name).iterdir()).read_bytes() for name in ("1", "2")]
     assert banks[0].identity == banks[1].identity
     assert files[0] == files[1]
 
@@ -220,8 +220,7 @@ def test_the_bank_knows_its_problems(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="kind: got 'leg', expected one of lego, shortest_path"):
         bank.targets("leg", [3])
     (file,) = tmp_path.iterdir()
-    with h5py.File(file, "r+") as h5:
-        h5.attrs["version"] = 99
+    replace(bank, identity="another").write(file)
     for _ in range(2):
         with pytest.raises(ValueError, match=r"no bank of experience .*remove it"):
             Bank.of(dataset, tmp_path, QUICK, workers=0)
