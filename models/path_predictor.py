@@ -1,31 +1,35 @@
-"""A CNN that predicts paths: for every cell, the moves that start a shortest path to the goal.
+"""A CNN that learns to plan from examples: maps with a start, a goal and a shortest path.
 
-One path as a target is ill-posed: between two cells of a room there are 10^5 equally good ones. The
-set of optimal moves of each cell is unique, and gives some 2,000 labelled cells a map. Following
-the most probable moves is a path.
+For every cell of a map it predicts the moves that lead to the goal, and how far the heuristic is
+below the true cost. Following the most probable moves gives a path:
 
-    from mapdata import MapSpec, Movement
-    from mapdata.evaluation import evaluate
-    from mapdata.problems import Problems
-    from models.learned_planners import planners
+    import pytorch_lightning as pl
+    from mapdata import MapDataModule
     from models.path_predictor import PathPredictor
 
-    model = PathPredictor.load("models/weights/path_predictor.pt")
-    problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=600)
-    path = model.predict_path(problems.grids[0], problems.starts[0], problems.goals[0])  # (k, 2)
-    cells print(evaluate(planners(model), problems))
+    data = MapDataModule("data/maps", build="paper", batch_size=64)  # map, start, goal, path
+    model = PathPredictor(connectivity=4)
+    pl.Trainer(max_epochs=2).fit(model, data)
+    sample = data.datasets["val"][0]
+    path = model.predict_path(sample.map, sample.start, sample.goal)  # (k, 2) cells
 
-`python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` made the
-weights that ship, with OMP_NUM_THREADS=1: 7,500 steps of 40 maps, 20 minutes of one core of an AMD
-EPYC. On two cores it
-takes 13: a step takes 0.10 s instead of 0.15 s.
+A path labels its own cells alone, and is one of 10^5 equally short ones between two cells of a
+room. With the fields of ``FIELDS`` instead every cell knows all of its optimal moves, which teaches
+far more:
+
+    data = MapDataModule("data/maps", fields=FIELDS, problems="random", augment=True, batch_size=64)
+
+That, `python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` with
+OMP_NUM_THREADS=1, made the weights that ship: 7,500 steps of 40 maps, 20 minutes of one core.
+
+This file reads from top to bottom: targets, what the network sees, loss, training, prediction. The
+network's layers, the optimizer and the files of weights are in models/common.py; searches that a
+prediction guides are in models/learned_planners.py.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
 from os import PathLike
 from typing import Any
 
@@ -34,106 +38,133 @@ import numpy.typing as npt
 import pytorch_lightning as pl
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
-from pytorch_lightning.utilities import CombinedLoader
 from torch import Tensor, nn
-from torch.utils.data import DataLoader
 
+from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.datasets import MapDataModule, Sample
-from mapdata.search import STEPS, heuristics
-from mapdata.spec import Movement
-from models.layers import Muon, Trunk, bfloat16, padded, scheduled
-from models.learned_planners import LearnedPlanner
-from models.saved import load_model, save_model
+from mapdata.search import STEPS
+from models.common import Muon, Trunk, bfloat16, load_model, one_cycle, padded, save_model
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
-"""What a data module must serve."""
+"""The fields that teach best. The model learns from ``map, start, goal, path`` just as well."""
+
+# --- data: a batch and its targets --------------------------------------------------------------
+
+
+def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
+    """Return what each cell should predict, (B, H, W) both; cells without a target have no move.
+
+    - optimal moves, a bit set: bit k says that move k starts a shortest path to the goal.
+    - the heuristic ratio in [0, 1]: heuristic over true cost to the goal.
+    """
+    if "optimal_moves" in batch._fields:
+        return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
+    return targets_on_path(batch, movement)
+
+
+def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
+    """Return the targets that a path gives: for each of its cells the next move and the ratio."""
+    maps = batch.map[:, 0]  # (B, H, W)
+    here = batch.path[:, :-1]  # (B, T - 1, 2)
+    step = batch.path[:, 1:] - here  # (B, T - 1, 2)
+    moves = torch.tensor(STEPS[: movement.connectivity], device=maps.device)  # (moves, 2)
+    made = (step[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves)
+    made &= here[:, :, :1] >= 0  # paths are padded with -1
+    costs = heuristic(moves[:, 0], moves[:, 1], movement)  # (moves,) cost of one move each
+    to_go = (made * costs).sum(dim=2).flip(1).cumsum(1).flip(1)  # (B, T - 1)
+    problem, k = made.any(dim=2).nonzero(as_tuple=True)  # the n cells that have a target
+    row, column = here[problem, k].unbind(1)  # (n,) both
+    down, right = (here - batch.goal[:, None])[problem, k].unbind(1)  # (n,) both
+    bits = 2 ** torch.arange(len(moves), device=maps.device)  # (moves,)
+    optimal = maps.new_zeros(maps.shape, dtype=torch.long)
+    optimal[problem, row, column] = (made * bits).sum(dim=2)[problem, k]
+    ratio = maps.new_zeros(maps.shape, dtype=torch.float)
+    ratio[problem, row, column] = heuristic(down, right, movement) / to_go[problem, k]
+    return optimal, ratio
+
+
+def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
+    """Return the cost of going so far on an empty map: Manhattan, octile or Chebyshev distance."""
+    down = down.abs().float()
+    right = right.abs().float()
+    if movement.connectivity == 4:
+        return down + right
+    return (down - right).abs() + movement.diagonal_cost * torch.minimum(down, right)
+
+
+def neighbour(plane: Tensor, row: int, column: int) -> Tensor:
+    """Return (B, H, W): of (B, H + 2, W + 2), the value beside each inner cell."""
+    rows = plane.shape[1] - 2
+    columns = plane.shape[2] - 2
+    return plane[:, 1 + row : 1 + row + rows, 1 + column : 1 + column + columns]
+
+
+def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
+    """Return (B, moves, H, W) bool: which moves are allowed from each cell of (B, 1, H, W).
+
+    The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
+    """
+    free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))  # (B, H + 2, W + 2), a wall around the map
+    legal = []
+    for row, column in STEPS[: movement.connectivity].tolist():
+        allowed = neighbour(free, row, column)
+        if row and column and not movement.corner_cutting:  # diagonal: both sides must be free
+            allowed = allowed & neighbour(free, row, 0) & neighbour(free, 0, column)
+        legal.append(allowed)
+    return torch.stack(legal, dim=1)
 
 
 # --- what the network sees ----------------------------------------------------------------------
 
 
-@lru_cache(maxsize=16)
-def _surroundings(rows: int, columns: int, movement: Movement) -> Tensor:
-    """Return what lies about a goal in the middle, ((2 rows - 1) * (2 columns - 1), 8 + moves), a
-    line a cell.
-
-    Of each cell: a place for the map, the goal, six planes, and the detour of each move: its cost
-    plus the
-    change of the heuristic, 0 for the moves that would be optimal on an empty map.
-    """
-    goal = np.array([rows - 1, columns - 1])
-    cells = np.moveaxis(
-        np.indices((2 * rows - 1, 2 * columns - 1)), 0, -1
-    )  # (2 rows - 1, 2 columns - 1, 2)
-    down, right = torch.from_numpy(cells - goal).float().unbind(-1)
-    least = heuristics(cells, goal, movement)
-    here = torch.from_numpy(least).float()
-    near, side = (
-        [torch.clamp(each / 4, -1, 1) for each in (down, right)],
-        (down.abs() - right.abs()) / 4,
-    )
-    planes = [torch.zeros_like(here), (here == 0).float()]
-    planes += [here / 64, down / 32, right / 32, *near, side.clamp(-1, 1)]
-    steps = STEPS[: movement.connectivity]
-    # a move's own cost is the heuristic from (0, 0) to where it leads
-    through = heuristics(cells[:, :, None] + steps, goal, movement) + heuristics(
-        steps, [0, 0], movement
-    )
-    detour = torch.from_numpy(through - least[..., None]).float()
-    return torch.cat([torch.stack(planes, dim=-1), detour], dim=-1).flatten(0, 1)
-
-
 def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return what the network sees, (B, 8, H, W), and the detour of each move, (B, moves, H, W).
+    """Return what the network sees of each cell, and the detour of each move.
+
+    A move's detour is its cost plus the change of the heuristic: 0 for the moves that are optimal
+    on an empty map. The scores of the moves begin with it, so that only walls are left to learn.
 
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.
         goals: (B, 2), cells.
         movement: how one moves; it has 4 or 8 moves.
+
+    Returns:
+        (B, 8, H, W) and (B, moves, H, W), float32.
     """
     rows, columns = occupied.shape[2:]
-    lines = _surroundings(rows, columns, movement).to(occupied.device)
-    # a map with its goal at (i, j) is the window of the surroundings that begins at (rows - 1 - i,
-    # columns - 1 - j)
-    corner = torch.tensor([rows - 1, columns - 1]) - goals.cpu()  # (B, 2)
-    row = (torch.arange(rows) + corner[:, :1])[:, :, None]  # (B, H, 1)
-    column = (torch.arange(columns) + corner[:, 1:])[:, None]  # (B, 1, W)
-    seen = F.embedding(
-        (row * (2 * columns - 1) + column).to(occupied.device), lines
-    )  # (B, H, W, 8 + moves)
-    seen[..., 0] = occupied[:, 0] == 0
-    seen = seen.permute(0, 3, 1, 2)  # channels last
-    return seen[:, :8], seen[:, 8:]
-
-
-def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
-    """Return (B, moves, H, W) bool: the moves that ``movement`` allows from each cell; occupied is
-    (B, 1, H, W).
-
-    The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
-    """
-    rows, columns = occupied.shape[2:]
-    free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))
-
-    def neighbour(row: int, column: int) -> Tensor:
-        return free[:, 1 + row : 1 + row + rows, 1 + column : 1 + column + columns]
-
-    legal = []
+    # one cell more on each side: a move from any cell leads to one whose heuristic is known
+    down = torch.arange(-1, rows + 1, device=goals.device) - goals[:, :1]  # (B, H + 2)
+    right = torch.arange(-1, columns + 1, device=goals.device) - goals[:, 1:]  # (B, W + 2)
+    around = heuristic(down[:, :, None], right[:, None, :], movement)  # (B, H + 2, W + 2)
+    least = neighbour(around, 0, 0)  # (B, H, W)
+    detours = []
     for row, column in STEPS[: movement.connectivity].tolist():
-        beside = row and column and not movement.corner_cutting
-        sides = neighbour(row, 0) & neighbour(0, column) if beside else True
-        legal.append(neighbour(row, column) & sides)
-    return torch.stack(legal, dim=1)
+        cost = movement.diagonal_cost if row and column else 1.0
+        detours.append(cost + neighbour(around, row, column) - least)
+    down = down[:, 1:-1, None].float()  # (B, H, 1)
+    right = right[:, None, 1:-1].float()  # (B, 1, W)
+    planes = [
+        occupied[:, 0] == 0,  # free cells
+        least == 0,  # the goal
+        least / 64,  # divisors bring all planes to a size of about 1
+        down / 32,
+        right / 32,
+        (down / 4).clamp(-1, 1),  # finer, near the goal's row and column
+        (right / 4).clamp(-1, 1),
+        ((down.abs() - right.abs()) / 4).clamp(-1, 1),  # and near its diagonals
+    ]
+    seen = torch.stack([plane.float().expand_as(least) for plane in planes], dim=1)
+    return seen, torch.stack(detours, dim=1)
 
 
-# --- what is learnt, and how --------------------------------------------------------------------
+# --- network, loss and training -----------------------------------------------------------------
 
 
 class PathPredictor(pl.LightningModule):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
-    A batch has the ``FIELDS``; a list of batches, of several map sizes even, is one step.
+    A batch has the fields ``map, start, goal, path`` or ``FIELDS``; its paths move as the model
+    does. A list of batches, of several map sizes even, is one step.
 
     Args:
         connectivity: 4 or 8 moves.
@@ -141,8 +172,7 @@ class PathPredictor(pl.LightningModule):
         diagonal_cost: of a diagonal move, sqrt(2) or 1.
         widths: channels at strides 2, 4 and 8.
         passes: exchanges between strides 4 and 8: how far information travels.
-        learning_rate: the highest; it rises over 100 steps and falls as a cosine until the last
-            step.
+        learning_rate: the highest; it rises over 100 steps and falls until the last step.
         ratio_weight: weight of the heuristic ratio's squared error.
         detour_weight: how much more cells count where the heuristic is more than 2 % too low.
     """
@@ -163,11 +193,10 @@ class PathPredictor(pl.LightningModule):
         self.save_hyperparameters()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.network = Trunk(8, connectivity + 1, widths, passes)
-        nn.init.zeros_(self.network.head.weight)
+        nn.init.zeros_(self.network.head.weight)  # it begins with the moves of an empty map
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        """Return scores of the moves, (B, moves, H, W), and predicted heuristic ratios, (B, H, W)
-        in [0, 1].
+        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W) in [0, 1].
 
         Args:
             occupied: (B, 1, H, W), 0 free and anything else occupied; any H and W.
@@ -175,66 +204,105 @@ class PathPredictor(pl.LightningModule):
         """
         rows, columns = occupied.shape[2:]
         seen, detour = encode(padded(occupied), goals, self.movement)
-        out = self.network(seen)[0][..., :rows, :columns].float()
-        scores = torch.sub(out[:, :-1], detour[..., :rows, :columns], alpha=3)
+        out, _ = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
+        out = out[..., :rows, :columns].float()
+        scores = out[:, :-1] - 3 * detour[..., :rows, :columns]
         return scores, torch.sigmoid(out[:, -1])
 
-    def training_step(self, batch: Sample | Sequence[Sample], batch_idx: int) -> Tensor:
+    def losses(self, batch: Sample | list[Sample]) -> dict[str, Tensor]:
+        """Return ``loss``, its part for ``moves``, and ``accuracy``.
+
+        Accuracy is the share of cells whose most probable legal move is optimal.
+        """
+        batches = batch if isinstance(batch, list) else [batch]
+        sums = torch.stack([self._sums(each) for each in batches]).sum(dim=0)
+        move_loss, weight, squared_error, right, cells = sums
+        moves = move_loss / weight
+        loss = moves + self.hparams["ratio_weight"] * squared_error / cells
+        return {"loss": loss, "moves": moves, "accuracy": right / cells}
+
+    def _sums(self, batch: Sample) -> Tensor:
+        """Return (5,), sums over the cells with a target; those of several batches add up.
+
+        Loss of the moves, its weight, squared error of the ratio, right answers, cells.
+        """
+        scores, ratios = self(batch.map, batch.goal)  # (B, moves, H, W) and (B, H, W)
+        scores = scores.masked_fill(~legal_moves(batch.map, self.movement), -math.inf)
+        optimal, ratio = targets(batch, self.movement)  # (B, H, W) both
+        cells = optimal.nonzero(as_tuple=True)  # the n cells that have a target
+        scores = scores.permute(0, 2, 3, 1)[cells]  # (n, moves)
+        ratio = ratio[cells]  # (n,)
+        bits = 2 ** torch.arange(scores.shape[1], device=scores.device)  # (moves,)
+        good = (optimal[cells][:, None] & bits) != 0  # (n, moves)
+        # -log of the probability of making any of the optimal moves: ties need no decision
+        good_scores = scores.masked_fill(~good, -math.inf)
+        loss = scores.logsumexp(1) - good_scores.logsumexp(1)  # (n,)
+        weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)  # (n,)
+        error = (ratios[cells] - ratio) ** 2  # (n,)
+        right = good.gather(1, scores.argmax(1, keepdim=True))  # (n, 1)
+        count = torch.ones_like(ratio)  # (n,)
+        columns = [loss * weight, weight, error, right[:, 0].float(), count]
+        return torch.stack(columns).sum(dim=1)
+
+    def training_step(self, batch: Sample | list[Sample], batch_idx: int) -> Tensor:
         """Return the loss of one step."""
         values = self.losses(batch)
         self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
         return values["loss"]
 
-    def validation_step(
-        self, batch: Sample | Sequence[Sample], batch_idx: int, dataloader_idx: int = 0
-    ) -> None:
+    def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
         """Log the losses."""
         values = {f"val_{name}": value for name, value in self.losses(batch).items()}
-        self.log_dict(values, batch_size=1 if isinstance(batch, list) else len(batch[0]))
-
-    def losses(self, batch: Sample | Sequence[Sample]) -> dict[str, Tensor]:
-        """Return the loss, that of the moves alone, and the share of cells whose most probable move
-        is optimal.
-        """
-        sums = [
-            self._sums(each) for each in _by_size([batch] if isinstance(batch, Sample) else batch)
-        ]
-        loss, weight, error, right, cells = torch.stack(sums).sum(dim=0)
-        moves = loss / weight
-        return {
-            "loss": moves + self.hparams["ratio_weight"] * error / cells,
-            "moves": moves,
-            "accuracy": right / cells,
-        }
-
-    def _sums(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return sums over the cells with an optimal move: loss, its weight, squared error, right
-        answers, cells.
-        """
-        scores, ratios = self(batch["map"], batch["goal"])
-        optimal = batch["optimal_moves"][:, 0]  # (B, H, W), bit sets
-        cells = optimal.nonzero(as_tuple=True)  # n of them
-        optimal, ratio = optimal[cells], batch["heuristic_ratio"][:, 0][cells]
-        scores = scores.permute(0, 2, 3, 1)[cells]  # (n, moves)
-        legal = legal_moves(batch["map"], self.movement).permute(0, 2, 3, 1)[cells]
-        bits = 2 ** torch.arange(scores.shape[1], device=scores.device)
-        good = (optimal[:, None] & bits) != 0
-        scores = scores.masked_fill(~legal, -math.inf)
-        loss = scores.logsumexp(1) - scores.masked_fill(~good, -math.inf).logsumexp(
-            1
-        )  # -log P(any optimal move)
-        weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)
-        error = (ratios[cells] - ratio) ** 2
-        right = good.gather(1, scores.argmax(1, keepdim=True))
-        count = torch.tensor(float(len(ratio)), device=scores.device)
-        return torch.stack(
-            [(loss * weight).sum(), weight.sum(), error.sum(), right.float().sum(), count]
-        )
+        self.log_dict(values, batch_size=len(batch.map))
 
     def configure_optimizers(self) -> Any:
-        """Return Muon with a rate that rises, then falls as a cosine."""
+        """Return Muon, half of whose steps do what AdamW's do here, and torch's OneCycleLR."""
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
-        return scheduled(optimizer, float(self.trainer.estimated_stepping_batches))
+        return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
+
+    # --- prediction -----------------------------------------------------------------------------
+
+    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
+        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W).
+
+        A score is a log probability, up to a constant a cell.
+
+        Args:
+            grids: (B, H, W), 0 free and 1 occupied.
+            goals: (B, 2), cells.
+        """
+        occupied = torch.from_numpy(np.array(grids, np.uint8))[:, None].to(self.device)
+        cells = torch.from_numpy(np.array(goals, np.int64)).to(self.device)
+        with torch.inference_mode(), bfloat16(self.device):
+            scores, ratios = self(occupied, cells)
+        return scores.cpu().numpy(), ratios.cpu().numpy()
+
+    def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
+        """Return the predicted path, (k, 2) cells; (0, 2) where the moves do not lead to the goal.
+
+        From the start on, the most probable legal move to a cell that is not on the path yet.
+
+        Args:
+            map: (H, W) or (1, H, W), 0 free and 1 occupied.
+            start: its cell.
+            goal: its cell.
+        """
+        grid = np.asarray(map, np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
+        scores = self.predict(grid, np.array([goal]))[0][0]  # (moves, H, W)
+        legal = legal_moves(torch.from_numpy(grid)[:, None], self.movement)[0]  # (moves, H, W)
+        last = tuple(np.array(goal).tolist())
+        path = [tuple(np.array(start).tolist())]
+        while path[-1] != last:
+            row, column = path[-1]
+            options = []
+            for move, (down, right) in enumerate(STEPS[: len(scores)].tolist()):
+                cell = (row + down, column + right)
+                if legal[move, row, column] and cell not in path:
+                    options.append((scores[move, row, column], cell))
+            if not options:
+                return np.empty((0, 2), np.int64)
+            path.append(max(options)[1])
+        return np.array(path)
 
     def save(self, file: str | PathLike[str]) -> None:
         """Write weights and arguments, as plain types and tensors."""
@@ -249,75 +317,3 @@ class PathPredictor(pl.LightningModule):
             ValueError: it holds no saved PathPredictor.
         """
         return load_model(file, PathPredictor)
-
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios
-        (B, H, W).
-
-        Args:
-            grids: (B, H, W), 0 free and 1 occupied.
-            goals: (B, 2), cells.
-        """
-        occupied = torch.from_numpy(np.array(grids, np.uint8))[:, None].to(self.device)
-        with torch.inference_mode(), bfloat16(self.device):
-            scores, ratios = self(occupied, torch.as_tensor(np.array(goals, np.int64)))
-        return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
-
-    def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
-        """Return the predicted path, (k, 2) cells from start to goal; (0, 2) where the moves do not
-        lead there.
-
-        Args:
-            map: (H, W) or (1, H, W), 0 free and 1 occupied.
-            start: its cell.
-            goal: its cell.
-        """
-        grid = np.asarray(map, np.uint8).reshape(np.shape(map)[-2:])
-        ends = np.array([start, goal], np.int64)
-        plan = LearnedPlanner("walk", self, fallback=False).plan_batch(
-            grid[None], ends[:1], ends[1:]
-        )[0]
-        return np.asarray(plan.path, np.int64)
-
-
-class MixedBatches(pl.LightningDataModule):
-    """Several data modules at once: a training step gets a list with a batch of each; validation
-    sees them in turn.
-    """
-
-    def __init__(self, parts: list[MapDataModule]) -> None:
-        """Keep the parts."""
-        super().__init__()
-        self.parts = parts
-
-    def prepare_data(self) -> None:
-        """Build what is missing."""
-        for part in self.parts:
-            part.prepare_data()
-
-    def setup(self, stage: str | None = None) -> None:
-        """Open the datasets."""
-        for part in self.parts:
-            part.trainer = self.trainer
-            part.setup(stage)
-
-    def train_dataloader(self) -> CombinedLoader:
-        """Return what yields lists of batches, until the first part ends."""
-        return CombinedLoader([part.train_dataloader() for part in self.parts], "min_size")
-
-    def val_dataloader(self) -> list[DataLoader[Sample]]:
-        """Return a loader a part."""
-        return [part.val_dataloader() for part in self.parts]
-
-
-def _by_size(batches: Sequence[Sample]) -> list[dict[str, Tensor]]:
-    """Return the batches with those of one map size joined."""
-    groups: dict[torch.Size, list[dict[str, Tensor]]] = {}
-    for batch in batches:
-        fields = dict(zip(batch._fields, batch, strict=True))
-        groups.setdefault(fields["map"].shape[2:], []).append(fields)
-    names = ("map", "goal", "optimal_moves", "heuristic_ratio")
-    return [
-        {name: torch.cat([each[name] for each in group]) for name in names}
-        for group in groups.values()
-    ]

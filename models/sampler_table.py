@@ -1,12 +1,13 @@
 """Samplers of roadmaps in one table: how often a roadmap of n vertices has a path, and how long the
 paths are.
 
-from mapdata import MapSpec from mapdata.problems import Problems from models.lego_sampler import
-load from models.sampler_table import compare, contenders, to_text
+    from mapdata import MapSpec, Problems
+    from models.lego_sampler import Heatmap
+    from models.sampler_table import compare, contenders, to_text
 
-problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
-print(to_text(compare(contenders({"lego_heatmap": load("models/weights/lego_heatmap.pt")}),
-problems)))
+    rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
+    problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
+    print(to_text(compare(rows, problems)))
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pandas as pd
+from pytorch_lightning import Callback, LightningModule, Trainer
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals
@@ -143,6 +145,24 @@ def compare(
         for row, pair in zip(table, values.tolist(), strict=True):
             row |= {f"{metric}{ending}": value for metric, value in zip(METRICS, pair, strict=True)}
     return pd.DataFrame(table)
+
+
+class RoadmapSuccess(Callback):
+    """Logs ``val_success``: the share of problems that roadmaps of 50 vertices solve.
+
+    Half of the vertices are Halton's, the others those that `Sampler.validation_step` gave.
+    """
+
+    def on_validation_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, *_: int
+    ) -> None:
+        """Build the roadmaps of one batch."""
+        grids, starts, goals = (
+            each.cpu().numpy().astype(int) for each in (batch.map[:, 0], batch.start, batch.goal)
+        )
+        samples = np.concatenate([_halton(grids, 25, range(len(grids))), outputs.numpy()], axis=1)
+        solved = np.isfinite(path_lengths(grids, starts, goals, samples))
+        pl_module.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
 
 
 def _classical_halton(

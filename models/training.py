@@ -1,12 +1,15 @@
-"""What the training scripts share: a LightningCLI that writes the weights at the end, and says
-early if it cannot.
-"""
+"""What the training scripts share: a command line that writes weights, and mixed batches."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pytorch_lightning as pl
 from pytorch_lightning.cli import LightningArgumentParser, LightningCLI
+from pytorch_lightning.utilities import CombinedLoader
+from torch.utils.data import DataLoader
+
+from mapdata import MapDataModule, Sample
 
 
 class TrainingCli(LightningCLI):
@@ -32,3 +35,34 @@ class TrainingCli(LightningCLI):
         file = self.config["fit"]["weights"]
         if file is not None and self.trainer.is_global_zero:
             self.model.save(file)
+
+
+class MixedBatches(pl.LightningDataModule):
+    """Several data modules at once: a training step gets a list with a batch of each.
+
+    Validation sees them one after another.
+    """
+
+    def __init__(self, parts: list[MapDataModule]) -> None:
+        """Keep the parts."""
+        super().__init__()
+        self.parts = parts
+
+    def prepare_data(self) -> None:
+        """Build what is missing."""
+        for part in self.parts:
+            part.prepare_data()
+
+    def setup(self, stage: str | None = None) -> None:
+        """Open the datasets."""
+        for part in self.parts:
+            part.trainer = self.trainer
+            part.setup(stage)
+
+    def train_dataloader(self) -> CombinedLoader:
+        """Return what yields lists of batches, until the first part ends."""
+        return CombinedLoader([part.train_dataloader() for part in self.parts], "min_size")
+
+    def val_dataloader(self) -> list[DataLoader[Sample]]:
+        """Return a loader a part."""
+        return [part.val_dataloader() for part in self.parts]

@@ -17,7 +17,9 @@ from mapdata.cli import (
     run,
     write_table,
 )
-from models.lego_sampler import load
+from models.common import load_model
+from models.cvae import CVAE, LocalCVAE
+from models.lego_sampler import Heatmap, Sampler
 from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
 
 WEIGHTS = Path(__file__).parent.parent / "models" / "weights"
@@ -42,11 +44,7 @@ def evaluate_command(
     check_outputs(csv, json, figure, pictures)
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
-    files = [
-        *Path(weights or WEIGHTS).glob("lego_*.pt"),
-        *Path(weights or WEIGHTS).glob("shortest_path_*.pt"),
-    ]
-    rows = contenders({file.stem: load(file) for file in sorted(files)})
+    rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
     maps = 1000 if not root and maps is None else maps
     problems = given_problems(root, preset, seed, maps)
     table = compare(rows, problems, sorted(set(sizes)))
@@ -65,6 +63,12 @@ def evaluate_command(
         canvas = Figure(figsize=(5 * len(shown), 15), layout="constrained")
         plot_roadmaps(shown, problems, 50, canvas)
         canvas.savefig(pictures, dpi=90)
+
+
+def learned_samplers(folder: Path) -> dict[str, Sampler]:
+    """Return the samplers whose weights are in a folder, by the names of their files."""
+    files = sorted([*folder.glob("lego_*.pt"), *folder.glob("shortest_path_*.pt")])
+    return {file.stem: load_model(file, Heatmap, CVAE, LocalCVAE) for file in files}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -27,8 +27,9 @@ from pathlib import Path
 from pytorch_lightning import LightningDataModule
 from pytorch_lightning.cli import ArgsType
 
-import models.lego_sampler  # noqa: F401  (so that --model knows each sampler by its name)
-from models.sampler import Sampler
+import models.cvae  # noqa: F401  (so that --model knows each sampler by its name)
+from models.lego_sampler import Sampler
+from models.sampler_table import RoadmapSuccess
 from models.training import TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
@@ -42,6 +43,7 @@ def main(arguments: ArgsType = None) -> None:
         subclass_mode_model=True,
         subclass_mode_data=True,
         parser_kwargs={"fit": {"default_config_files": [str(CONFIG)]}},
+        trainer_defaults={"callbacks": [RoadmapSuccess()]},
         save_config_kwargs={"overwrite": True},
         args=arguments,
     )

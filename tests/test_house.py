@@ -75,12 +75,11 @@ TESTED_IN = {
         "formats/test_huggingface.py",
         "formats/test_paper.py",
     ),
+    "models/common.py": ("models/test_common.py", "shards/test_hostile.py"),
     "models/cvae.py": ("models/test_lego_sampler.py",),
     "models/experience.py": ("models/test_lego_sampler.py",),
     "models/learned_planners.py": ("models/test_path_predictor.py",),
-    "models/sampler.py": ("models/test_lego_sampler.py",),
     "models/sampler_table.py": ("models/test_lego_sampler.py",),
-    "models/saved.py": ("shards/test_hostile.py",),
     "models/training.py": ("models/test_path_predictor.py",),
 }
 """Modules without a test file of their name, and those that others reach into too."""

@@ -33,7 +33,8 @@ from mapdata import (
 from mapdata.evaluation import BatchPlanner, classical
 from mapdata.search import STEPS
 from models.learned_planners import LearnedPlanner, planners
-from models.path_predictor import FIELDS, MixedBatches, PathPredictor, legal_moves
+from models.path_predictor import FIELDS, PathPredictor, legal_moves
+from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]
 WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"

@@ -25,8 +25,8 @@ from torch import nn
 
 from mapdata import build
 from mapdata.shards import MANIFEST, Manifest, read_manifest
+from models.common import load_model
 from models.path_predictor import PathPredictor
-from models.saved import load_model
 
 MOST = 200 << 20
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")

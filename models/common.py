@@ -1,0 +1,282 @@
+"""What the sample models share: their network, their optimizer, and weights in files.
+
+- `Trunk`: a convolutional network that gives every cell features from near and far.
+- `Muon` and `one_cycle`: the optimizer and its learning rate.
+- `save_model` and `load_model`: files that are read without trust.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import zipfile
+from collections import defaultdict
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytorch_lightning as pl
+import torch
+import torch.nn.functional as F  # noqa: N812  (its usual name)
+from torch import Tensor, nn
+from torch.optim.lr_scheduler import OneCycleLR
+
+# --- the network --------------------------------------------------------------------------------
+
+STRIDE = 8
+"""`Trunk` takes maps whose sides are multiples of this."""
+
+
+class Residual(nn.Module):
+    """x + two 3 x 3 convolutions. Without a norm, so that no statistic depends on the map size."""
+
+    def __init__(self, width: int, dilation: int = 1) -> None:
+        """Make both convolutions; the second sees ``dilation`` times as far."""
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, padding=1)
+        self.second = nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation)
+        nn.init.kaiming_normal_(self.first.weight, nonlinearity="relu")
+        nn.init.zeros_(self.second.weight)  # the block begins as the identity
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, width, H, W) for the same."""
+        inner = F.relu(self.first(F.relu(x)))
+        out: Tensor = x + self.second(inner)
+        return out
+
+
+class Pass(nn.Module):
+    """One exchange between two resolutions: near at stride 4, and far at stride 8."""
+
+    def __init__(self, width: int, deep: int) -> None:
+        """Take ``width`` channels at stride 4 and ``deep`` ones at stride 8."""
+        super().__init__()
+        self.local = Residual(width)
+        self.down = nn.Conv2d(width, deep, 2, stride=2)
+        self.far = Residual(deep, dilation=2)
+        self.up = nn.Conv2d(deep, 4 * width, 1)
+
+    def forward(self, fine: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor]:
+        """Return both states: (B, width, H/4, W/4) and (B, deep, H/8, W/8)."""
+        fine = self.local(fine)  # (B, width, H/4, W/4)
+        coarse = self.far(self.down(F.relu(fine)) + coarse)  # (B, deep, H/8, W/8)
+        back = self.up(F.relu(coarse))  # (B, 4 width, H/8, W/8)
+        return fine + F.pixel_shuffle(back, 2), coarse
+
+
+class Trunk(nn.Module):
+    """Features of every cell from near and far, for maps of any size."""
+
+    def __init__(
+        self, inputs: int, outputs: int, widths: tuple[int, int, int], passes: int
+    ) -> None:
+        """Take channels in and out, the widths at strides 2, 4 and 8, and the number of `Pass`."""
+        super().__init__()
+        shallow, width, deep = widths
+        # the first and the last convolution work on blocks of 2 x 2 cells: half the time
+        self.stem = nn.Sequential(nn.Conv2d(4 * inputs, shallow, 3, padding=1), Residual(shallow))
+        self.down = nn.Conv2d(shallow, width, 2, stride=2)
+        self.passes = nn.ModuleList(Pass(width, deep) for _ in range(passes))
+        self.end = Residual(width)
+        self.up = nn.Conv2d(width, 4 * shallow, 1)
+        self.join = nn.Conv2d(2 * shallow, shallow, 3, padding=1)
+        self.head = nn.Conv2d(shallow, 4 * outputs, 1)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Return features (B, outputs, H, W) and a summary of the map (B, deep).
+
+        Args:
+            seen: (B, inputs, H, W), H and W multiples of ``STRIDE``.
+        """
+        skip = F.relu(self.stem(F.pixel_unshuffle(seen, 2)))  # (B, shallow, H/2, W/2)
+        fine = self.down(skip)  # (B, width, H/4, W/4)
+        coarse = seen.new_zeros(())
+        for each in self.passes:
+            fine, coarse = each(fine, coarse)  # coarse: (B, deep, H/8, W/8)
+        up = self.up(F.relu(self.end(fine)))  # (B, 4 shallow, H/4, W/4)
+        up = F.pixel_shuffle(F.relu(up), 2)  # (B, shallow, H/2, W/2)
+        joined = F.relu(self.join(torch.cat([up, skip], dim=1)))  # (B, shallow, H/2, W/2)
+        cells = F.pixel_shuffle(self.head(joined), 2)  # (B, outputs, H, W)
+        return cells, coarse.amax(dim=(2, 3))
+
+
+def padded(occupied: Tensor) -> Tensor:
+    """Return maps (B, 1, H, W) walled in below and to the right, up to a multiple of `STRIDE`."""
+    below = -occupied.shape[2] % STRIDE
+    right = -occupied.shape[3] % STRIDE
+    return F.pad(occupied, (0, right, 0, below), value=1)
+
+
+def bfloat16(device: torch.device) -> contextlib.AbstractContextManager[Any]:
+    """Return a context for predictions: half the time where the processor multiplies bfloat16."""
+    abilities: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
+    if device.type == "cpu" and (abilities.get("avx512_bf16") or abilities.get("amx_bf16")):
+        return torch.autocast("cpu", torch.bfloat16)
+    return contextlib.nullcontext()
+
+
+# --- the optimizer ------------------------------------------------------------------------------
+
+
+def one_cycle(optimizer: torch.optim.Optimizer, steps: float) -> dict[str, Any]:
+    """Return an optimizer and its rate over ``steps``, as `configure_optimizers` may.
+
+    The optimizer's own rate is the highest: reached after 100 steps, then it falls as a cosine.
+    """
+    warm_up = min(100 / steps, 0.15)  # not 0.1: OneCycleLR cannot rise for exactly one step
+    highest = optimizer.param_groups[0]["lr"]
+    schedule = OneCycleLR(
+        optimizer,
+        highest,
+        total_steps=steps,  # type: ignore[arg-type]  # endless training is its own error
+        pct_start=warm_up,
+        cycle_momentum=False,
+    )
+    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+class Muon(torch.optim.Optimizer):
+    """Muon for the weights of layers, Adam for their biases (Jordan et al. 2024).
+
+    https://kellerjordan.github.io/posts/muon; the size of a step as in Liu et al. 2025, arXiv
+    2502.16982. torch.optim.Muon (2.13) refuses convolutions, and torch 2.1 has none.
+    """
+
+    def __init__(self, parameters: Any, lr: float, weight_decay: float = 0.01) -> None:
+        """Take what any optimizer takes."""
+        super().__init__(parameters, {"lr": lr, "weight_decay": weight_decay})
+
+    @torch.no_grad()
+    def step(self, closure: Any = None) -> Any:
+        """Change all parameters once."""
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for group in self.param_groups:
+            rate = group["lr"]
+            matrices: dict[torch.Size, list[tuple[Tensor, Tensor]]] = defaultdict(list)
+            for parameter in group["params"]:
+                if parameter.grad is None:
+                    continue
+                update = _momentum(parameter.grad, self.state[parameter])
+                if parameter.ndim < 2:
+                    parameter.sub_(update, alpha=rate)
+                else:
+                    matrix = update.flatten(1)  # (out, in * kernel cells)
+                    matrices[matrix.shape].append((parameter, matrix))
+            for shape, found in matrices.items():
+                # those of one shape together take a third of the time
+                near = _orthogonal(torch.stack([matrix for _, matrix in found]))
+                size = 0.2 * math.sqrt(max(shape)) * rate  # steps as large as Adam's
+                for (parameter, _), update in zip(found, near, strict=True):
+                    parameter.mul_(1 - rate * group["weight_decay"])
+                    parameter.sub_(update.reshape(parameter.shape), alpha=size)
+        return loss
+
+
+def _momentum(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+    """Return the direction of a step: Nesterov's momentum for matrices, Adam's for vectors."""
+    if not state:
+        state["step"] = 0
+        state["mean"] = torch.zeros_like(gradient)
+        state["square"] = torch.zeros_like(gradient)
+    state["step"] += 1
+    if gradient.ndim >= 2:
+        state["mean"].lerp_(gradient, 0.05)
+        return gradient.lerp(state["mean"], 0.95)
+    state["mean"].lerp_(gradient, 0.1)
+    state["square"].lerp_(gradient**2, 0.02)
+    mean: Tensor = state["mean"] / (1 - 0.9 ** state["step"])
+    square: Tensor = state["square"] / (1 - 0.98 ** state["step"])
+    return mean / (square.sqrt() + 1e-8)
+
+
+def _orthogonal(x: Tensor) -> Tensor:
+    """Return matrices (B, rows, columns) with all singular values near 1, by Newton-Schulz."""
+    if x.shape[1] > x.shape[2]:
+        return _orthogonal(x.mT).mT  # the products below are of the shorter side
+    x = x / (torch.linalg.matrix_norm(x, keepdim=True) + 1e-7)
+    for _ in range(5):
+        square = x @ x.mT
+        x = 3.4445 * x + (-4.7750 * square + 2.0315 * square @ square) @ x
+    return x
+
+
+# --- weights in files ---------------------------------------------------------------------------
+
+M = TypeVar("M", bound=nn.Module)
+
+MOST = 1024
+"""Largest number among the arguments of a saved model: a layer's width, how many layers."""
+
+
+def save_model(model: pl.LightningModule, file: str | PathLike[str], dtype: torch.dtype) -> None:
+    """Write a model's class, arguments and weights, as plain types and tensors of ``dtype``."""
+    arguments = {}
+    for name, value in model.hparams.items():
+        if not name.startswith("_"):  # LightningCLI adds one of its own
+            arguments[name] = list(value) if isinstance(value, tuple) else value
+    weights = {}
+    for name, value in model.state_dict().items():
+        weights[name] = value.detach().to("cpu", dtype).contiguous()
+    torch.save({"class": type(model).__name__, "arguments": arguments, "weights": weights}, file)
+
+
+def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
+    """Return the model of one of ``classes`` that `save_model` wrote, ready to use.
+
+    Nothing in the file is run, and it takes no more memory than the file is long.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: it holds no such model, or code, or less than it says; the message is one line
+            and names the file.
+    """
+    path = Path(file)
+    if not path.exists():
+        raise FileNotFoundError(f"{file}: no such file")
+    known = {each.__name__: each for each in classes}
+    try:
+        saved = _read(path)
+        kind = known[saved["class"]]
+        weights = saved["weights"]
+        with torch.device("meta"):  # its shapes alone take no memory
+            expected = kind(**saved["arguments"]).state_dict()
+        shapes = {name: value.shape for name, value in weights.items()}
+        if shapes != {name: value.shape for name, value in expected.items()}:
+            raise ValueError("its weights have other names or shapes than its arguments say")
+        model = kind(**saved["arguments"])
+        model.load_state_dict(weights)
+    except Exception as error:
+        # what torch's readers and a model's own arguments raise is not documented
+        reason = str(error).strip().split("\n")[0]
+        names = " or ".join(known)
+        message = f"{file}: holds no saved {names} ({type(error).__name__}: {reason})"
+        raise ValueError(message) from None
+    return model.eval()
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return what the file holds, checked to take no more memory than the file is long."""
+    size = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        unpacked = sum(info.file_size for info in archive.infolist())
+    if unpacked > size:
+        raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
+    saved: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    for name in ("arguments", "weights"):
+        if not isinstance(saved, dict) or not isinstance(saved.get(name), dict):
+            raise ValueError("expected arguments and weights")
+    for value in saved["arguments"].values():
+        for number in value if isinstance(value, list) else [value]:
+            # "not <=", since NaN is larger than nothing
+            if isinstance(number, (int, float)) and not abs(number) <= MOST:
+                raise ValueError(f"its arguments hold a number beyond {MOST}")
+    weights = saved["weights"].values()
+    if not all(isinstance(value, Tensor) for value in weights):
+        raise ValueError("its weights are no tensors")
+    if sum(value.numel() * value.element_size() for value in weights) > size:
+        raise ValueError("its weights are larger than the file")
+    return saved
