@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 import mapdata
 from mapdata.datasets import FIELDS
 
-ELSEWHERE = {"benchmarks.md", "format.md", "formats.md", "promises.md", "scale.md"}
+ELSEWHERE = {"benchmarks.md", "command.md", "format.md", "formats.md", "promises.md", "scale.md"}
 """Pages with a test of their own."""
 
 SLOW = {"tutorial.md"}
