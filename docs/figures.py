@@ -199,7 +199,7 @@ def presets() -> Figure:
 
 def movements() -> Figure:
     """Show the shortest path under each rule of moves."""
-    figure, axes = new_figure(1, 3, (9.5, 3.6))
+    figure, axes = new_figure(1, 3, (9.5, 3))
     grid = np.zeros((9, 11), np.uint8)
     grid[2:7, 3] = 1
     grid[4, 3:8] = 1
@@ -312,6 +312,11 @@ def planners() -> Figure:
     """Show what planners save and what that costs."""
     figure, (ax,) = new_figure(1, 1, (7.5, 5.6))
     plot_planners(planner_table(), ax)
+    legend = ax.get_legend()
+    assert legend is not None
+    for line in (*ax.lines, *legend.get_lines()):
+        if line.get_color() == "#000000":  # not seen on dark pages
+            line.set_color(mpl.rcParams["text.color"])
     return figure
 
 
