@@ -43,6 +43,7 @@ from mapdata import (  # noqa: E402
     label,
 )
 from mapdata.evaluation import classical  # noqa: E402
+from mapdata.formats import Collection, ForeignMap, import_maps  # noqa: E402
 from mapdata.generators import PRESETS  # noqa: E402
 from mapdata.plotting import (  # noqa: E402
     COLOURS,
@@ -60,7 +61,7 @@ from mapdata.plotting import (  # noqa: E402
     report,
 )
 from mapdata.problems import Problems  # noqa: E402
-from mapdata.shards import dataset_statistics  # noqa: E402
+from mapdata.shards import Root, dataset_statistics  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 WEIGHTS = ROOT / "models" / "weights"
@@ -171,20 +172,94 @@ def prediction(axes: Axes, sample: Any) -> None:
     plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=shades)
 
 
-def batch() -> Figure:
-    """Run README's loop and keep its picture."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-    session: dict[str, Any] = {"__name__": "README"}
+def run_first_block(page: str) -> dict[str, Any]:
+    """Run the first Python of a page in an empty folder; return what it defines."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    code = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)[0]
+    session: dict[str, Any] = {"__name__": page}
     before = Path.cwd()
     with TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
-            exec(compile(code, "README.md", "exec", dont_inherit=True), session)
+            exec(compile(code, page, "exec", dont_inherit=True), session)
         finally:
             os.chdir(before)
-    figure = session["figure"]
+    return session
+
+
+def batch() -> Figure:
+    """Keep the picture that README's loop ends in."""
+    figure = run_first_block("README.md")["figure"]
     assert isinstance(figure, Figure)
+    return figure
+
+
+def clearance() -> Figure:
+    """Show the label of one's own that docs/howto/labels.md computes."""
+    field = run_first_block("docs/howto/labels.md")["clearance"]
+    dataset = OnlineMapDataset(DUNGEON, 0, length=20, fields=("map", field), problems=Random())
+    figure, axes = new_figure(1, 3, (10.2, 3.6))
+    for ax, k in zip(axes, (3, 9, 12), strict=True):
+        sample: Any = dataset[k]
+        plot_grid(sample.map[0], ax)
+        values = np.asarray(sample.clearance[0])
+        image = ax.imshow(np.ma.masked_equal(values, 0), cmap="viridis", interpolation="nearest")
+        bare(ax)
+    figure.colorbar(image, ax=axes, label="clearance, cells", shrink=0.8)
+    return figure
+
+
+def imported() -> Figure:
+    """Show the floor plans that docs/howto/maps.md imports."""
+    plans = run_first_block("docs/howto/maps.md")["plans"]
+    source = Collection([ForeignMap(f"plan {k}", plan) for k, plan in enumerate(plans)])
+    figure, axes = new_figure(1, 3, (10.2, 3.8))
+    with TemporaryDirectory() as folder:
+        import_maps(folder, source, seed_points=6)
+        root = Root.open(folder)
+        for ax, index in zip(axes, (3, 8, 13), strict=True):
+            labels, i = root.map(index)
+            plot_map(labels, i, ax)
+            bare(ax, f"plan {index}")
+    return figure
+
+
+def families() -> Figure:
+    """Show the maps that docs/howto/spec.md draws."""
+    figure, axes = new_figure(1, 2, (11.5, 4))
+    plot_map(run_first_block("docs/howto/spec.md")["labels"], 0, axes[0])
+    bare(axes[0], "MapSpec(map_size=(48, 96), ...)")
+    maze = Maze((45, 69), corridor=2, reopened=0.1)
+    plot_map(label(generate(maze, 5, [0])), 0, axes[1])
+    bare(axes[1], "Maze((45, 69), corridor=2, reopened=0.1)")
+    return figure
+
+
+def speed() -> Figure:
+    """Show two tables of docs/benchmarks.md as bars."""
+    page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines()]
+    paths = {"mapdata": 1.0}
+    loading = {"mapdata": 1.0}
+    for work, _, _, ratio, _, note in (row for row in rows if len(row) == 6):
+        peer = re.split("[:,]", note)[0]
+        factor = ratio.rstrip("x").replace(",", "")
+        if work == "A* a path, 64 x 64, single calls":
+            paths[peer] = float(factor)
+        if work.endswith("map, start, goal, path_mask") and not peer.startswith("memset"):
+            loading[peer] = float(factor)
+    figure, axes = new_figure(1, 2, (10.2, 3.6))
+    titles = ("time of a path by A*, 64 x 64, log scale", "time of a sample, log scale")
+    for ax, title, factors in zip(axes, titles, (paths, loading), strict=True):
+        names = sorted(factors, key=lambda name: factors[name])
+        colours = [COLOURS["bfs" if name == "mapdata" else "astar"] for name in names]
+        bars = ax.barh(names, [factors[name] for name in names], color=colours)
+        ax.bar_label(bars, [f" {factors[name]:,.3g} x" for name in names], fontsize="small")
+        ax.set(xscale="log", title=title, xlim=(0.8, 3 * max(factors.values())))
+        ax.invert_yaxis()
+        ax.xaxis.set_visible(False)
+        for side in ("top", "right", "bottom"):
+            ax.spines[side].set_visible(False)
     return figure
 
 
@@ -382,6 +457,7 @@ def roadmaps() -> Figure:
 FIGURES: dict[str, Callable[[], Figure]] = {
     "overview": overview,
     "batch": batch,
+    "speed": speed,
     "presets": presets,
     "movements": movements,
     "figure-1": figure_1,
@@ -389,6 +465,9 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "figure-3": figure_3,
     "figure-4": figure_4,
     "distributions": distributions,
+    "families": families,
+    "imported": imported,
+    "clearance": clearance,
     "fields": fields,
     "predictions": predictions,
     "planners": planners,
