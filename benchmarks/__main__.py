@@ -20,6 +20,8 @@ TABLES = {
 }
 HEAD = """# Benchmarks
 
+![Time of a path by A* and of a sample beside other packages, in multiples](images/speed.png)
+
 Written by `python -m benchmarks{arguments}`. Everything in a table was measured in one run, the
 contestants taking turns on one machine: trust the ratios more than the times. A peer that gives
 other results than ours stops the run. Install the peers with `pip install -e ".[bench]"` (and

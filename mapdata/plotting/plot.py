@@ -31,11 +31,7 @@ STYLE: dict[Any, str] = {
     "axes.edgecolor": "0.5",
     "axes.labelsize": "small",
     "axes.titlesize": "medium",
-    "xtick.color": "0.5",
-    "xtick.labelcolor": "0.2",
     "xtick.labelsize": "small",
-    "ytick.color": "0.5",
-    "ytick.labelcolor": "0.2",
     "ytick.labelsize": "small",
 }
 """rcParams of the figures that are made here."""
@@ -62,7 +58,7 @@ def plot_grid(
         cmap, top = "gray", 1.0
     else:
         cmap, top = "gray_r", 1.25  # a grey black, on which dark lines are seen
-    axes.imshow(occupancy, cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
+    axes.imshow(np.asarray(occupancy), cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     return axes
 

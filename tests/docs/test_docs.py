@@ -8,6 +8,7 @@ import ast
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 import textwrap
@@ -18,15 +19,17 @@ from io import StringIO
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from helpers import pages, samples
 from helpers.pages import DOCS, ROOT
 from matplotlib.figure import Figure
+from PIL import Image
 
 import mapdata
 from mapdata.datasets import FIELDS
 
-ELSEWHERE = {"benchmarks.md", "format.md", "formats.md", "promises.md", "scale.md"}
+ELSEWHERE = {"benchmarks.md", "command.md", "format.md", "formats.md", "promises.md", "scale.md"}
 """Pages with a test of their own."""
 
 SLOW = {"tutorial.md"}
@@ -198,9 +201,44 @@ def test_the_notebook_runs_and_ends_in_pictures() -> None:
     assert "image/png" in notebook["cells"][-1]["outputs"][-1]["data"]
 
 
-@pytest.mark.skipif(find_spec("material") is None, reason='needs pip install -e ".[docs]"')
+def test_each_picture_is_one_that_the_script_draws() -> None:
+    """`docs/figures.py` draws all that lie there, for both themes; each is shown, in words, too."""
+    script = runpy.run_path(str(DOCS / "figures.py"))
+    drawn = {f"{name}{theme}.png" for name in script["NAMES"] for theme in ("", "-dark")}
+    assert {file.name for file in (DOCS / "images").iterdir()} == drawn
+    assert all(
+        file.stat().st_size <= script["LARGEST"] <= 150_000 for file in (DOCS / "images").iterdir()
+    )
+    texts = {page: page.read_text(encoding="utf-8") for page in DOCS.rglob("*.md")}
+    shown = {
+        (page.parent / place).resolve(): words
+        for page, text in texts.items()
+        for words, place in re.findall(r"!\[(.*?)\]\((.*?)\)", text)
+    }
+    assert all(words for words in shown.values())
+    shown[DOCS / "images" / "batch.png"] = "in README"
+    assert set(shown) == {DOCS / "images" / f"{name}.png" for name in script["NAMES"]}
+
+
+@pytest.mark.usefixtures("_in_an_empty_folder")
+def test_a_picture_is_drawn_in_both_themes(tmp_path: Path) -> None:
+    """Its words are dark on light pages and light on dark ones, its paper is that of the page."""
+    script = runpy.run_path(str(DOCS / "figures.py"))
+    script["save"]("movements", tmp_path)
+    darkest, lightest = (
+        np.asarray(Image.open(tmp_path / f"movements{theme}.png").convert("RGBA"))
+        for theme in ("", "-dark")
+    )
+    for picture in (darkest, lightest):
+        assert picture[0, 0, 3] == 0
+    titles = slice(0, 24)
+    assert darkest[titles][..., :3][darkest[titles][..., 3] > 200].mean() < 80
+    assert lightest[titles][..., :3][lightest[titles][..., 3] > 200].mean() > 150
+
+
 @pytest.mark.skipif(
-    find_spec("mkdocstrings_handlers") is None, reason='needs pip install -e ".[docs]"'
+    not all(map(find_spec, ("material", "mkdocstrings_handlers", "mkdocs_jupyter"))),
+    reason='needs pip install -e ".[docs]"',
 )
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     """Strict: each warning is an error; each public name has its place."""
@@ -225,3 +263,15 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     )
     loading = (tmp_path / "site" / "loading" / "index.html").read_text(encoding="utf-8")
     assert "LightningModule" in loading  # scripts are included
+    # In Markdown the stars of two A* in a paragraph may become emphasis.
+    pages_of_site = [
+        page.read_text(encoding="utf-8") for page in (tmp_path / "site").rglob("*.html")
+    ]
+    assert not any(re.search(r"\bA<em>", page) for page in pages_of_site)
+    assert "__post_init__" not in reference
+    notebook = (tmp_path / "site" / "first_look" / "index.html").read_text(encoding="utf-8")
+    assert "data:image/png;base64" in notebook
+    front = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    body = front.split("<article", 1)[1].split("</h1>", 1)[1]
+    assert re.match(r"\s*<p><img [^>]*images/overview.png#only-light", body)
+    assert "images/overview-dark.png#only-dark" in body

@@ -1,5 +1,5 @@
-"""What README.md shows is what happens: its Python, its commands, its recipe, its table of
-presets.
+"""What README.md shows is what happens, and so do the pages that it leads to first: the commands, the
+recipe, the table of presets.
 """
 
 from __future__ import annotations
@@ -7,9 +7,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import matplotlib as mpl
 import pytest
 from helpers import pages
-from helpers.pages import ROOT
+from helpers.pages import DOCS, ROOT
 
 from mapdata.cli import build_main
 from mapdata.generators import PRESETS, MapSpec
@@ -17,7 +18,9 @@ from mapdata.shards import Recipe
 
 PAGE = ROOT / "README.md"
 README = PAGE.read_text(encoding="utf-8")
-BLOCKS = pages.blocks(PAGE)
+COMMAND = DOCS / "command.md"
+BLOCKS = pages.blocks(COMMAND)
+LINES = 130
 
 
 @pytest.fixture(autouse=True)
@@ -32,11 +35,53 @@ def test_both_command_lines_stand_at_the_top() -> None:
     assert first + second in README.split("\n## ")[0]
 
 
-def test_every_block_runs() -> None:
-    """Python prints the text that follows it, commands run as they stand, and the pictures that are
-    named are there.
+def test_it_is_read_in_a_minute() -> None:
+    """It begins with a picture, is short, and its table of numbers has four rows, each of them with
+    a command.
     """
-    shown = pages.run(PAGE)
+    assert len(README.splitlines()) <= LINES
+    assert README.split("\n\n")[1].startswith("<picture>")
+    table = README.split("## In numbers")[1].split("## ")[0]
+    rows = re.findall(r"^\| \*\*(.*?)\*\* \| .* \| `(.*?)` \|$", table, re.MULTILINE)
+    assert len(rows) == 4
+    assert {command for _, command in rows} == {
+        f"python -m benchmarks {name} --quick" for name in ("labels", "build", "loading", "paths")
+    }
+
+
+def test_its_numbers_are_those_of_the_benchmarks() -> None:
+    """Each figure of the table stands in docs/benchmarks.md."""
+    measured = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
+    table = README.split("## In numbers")[1].split("## ")[0]
+    for said, written in {
+        "**26 µs**": "26.1 us ",
+        "947 times naive": " 947x ",
+        "679 times": " 679x ",
+        "**25,441 maps/s**": "393 ms, 25,441 maps/s",
+        "in 0.4 s": "393 ms",
+        "**1.0 M samples/s**": "1,025,900 samples/s",
+        "4.6 times": " 4.64x ",
+        "235 times": " 235x ",
+        "**3.7 µs**": " 3.71 us ",
+        "5.8 times": " 5.8x ",
+        "20.7 times": " 20.7x ",
+    }.items():
+        assert said in table
+        assert written in measured, f"README says {said}"
+
+
+def test_its_python_runs() -> None:
+    """It prints the text that follows it, and the picture that it names is there."""
+    assert [block.language for block in pages.blocks(PAGE)] == ["python", "text", "bibtex"]
+    with mpl.rc_context({"backend": "Agg"}):
+        pages.run(PAGE)
+    assert "for map, start, goal, path in" in README
+    assert Path("batch.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_command_runs() -> None:
+    """As they stand, and the picture that one names is there."""
+    shown = pages.run(COMMAND)
     commands = [
         line for block in BLOCKS if block.language == "sh" for line in block.text.splitlines()
     ]
@@ -44,8 +89,7 @@ def test_every_block_runs() -> None:
     assert len(shown) == len(commands)
     for line, printed in zip(commands, shown, strict=True):
         assert ("bit for bit" in printed) == (" build " in line and "--recipe" in line), line
-    for picture in ("map7.png", "map.png"):
-        assert Path(picture).read_bytes().startswith(b"\x89PNG")
+    assert Path("map.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_script_builds_where_the_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,7 +112,8 @@ def test_the_recipe_of_ones_own_is_one() -> None:
 
 def test_table_of_presets() -> None:
     """The table has every preset, with its limits."""
-    rows = dict(re.findall(r"^\| `(\w+)` \| (\d.*?) \| [^|]*\|$", README, re.MULTILINE))
+    page = (DOCS / "words.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (\d.*?) \| [^|]*\|$", page, re.MULTILINE))
     assert rows == {
         name: f"{spec.map_size[0]} x {spec.map_size[1]} | {spec.rooms[0]}-{spec.rooms[1]} | "
         f"{spec.room_rows[0]}-{spec.room_rows[1]} | {spec.passage_width[0]}-{spec.passage_width[1]}"
@@ -82,12 +127,15 @@ def test_table_of_presets() -> None:
     )
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "CONTRIBUTING.md", "docs/words.md", "docs/command.md", "docs/layout.md"]
+)
 def test_files_that_are_named_exist(page: str) -> None:
-    """Links and paths lead somewhere; `x.py` stands for any file."""
+    """Links, pictures and paths lead somewhere; `x.py` stands for any file."""
     text = (ROOT / page).read_text(encoding="utf-8")
     links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if "://" not in link]
+    links += re.findall(r'(?:src|srcset)="([^"]+)"', text)
     named = re.findall(r"`((?:mapdata|docs|tests|benchmarks|scripts)/[\w./]*)`", text)
-    assert [
-        name for name in links + named if not name.endswith("x.py") and not (ROOT / name).exists()
-    ] == []
+    places = [(ROOT / page).parent / link.split("#")[0] for link in links]
+    places += [ROOT / name for name in named if not name.endswith("x.py")]
+    assert [place for place in places if not place.exists()] == []
