@@ -11,9 +11,7 @@ TESTS = Path(__file__).parents[1]
 
 
 def run_helper(name: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run ``helpers.<name>`` in a process of its own: a crash is seen, and a fresh interpreter
-    measured.
-    """
+    """Run ``helpers.<name>`` in a new process, which may crash, or whose memory is measured."""
     command = [sys.executable, "-m", f"helpers.{name}", *arguments]
     path = os.pathsep.join((str(TESTS), os.environ.get("PYTHONPATH", "")))
     variables = {**os.environ, **environment, "PYTHONPATH": path}

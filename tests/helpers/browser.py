@@ -1,5 +1,6 @@
-"""A headless Chromium for tests of a page: the DevTools protocol over two pipes, so no driver and
-no port is needed.
+"""A headless Chromium for tests of a page.
+
+It is driven by the DevTools protocol over two pipes, so that no driver and no port is needed.
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-PROGRAM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+PROGRAM = next(filter(None, map(shutil.which, _NAMES)), None)
 """The browser, None where there is none."""
 
 _FLAGS = (
@@ -35,14 +35,27 @@ _FLAGS = (
 )
 _PATIENCE = 60.0
 
-# Chromium talks over descriptors 3 and 4; those we have may have any number.
-_START = "import os, sys; a, b = map(int, sys.argv[1:3]); a, b = os.dup(a), os.dup(b); os.dup2(a, 3); os.dup2(b, 4); "
-_START += "[os.set_inheritable(k, True) for k in (3, 4)]; os.execv(sys.argv[3], sys.argv[3:])"
+_START = """
+import os, sys
+
+# Chromium talks over descriptors 3 and 4; those given here may have any number, even 4 and 3.
+commands = os.dup(int(sys.argv[1]))
+answers = os.dup(int(sys.argv[2]))
+os.dup2(commands, 3)
+os.dup2(answers, 4)
+os.set_inheritable(3, True)
+os.set_inheritable(4, True)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""Program that becomes Chromium, with the pipes where it expects them."""
 
 
 class Browser:
-    """One tab. ``errors`` gathers what the console says and exceptions of the page; ``requests``
-    what it fetched.
+    """One tab.
+
+    Attributes:
+        errors: what the console said, and exceptions of the page.
+        requests: what the page fetched.
     """
 
     def __init__(self, profile: Path) -> None:
@@ -59,14 +72,15 @@ class Browser:
         )
         os.close(theirs_in)
         os.close(theirs_out)
-        self._number, self._buffer, self._session = 0, b"", ""
+        self._number = 0
+        self._buffer = b""
+        self._session = ""
         self.errors: list[str] = []
         self.requests: list[str] = []
         targets = self.send("Target.getTargets")["targetInfos"]
         target = next(one["targetId"] for one in targets if one["type"] == "page")
-        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)[
-            "sessionId"
-        ]
+        attached = self.send("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
 
@@ -124,11 +138,8 @@ class Browser:
         )
         theme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[theme])
-        path.write_bytes(
-            base64.b64decode(
-                self.send("Page.captureScreenshot", captureBeyondViewport=False)["data"]
-            )
-        )
+        picture = self.send("Page.captureScreenshot", captureBeyondViewport=False)
+        path.write_bytes(base64.b64decode(picture["data"]))
 
     def send(self, method: str, **values: object) -> dict[str, Any]:
         """Send a command of the DevTools protocol and return its result."""

@@ -1,6 +1,4 @@
-"""A dataset of three shards that the tests of building share, and what they look at in its
-folder.
-"""
+"""A dataset of three shards that tests of building share, and what they look at in its folder."""
 
 from __future__ import annotations
 
@@ -22,7 +20,10 @@ from mapdata.shards import MANIFEST, Manifest, read_manifest
 from mapdata.spec import canonical_json
 
 SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)
-SEED, MAPS, SIZE = 5, 11, 4
+SEED = 5
+MAPS = 11
+SIZE = 4
+"""Maps in a shard."""
 
 SOUND_SPEC = MapSpec(
     (20, 70),
@@ -85,9 +86,7 @@ def stamps(root: Path) -> dict[str, Stamp]:
 
 
 def restated(text: str, change: Callable[[dict[str, Any]], object]) -> str:
-    """Return a manifest with other values and the hash that fits them, as a hostile one would
-    have.
-    """
+    """Return a manifest with other values and the hash that fits them, as a hostile one has."""
     values = json.loads(text)
     del values["manifest_hash"]
     change(values)
@@ -124,9 +123,7 @@ class InTheCaller(Executor):
 
 @contextmanager
 def unprivileged_folder(mode: int = 0o555) -> Iterator[Path]:
-    """Give a folder of this mode to a user whom modes stop: root becomes nobody for as long as it
-    lasts.
-    """
+    """Give a folder of this mode to a user whom modes stop: root becomes nobody meanwhile."""
     with tempfile.TemporaryDirectory() as outer:
         os.chmod(outer, 0o755)  # pytest's own folders are closed to other users
         folder = Path(outer) / "root"

@@ -23,43 +23,47 @@ def figure_of(axes: Axes) -> Figure:
 def assert_tidy(figure: Figure) -> None:
     """Check that all words are inside the figure and that none covers another, or a map."""
     figure.draw_without_rendering()
-    page, boxes = figure.bbox.padded(0.5), {}
+    page = figure.bbox.padded(0.5)
+    boxes = {}
     for k, axes in enumerate(figure.axes):
-        ticks = [
-            tick.label1
-            for axis in (axes.xaxis, axes.yaxis)
-            for tick in axis.get_major_ticks()
-            if axes.axison
-            and min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
-        ]
-        words = [axes.title, axes.xaxis.label, axes.yaxis.label, *ticks, axes.get_legend()]
+        words = [axes.title, axes.xaxis.label, axes.yaxis.label, *_ticks(axes), axes.get_legend()]
         for number, word in enumerate(words):
-            if (
-                word is not None
-                and word.get_visible()
-                and (not isinstance(word, Text) or word.get_text())
-            ):
-                boxes[k, number] = word.get_window_extent()
+            if word is None or not word.get_visible():
+                continue
+            if isinstance(word, Text) and not word.get_text():
+                continue
+            boxes[k, number] = word.get_window_extent()
         if axes.axison:
             boxes[k, -1] = axes.get_window_extent()
     for name, box in boxes.items():
-        assert page.x0 <= box.x0 and box.x1 <= page.x1, f"{name} is cut off at the side"  # noqa: PT018
-        assert page.y0 <= box.y0 and box.y1 <= page.y1, f"{name} is cut off above or below"  # noqa: PT018
+        assert page.x0 <= box.x0, f"{name} is cut off on the left"
+        assert box.x1 <= page.x1, f"{name} is cut off on the right"
+        assert page.y0 <= box.y0, f"{name} is cut off below"
+        assert box.y1 <= page.y1, f"{name} is cut off above"
     for (a, first), (b, second) in combinations(boxes.items(), 2):
         shared = Bbox.intersection(first.padded(-1), second.padded(-1))
         assert shared is None or shared.width * shared.height <= 0, f"{a} covers {b}"
 
 
+def _ticks(axes: Axes) -> list[Text]:
+    """Return the labels of the ticks that are inside the axes."""
+    found = []
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        for tick in axis.get_major_ticks():
+            if axes.axison and low <= tick.get_loc() <= high:
+                found.append(tick.label1)
+    return found
+
+
 def drawn(axes: Axes, colour: str) -> list[npt.NDArray[np.int64]]:
     """Return the lines of a colour as cells (row, col)."""
-    lines = [
-        line
-        for line in axes.get_lines()
-        if to_hex(line.get_color()).upper() == colour and line.get_linestyle()
-    ]
-    return [
-        np.stack((line.get_ydata(), line.get_xdata()), axis=1).astype(np.int64) for line in lines
-    ]
+    found = []
+    for line in axes.get_lines():
+        if to_hex(line.get_color()).upper() == colour and line.get_linestyle():
+            cells = np.stack((line.get_ydata(), line.get_xdata()), axis=1)
+            found.append(cells.astype(np.int64))
+    return found
 
 
 def assert_lines(found: list[npt.NDArray[np.int64]], expected: list[npt.NDArray[np.int64]]) -> None:

@@ -1,7 +1,6 @@
-"""Changes real files at random and reads them: `PYTHONPATH=tests python -m helpers.fuzzing shards`
-(or `formats`).
+"""Changes real files at random and reads them.
 
-A case is a function of (target, seed, number). Its files stand in the folder while it is read, so
+`PYTHONPATH=tests python -m helpers.fuzzing shards` (or `formats`) runs it. A case is a function of (target, seed, number). Its files stand in the folder while it is read, so
 that a crash leaves them behind; a case that hangs ends the program with a traceback, one that takes
 more than 200 MB of address space runs out of memory. Expected are data, or the one error that the
 reader names.
@@ -50,24 +49,27 @@ Case: TypeAlias = Callable[[random.Random, Path], str]
 """Writes one case into an empty folder and reads it; returns what became of it."""
 
 
+_ODD_BYTES = (b"\0", b"\xff", b"\x7f", b"-", b"9", b'"', b",", b"\n", b"[", b"e")
+_ODD_INTEGERS = (0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1)
+_ODD_NUMBERS = (b"-1", b"1e999", b"nan", b"99999999999999999999", b"0x1", b"65536")
+
+
 def changed(draw: random.Random, data: bytes) -> bytes:
     """Return ``data`` after one to four changes."""
     out = bytearray(data)
     for _ in range(draw.randint(1, 4)):
-        at, more = draw.randrange(len(out) + 1), draw.randint(1, 16)
+        at = draw.randrange(len(out) + 1)
+        more = draw.randint(1, 16)
         what = draw.choice(("flip", "byte", "word", "copy", "insert", "delete", "cut", "number"))
         if what == "flip" and at < len(out):
             out[at] ^= 1 << draw.randrange(8)
         elif what == "byte":
-            out[at : at + 1] = draw.choice(
-                (b"\0", b"\xff", b"\x7f", b"-", b"9", b'"', b",", b"\n", b"[", b"e")
-            )
+            out[at : at + 1] = draw.choice(_ODD_BYTES)
         elif what == "word":
-            word = draw.choice(
-                (0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1, len(out), at)
-            )
+            word = draw.choice((*_ODD_INTEGERS, len(out), at))
             size = draw.choice((2, 4, 8))
-            out[at : at + size] = (word % 256**size).to_bytes(size, draw.choice(("little", "big")))
+            order = draw.choice(("little", "big"))
+            out[at : at + size] = (word % 256**size).to_bytes(size, order)
         elif what == "copy":
             source = draw.randrange(len(out) + 1)
             out[at : at + more] = out[source : source + more]
@@ -76,9 +78,7 @@ def changed(draw: random.Random, data: bytes) -> bytes:
         elif what == "delete":
             del out[at : at + more]
         elif what == "number":
-            out[at:at] = draw.choice(
-                (b"-1", b"1e999", b"nan", b"99999999999999999999", b"0x1", b"65536")
-            )
+            out[at:at] = draw.choice(_ODD_NUMBERS)
         elif draw.random() < 0.2:
             del out[at:]
     return bytes(out)
@@ -136,9 +136,7 @@ LIMITS = Limits(pixels=2**16, unpacked=2**22)
 
 
 def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each foreign format: what mapdata exports, and small files of other
-    kinds.
-    """
+    """Yield the cases of each foreign format, from what mapdata exports."""
     root = folder / "maps"
     build(root, SPEC, maps=6, seed=2)
     for kind in ("paper", "movingai", "planning-datasets"):
@@ -152,11 +150,9 @@ def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
 
 
 def _format_case(source: Path, kind: str) -> Case:
-    paths = (
-        [source]
-        if source.is_file()
-        else sorted(path for path in source.rglob("*") if path.is_file())
-    )
+    paths = [source]
+    if source.is_dir():
+        paths = sorted(path for path in source.rglob("*") if path.is_file())
     files = {str(path.relative_to(source.parent)): path.read_bytes() for path in paths}
 
     def case(draw: random.Random, folder: Path) -> str:
@@ -187,9 +183,7 @@ TARGETS = {"shards": shard_cases, "formats": format_cases}
 
 
 def main() -> None:
-    """Run cases until there are enough of them or the time is over, and print what became of
-    them.
-    """
+    """Run cases until there are enough or the time is over, and print what became of them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("target", choices=TARGETS)
     parser.add_argument("--cases", type=int, default=10**9)
@@ -199,7 +193,10 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp(prefix="fuzzing-"))
     kinds = list(TARGETS[arguments.target](folder / "sound"))
     counts: Counter[str] = Counter()
-    here, end, slowest, limited = folder / "case", time.monotonic() + arguments.seconds, 0.0, False
+    here = folder / "case"
+    end = time.monotonic() + arguments.seconds
+    slowest = 0.0
+    limited = False
     for number in range(arguments.cases):
         kind, case = kinds[number % len(kinds)]
         shutil.rmtree(here, ignore_errors=True)

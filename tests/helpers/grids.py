@@ -27,14 +27,16 @@ def serpentine(height: int, width: int, source: np.random.Generator) -> npt.NDAr
 
 def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
     """Return grids with a third of the cells occupied."""
-    return list((np.random.default_rng(0).random((count, rows, columns)) < 0.3).astype(np.uint8))
+    noise = np.random.default_rng(0).random((count, rows, columns))
+    return list((noise < 0.3).astype(np.uint8))
 
 
 def scipy_distances(
     grid: Array, cells: Sequence[Cell], movement: Movement
 ) -> npt.NDArray[np.float64]:
-    """Return (n, H, W) distances from n cells, -1 unreachable: scipy on a graph of shifted copies
-    of the grid.
+    """Return (n, H, W) distances from n cells, -1 unreachable, by scipy.
+
+    The edges of one direction are those between the free cells of the grid and of a shifted copy.
     """
     height, width = grid.shape
     free = np.pad(grid == 0, 1)
@@ -44,19 +46,21 @@ def scipy_distances(
         """Return, per cell, the array's value at its neighbour."""
         return array[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
-    rows, columns, costs = [], [], []
+    rows = []
+    columns = []
+    costs = []
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
-            if (down, right) == (0, 0) or (movement.connectivity == 4 and down and right):
+            diagonal = down != 0 and right != 0
+            if (down, right) == (0, 0) or (movement.connectivity == 4 and diagonal):
                 continue
             usable = shifted(free, 0, 0) & shifted(free, down, right)
-            if down and right and not movement.corner_cutting:
+            if diagonal and not movement.corner_cutting:
                 usable = usable & shifted(free, down, 0) & shifted(free, 0, right)
             rows.append(shifted(number, 0, 0)[usable])
             columns.append(shifted(number, down, right)[usable])
-            costs.append(
-                np.full(int(usable.sum()), movement.diagonal_cost if down and right else 1.0)
-            )
+            cost = movement.diagonal_cost if diagonal else 1.0
+            costs.append(np.full(int(usable.sum()), cost))
     edges = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
     graph = sparse.csr_array(edges, shape=(grid.size, grid.size))
     distances = csgraph.dijkstra(graph, indices=[row * width + column for row, column in cells])

@@ -21,7 +21,8 @@ def collection(*grids: Bytes, **fields: object) -> Collection:
 def imported(root: Path) -> Path:
     """Import a few maps: one twice in two splits, one turned over."""
     grids = generate(SPEC, 5, range(6)).occupancy
-    grids[4], grids[5] = grids[0], grids[1][::-1]
+    grids[4] = grids[0]
+    grids[5] = grids[1][::-1]
     splits = (0, 0, 1, 2, 2, 1)
     maps = [
         ForeignMap(f"{NASTY} {k}", grid, split=code)

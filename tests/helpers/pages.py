@@ -19,9 +19,7 @@ DOCS = ROOT / "docs"
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, its text with included files, and the number of its first
-    line.
-    """
+    """A fenced block: its language, its text with included files, and where it begins."""
 
     language: str
     text: str
@@ -29,9 +27,7 @@ class Block(NamedTuple):
 
 
 def blocks(page: Path) -> list[Block]:
-    """Return the fenced blocks of a page, files that it includes in place of the lines that name
-    them.
-    """
+    """Return the fenced blocks of a page, with the text of the files that it includes."""
     text = page.read_text(encoding="utf-8")
     found = re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     return [Block(one[1], _included(one[2]), text.count("\n", 0, one.start()) + 2) for one in found]
@@ -47,8 +43,10 @@ def _included(text: str) -> str:
 
 
 def run(page: Path) -> list[str]:
-    """Run all blocks of ``page`` in the working folder: Python in one session, commands of the
-    shell, JSON as recipes. A block of text after one of Python is what that prints.
+    """Run all blocks of ``page`` in the working folder.
+
+    Python runs in one session; lines of shell are run, JSON is parsed. A block of text after one of
+    Python is what that prints.
 
     Returns:
         What each line of shell printed.
@@ -64,9 +62,9 @@ def run(page: Path) -> list[str]:
         if language == "python":
             output = StringIO()
             with redirect_stdout(output):
-                exec(
-                    compile("\n" * (line - 1) + text, str(page), "exec", dont_inherit=True), session
-                )
+                # Behind so many empty lines, a traceback names the line of the page.
+                source = "\n" * (line - 1) + text
+                exec(compile(source, str(page), "exec", dont_inherit=True), session)
             printed = output.getvalue()
         elif language == "sh":
             shown += [shell(command, where) for command in text.splitlines()]
@@ -82,8 +80,9 @@ def run(page: Path) -> list[str]:
 
 
 def shell(command: str, where: str) -> str:
-    """Run one line of shell, ``mapdata ...`` or ``python scripts/...``, in this process; return
-    what it printed.
+    """Run one line of shell in this process; return what it printed.
+
+    It is ``mapdata ...`` or ``python scripts/...``.
     """
     program, *arguments = shlex.split(command, comments=True)
     target = arguments.pop() if ">" in arguments else None

@@ -24,7 +24,8 @@ def main(root: str, out: Path, devices: int) -> None:
     every = ModelCheckpoint(out / "steps", "{step}", every_n_train_steps=MIDDLE, save_top_k=-1)
     run = trainer(callbacks=[every], enable_checkpointing=True, num_sanity_val_steps=0, **ranks)
     run.fit(model, datamodule=module(root, batch_size=BATCH))
-    trained, model.others["val"] = model.others["val"], []
+    trained = model.others["val"]
+    model.others["val"] = []
     run.validate(model, datamodule=module(root, batch_size=BATCH), verbose=False)
     run.test(model, datamodule=module(root, batch_size=BATCH), verbose=False)
     run.predict(model, datamodule=module(root, batch_size=BATCH), return_predictions=False)

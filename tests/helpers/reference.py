@@ -1,5 +1,4 @@
-"""Slow, obviously right plain Python: what `mapdata` must equal, written from the words of the
-design.
+"""Slow, obviously right plain Python: what `mapdata` must equal, written from docs/format.md.
 
 Nothing here imports `mapdata` and nothing is clever: lists, a deque, a heap, Python's unbounded
 integers; numpy only holds results. A grid is a list of rows, 1 occupied and 0 free; a cell is
@@ -35,30 +34,26 @@ MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER = range(5)
 
 
 def philox4x32(counter: Sequence[int], key: Sequence[int]) -> Words:
-    """Philox4x32-10 as Random123 publishes it (Salmon et al., SC11): ten rounds, the key bumped
-    between them.
-    """
+    """Philox4x32-10 as Salmon et al., SC 2011, publish it: ten rounds, each with another key."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(10):
-        first, second = 0xD2511F53 * c0, 0xCD9E8D57 * c2
-        c0, c1, c2, c3 = (
-            (second >> 32) ^ c1 ^ k0,
-            second & WORD,
-            (first >> 32) ^ c3 ^ k1,
-            first & WORD,
-        )
-        k0, k1 = (k0 + 0x9E3779B9) & WORD, (k1 + 0xBB67AE85) & WORD
+        first = 0xD2511F53 * c0
+        second = 0xCD9E8D57 * c2
+        c0 = (second >> 32) ^ c1 ^ k0
+        c1 = second & WORD
+        c2 = (first >> 32) ^ c3 ^ k1
+        c3 = first & WORD
+        k0 = (k0 + 0x9E3779B9) & WORD
+        k1 = (k1 + 0xBB67AE85) & WORD
     return c0, c1, c2, c3
 
 
 def block(seed: int, index: int, epoch: int, stream: int, number: int) -> Words:
-    """Return a block: key = the 64-bit seed, counter = (index low, index high, epoch, stream and
-    number).
-    """
-    return philox4x32(
-        (index & WORD, index >> 32, epoch, stream << 24 | number), (seed & WORD, seed >> 32)
-    )
+    """Return a block of four 32-bit words."""
+    counter = (index & WORD, index >> 32, epoch, stream << 24 | number)
+    key = (seed & WORD, seed >> 32)
+    return philox4x32(counter, key)
 
 
 def bounded(word: int, low: int, high: int) -> int:
@@ -75,9 +70,7 @@ def threshold(probability: float) -> int:
 
 
 class ReferenceMap(NamedTuple):
-    """One map: occupancy as rows, seeds and drawn sizes a room, directions a passage, split 0
-    train, 1 val, 2 test.
-    """
+    """One map: sizes are as drawn, before clipping; split is 0 train, 1 val, 2 test."""
 
     occupancy: list[list[int]]
     passage_width: int
@@ -96,9 +89,7 @@ def carve(grid: list[list[int]], rows: range, columns: range) -> None:
 
 
 def across(seed: int, width: int) -> range:
-    """Return the cells that a room side or a passage of this width covers about its seed, before
-    clipping.
-    """
+    """Return the cells that a side of this width covers about its seed, before clipping."""
     return range(seed - width // 2, seed - width // 2 + width)
 
 
@@ -112,29 +103,32 @@ def carve_passage(
 ) -> None:
     """Carve both legs of the passage between two seeds and the full square at its corner."""
     corner = (start[0], goal[1]) if horizontal_first else (goal[0], start[1])
-    carve(
-        grid, across(corner[0], width), between(start[1], goal[1])
-    )  # the horizontal leg lies in the corner's row
-    carve(
-        grid, between(start[0], goal[0]), across(corner[1], width)
-    )  # the vertical leg lies in the corner's column
-    carve(grid, across(corner[0], width), across(corner[1], width))
+    rows = across(corner[0], width)
+    columns = across(corner[1], width)
+    carve(grid, rows, between(start[1], goal[1]))  # the horizontal leg lies in the corner's row
+    carve(grid, between(start[0], goal[0]), columns)  # the vertical one in its column
+    carve(grid, rows, columns)
 
 
 def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
-    """Draw and carve one map with Algorithm 1: all rooms, then the passages between consecutive
-    rooms.
-    """
+    """Draw and carve one map: all rooms, then the passages between consecutive ones."""
     height, width = spec.map_size
     first = block(seed, index, 0, MAP, 0)
-    rooms, passage = bounded(first[0], *spec.rooms), bounded(first[1], *spec.passage_width)
+    rooms = bounded(first[0], *spec.rooms)
+    passage = bounded(first[1], *spec.passage_width)
     grid = [[1] * width for _ in range(height)]
-    seed_points, sizes, directions = [], [], []
+    seed_points = []
+    sizes = []
+    directions = []
     for q in range(rooms):
         words = block(seed, index, 0, MAP, 1 + 2 * q)
-        seed_points.append((bounded(words[0], 0, height - 1), bounded(words[1], 0, width - 1)))
-        sizes.append((bounded(words[2], *spec.room_rows), bounded(words[3], *spec.room_columns)))
-        carve(grid, across(seed_points[q][0], sizes[q][0]), across(seed_points[q][1], sizes[q][1]))
+        row = bounded(words[0], 0, height - 1)
+        column = bounded(words[1], 0, width - 1)
+        tall = bounded(words[2], *spec.room_rows)
+        wide = bounded(words[3], *spec.room_columns)
+        seed_points.append((row, column))
+        sizes.append((tall, wide))
+        carve(grid, across(row, tall), across(column, wide))
     for q in range(rooms - 1):
         words = block(seed, index, 0, MAP, 2 + 2 * q)
         if words[0] < threshold(spec.skip_probability):
@@ -143,9 +137,8 @@ def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
         horizontal_first = bounded(words[1], 0, 1) == 1
         directions.append((1, 0) if horizontal_first else (0, 1))
         carve_passage(grid, seed_points[q], seed_points[q + 1], passage, horizontal_first)
-    return ReferenceMap(
-        grid, passage, seed_points, sizes, directions, reference_split(spec, seed, index)
-    )
+    split = reference_split(spec, seed, index)
+    return ReferenceMap(grid, passage, seed_points, sizes, directions, split)
 
 
 def reference_split(spec: Generator, seed: int, index: int) -> int:
@@ -170,17 +163,19 @@ def is_free(grid: Grid, cell: Cell) -> bool:
 
 
 def neighbours(grid: Grid, cell: Cell, movement: Movement) -> Iterator[tuple[Cell, Pair]]:
-    """Yield the cells one move away and the move's cost, in the order N, E, S, W, NE, SE, SW,
-    NW.
-    """
+    """Yield the cells one move away and the move's cost: N, E, S, W, NE, SE, SW, NW."""
     row, column = cell
     for down, right in STRAIGHT:
-        if is_free(grid, (row + down, column + right)):
-            yield (row + down, column + right), (1, 0)
-    for down, right in DIAGONAL if movement.connectivity == 8 else ():
+        neighbour = (row + down, column + right)
+        if is_free(grid, neighbour):
+            yield neighbour, (1, 0)
+    if movement.connectivity == 4:
+        return
+    for down, right in DIAGONAL:
+        neighbour = (row + down, column + right)
         beside = is_free(grid, (row + down, column)) and is_free(grid, (row, column + right))
-        if is_free(grid, (row + down, column + right)) and (beside or movement.corner_cutting):
-            yield (row + down, column + right), (0, 1)
+        if is_free(grid, neighbour) and (beside or movement.corner_cutting):
+            yield neighbour, (0, 1)
 
 
 def weigh(cost: Pair, movement: Movement) -> int:
@@ -190,7 +185,8 @@ def weigh(cost: Pair, movement: Movement) -> int:
     different pairs below 2**21 differ by more than 2**-24.
     """
     one = 1 << 64
-    return cost[0] * one + cost[1] * (one if movement.diagonal_cost == 1 else isqrt(2 * one * one))
+    diagonal = one if movement.diagonal_cost == 1 else isqrt(2 * one * one)
+    return cost[0] * one + cost[1] * diagonal
 
 
 def as_float(cost: Pair, movement: Movement) -> float:
@@ -205,21 +201,18 @@ def add(one: Pair, other: Pair) -> Pair:
 
 def heuristic(cell: Cell, goal: Cell, movement: Movement) -> Pair:
     """Return the cost of the way to the goal on an empty map: Manhattan or octile."""
-    rows, columns = abs(cell[0] - goal[0]), abs(cell[1] - goal[1])
-    return (
-        (rows + columns, 0)
-        if movement.connectivity == 4
-        else (abs(rows - columns), min(rows, columns))
-    )
+    rows = abs(cell[0] - goal[0])
+    columns = abs(cell[1] - goal[1])
+    if movement.connectivity == 4:
+        return rows + columns, 0
+    return abs(rows - columns), min(rows, columns)
 
 
 # --- searches -----------------------------------------------------------------------------------
 
 
 class ReferenceResult(NamedTuple):
-    """A path (empty when there is none), its cost (-1 when there is none), and the cells taken from
-    the frontier.
-    """
+    """A path and its cost (empty and -1 when there is none), and the cells taken off the frontier."""
 
     path: list[Cell]
     cost: float
@@ -236,7 +229,9 @@ def trace(parents: dict[Cell, Cell], goal: Cell) -> list[Cell]:
 
 def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
     """First in, first out; the cost counts moves."""
-    frontier, parents, iterations = deque([start]), {start: start}, 0
+    frontier = deque([start])
+    parents = {start: start}
+    iterations = 0
     while frontier:
         cell = frontier.popleft()
         iterations += 1
@@ -251,12 +246,12 @@ def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> Re
 
 
 def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
-    """Pop the least f, among equal f the most recently pushed; a parent changes only for a smaller
-    g.
-    """
+    """Pop the least f, of equal ones the latest; a parent changes only for a smaller g."""
     frontier = [(weigh(heuristic(start, goal, movement), movement), 0, start)]
     costs: dict[Cell, Pair] = {start: (0, 0)}
-    parents, taken, pushes = {start: start}, set[Cell](), 0
+    parents = {start: start}
+    taken: set[Cell] = set()
+    pushes = 0
     while frontier:
         cell = heapq.heappop(frontier)[2]
         if cell in taken:
@@ -264,13 +259,13 @@ def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> 
             continue
         taken.add(cell)
         if cell == goal:
-            return ReferenceResult(
-                trace(parents, goal), as_float(costs[goal], movement), len(taken)
-            )
+            path = trace(parents, goal)
+            return ReferenceResult(path, as_float(costs[goal], movement), len(taken))
         for neighbour, step in neighbours(grid, cell, movement):
             cost = add(costs[cell], step)
             if neighbour not in costs or weigh(cost, movement) < weigh(costs[neighbour], movement):
-                costs[neighbour], parents[neighbour] = cost, cell
+                costs[neighbour] = cost
+                parents[neighbour] = cell
                 pushes += 1
                 estimate = weigh(add(cost, heuristic(neighbour, goal, movement)), movement)
                 heapq.heappush(frontier, (estimate, -pushes, neighbour))
@@ -280,7 +275,8 @@ def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> 
 def reference_distances(grid: Grid, goal: Cell, movement: Movement) -> dict[Cell, Pair]:
     """Dijkstra: the exact cost from every cell that reaches the goal."""
     costs: dict[Cell, Pair] = {goal: (0, 0)}
-    frontier, taken = [(0, goal)], set[Cell]()
+    frontier = [(0, goal)]
+    taken: set[Cell] = set()
     while frontier:
         cell = heapq.heappop(frontier)[1]
         if cell in taken:
@@ -316,9 +312,7 @@ Band: TypeAlias = tuple[float, float]
 def reference_problem(
     grid: Grid, seed: int, index: int, epoch: int, bands: Sequence[Band], movement: Movement
 ) -> ReferenceProblem | None:
-    """Sample a problem: a uniform goal, then a uniform start among those whose distance, hardness
-    and length fit.
-    """
+    """Sample a goal, then one of the starts whose distance, hardness and length fit the bands."""
     cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
     free = [cell for cell in cells if is_free(grid, cell)]
     for attempt in range(32 if free else 0):
@@ -342,23 +336,26 @@ def reference_problem(
 
 
 def first_bad_step(grid: Grid, path: Sequence[Cell], movement: Movement) -> int | None:
-    """Return the place in a non-empty path of the first cell that cannot be walked to, or None when
-    all is well.
-    """
+    """Return which cell of a non-empty path is the first that cannot be walked to, if any."""
     if not is_free(grid, path[0]):
         return 0
     for place in range(1, len(path)):
-        if path[place] not in [
-            neighbour for neighbour, _ in neighbours(grid, path[place - 1], movement)
-        ]:
+        near = [neighbour for neighbour, _ in neighbours(grid, path[place - 1], movement)]
+        if path[place] not in near:
             return place
     return None
 
 
 def path_cost(path: Sequence[Cell], movement: Movement) -> float:
     """Return the cost of a good path."""
-    diagonal = sum(a[0] != b[0] and a[1] != b[1] for a, b in pairwise(path))
-    return as_float((len(path) - 1 - diagonal, diagonal), movement)
+    straight = 0
+    diagonal = 0
+    for a, b in pairwise(path):
+        if a[0] != b[0] and a[1] != b[1]:
+            diagonal += 1
+        else:
+            straight += 1
+    return as_float((straight, diagonal), movement)
 
 
 # --- labels -------------------------------------------------------------------------------------
@@ -376,12 +373,8 @@ def reference_route(
 def reference_matrix(
     search: Search, grid: Grid, seed_points: Sequence[Cell], movement: Movement
 ) -> npt.NDArray[np.float64]:
-    """Search every entry of the n x n connection matrix: the path cost between two seeds, -1 when
-    there is no path.
-    """
-    return np.array(
-        [
-            [search(grid, start, goal, movement).cost for goal in seed_points]
-            for start in seed_points
-        ]
-    )
+    """Search every entry of the n x n connection matrix: the path cost, -1 when there is none."""
+    rows = []
+    for start in seed_points:
+        rows.append([search(grid, start, goal, movement).cost for goal in seed_points])
+    return np.array(rows)

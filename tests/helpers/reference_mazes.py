@@ -11,35 +11,39 @@ STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 
 def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
     """Return a maze: the lattice's cells and its open walls first, then the grid that they make."""
-    tall, wide = ((side - spec.wall) // (spec.corridor + spec.wall) for side in spec.map_size)
+    pitch = spec.corridor + spec.wall
+    tall, wide = ((side - spec.wall) // pitch for side in spec.map_size)
     trail: list[Cell] = [(0, 0)]
     seen = {(0, 0)}
     opened: set[frozenset[Cell]] = set()
     steps = 0
     while trail:
         row, column = trail[-1]
-        around = [(row + down, column + right) for down, right in STEPS]
-        fresh = [
-            cell
-            for cell in around
-            if 0 <= cell[0] < tall and 0 <= cell[1] < wide and cell not in seen
-        ]
+        fresh = []
+        for down, right in STEPS:
+            r = row + down
+            c = column + right
+            if 0 <= r < tall and 0 <= c < wide and (r, c) not in seen:
+                fresh.append((r, c))
         if not fresh:
             trail.pop()
             continue
-        cell = fresh[bounded(block(seed, index, 0, MAP, steps)[0], 0, len(fresh) - 1)]
+        word = block(seed, index, 0, MAP, steps)[0]
+        cell = fresh[bounded(word, 0, len(fresh) - 1)]
         steps += 1
         opened.add(frozenset((trail[-1], cell)))
         seen.add(cell)
         trail.append(cell)
-    walls = [((k // wide, k % wide), side) for k in range(tall * wide) for side in ((0, 1), (1, 0))]
-    for number, ((row, column), (down, right)) in enumerate(walls):
-        other = (row + down, column + right)
-        inside = other[0] < tall and other[1] < wide
-        if inside and block(seed, index, 0, MAP, steps + number)[0] < threshold(spec.reopened):
-            opened.add(frozenset(((row, column), other)))
+    number = steps
+    for row in range(tall):
+        for column in range(wide):
+            for other in ((row, column + 1), (row + 1, column)):
+                word = block(seed, index, 0, MAP, number)[0]
+                number += 1
+                inside = other[0] < tall and other[1] < wide
+                if inside and word < threshold(spec.reopened):
+                    opened.add(frozenset(((row, column), other)))
     grid = [[1] * spec.map_size[1] for _ in range(spec.map_size[0])]
-    pitch = spec.corridor + spec.wall
     for row, column in seen:
         for r in range(spec.corridor):
             for c in range(spec.corridor):
@@ -54,15 +58,11 @@ def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
 
 
 def reference_points(cells: list[Cell], seed: int, index: int, count: int) -> list[Cell]:
-    """Return seed points that lie far apart: of 8 candidates the one with the widest gap, until
-    there are enough.
-    """
+    """Return seed points that lie far apart: each the one of 8 candidates with the widest gap."""
 
     def gap(cell: Cell) -> float:
-        return min(
-            ((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in points),
-            default=float("inf"),
-        )
+        squares = [(cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in points]
+        return min(squares, default=float("inf"))
 
     points: list[Cell] = []
     for k in range(min(count, len(cells))):

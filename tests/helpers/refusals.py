@@ -1,9 +1,8 @@
-"""Reads hostile files, named as ``loader=path``, and prints what each costs: run by
-shards/test_hostile.py.
+"""Reads hostile files, named as ``loader=path``, and prints what each costs.
 
-A line for each: loader, path, name of the error, bytes of memory that it took at most. All together
-they get two
-minutes of processor time, a hundred times what they need.
+shards/test_hostile.py runs it. A line for each: loader, path, name of the error, bytes of memory
+that it took at most. All together they get two minutes of processor time, a hundred times what they
+need.
 """
 
 from __future__ import annotations
@@ -46,9 +45,8 @@ def memory(what: str) -> int:
 
 def main() -> None:
     """Read all files, in the order given."""
-    resource.setrlimit(
-        resource.RLIMIT_CPU, (120, 120)
-    )  # a loader that hangs ends here, and is seen
+    # A loader that hangs ends here, and is seen.
+    resource.setrlimit(resource.RLIMIT_CPU, (120, 120))
     for argument in sys.argv[1:]:
         loader, path = argument.split("=", 1)
         Path("/proc/self/clear_refs").write_text("5")  # resets VmHWM
@@ -57,11 +55,9 @@ def main() -> None:
         try:
             LOADERS[loader](path)
         except Exception as error:  # its name is what the test looks at
-            name = (
-                type(error).__name__
-                if "\n" not in str(error)
-                else f"{type(error).__name__} of several lines"
-            )
+            name = type(error).__name__
+            if "\n" in str(error):
+                name += " of several lines"
         print(json.dumps([loader, path, name, memory("VmHWM") - before]))
 
 

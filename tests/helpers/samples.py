@@ -1,6 +1,4 @@
-"""What the tests of serving share: a small dataset on disk, and samples compared value by value,
-types included.
-"""
+"""What the tests of serving share: a small dataset on disk, and samples compared value by value."""
 
 from __future__ import annotations
 
@@ -75,7 +73,8 @@ def assert_same(found: Sample, expected: Sample, without: Iterable[str] = ()) ->
     assert found._fields == expected._fields
     for name, value, truth in zip(found._fields, found, expected, strict=True):
         if name not in without:
-            assert (value.dtype, value.shape) == (truth.dtype, truth.shape), name
+            assert value.dtype == truth.dtype, name
+            assert value.shape == truth.shape, name
             assert torch.equal(value, truth), name
 
 

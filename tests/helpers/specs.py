@@ -22,19 +22,20 @@ movements = pytest.mark.parametrize(
 @st.composite
 def limits(draw: st.DrawFn, low: int, high: int) -> tuple[int, int]:
     """Draw (lower, upper) limits inside low..high."""
-    first, second = draw(st.integers(low, high)), draw(st.integers(low, high))
+    first = draw(st.integers(low, high))
+    second = draw(st.integers(low, high))
     return min(first, second), max(first, second)
+
+
+SIDES = st.one_of(st.just(1), st.integers(2, 33), st.sampled_from([63, 64, 65, 129]))
+"""One row or column, odd sizes, and both sides of 64 and 128, where words of bits end."""
 
 
 @st.composite
 def specs(draw: st.DrawFn) -> MapSpec:
-    """Draw a valid spec: one row, one column, odd sizes, beyond 64 and 128 columns, rooms up to the
-    whole map.
-    """
-    height, width = (
-        draw(st.one_of(st.just(1), st.integers(2, 33), st.sampled_from([63, 64, 65, 129])))
-        for _ in "hw"
-    )
+    """Draw a valid spec of any shape, with rooms up to the whole map."""
+    height = draw(SIDES)
+    width = draw(SIDES)
     train = draw(st.integers(0, 100))
     validation = draw(st.integers(0, 100 - train))
     return MapSpec(

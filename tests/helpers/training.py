@@ -1,6 +1,4 @@
-"""A model that remembers what it saw, and the Trainer that the tests of the data module run it
-with.
-"""
+"""A model that remembers what it saw, and the Trainer for the tests of the data module."""
 
 from __future__ import annotations
 
@@ -16,9 +14,7 @@ FIELDS = ("map", "start", "goal", "problem")
 
 
 class Seen(NamedTuple):
-    """One training batch: its epoch, its problems, where they start, the type and sum of its
-    maps.
-    """
+    """One training batch: its epoch, its problems, their starts, the dtype and sum of its maps."""
 
     epoch: int
     problems: tuple[int, ...]
@@ -42,7 +38,9 @@ class Model(pl.LightningModule):
         super().__init__()
         self.save_hyperparameters()
         self.layer = torch.nn.Linear(size, 1)
-        self.size, self.estimate, self.noise = size, estimate, noise
+        self.size = size
+        self.estimate = estimate
+        self.noise = noise
         self.seen: list[Seen] = []
         self.others: dict[str, list[int]] = {"val": [], "test": [], "predict": []}
         self.mean = torchmetrics.MeanMetric()
@@ -50,16 +48,10 @@ class Model(pl.LightningModule):
 
     def training_step(self, batch: Sample, _: int) -> torch.Tensor:
         """Remember a batch."""
-        numbers, starts = batch.problem.tolist(), batch.start.flatten().tolist()
-        self.seen.append(
-            Seen(
-                self.current_epoch,
-                tuple(numbers),
-                tuple(starts),
-                batch.map.dtype,
-                int(batch.map.sum()),
-            )
-        )
+        problems = tuple(batch.problem.tolist())
+        starts = tuple(batch.start.flatten().tolist())
+        occupied = int(batch.map.sum())
+        self.seen.append(Seen(self.current_epoch, problems, starts, batch.map.dtype, occupied))
         if self.noise:
             torch.rand(self.current_epoch + 3)
         loss: torch.Tensor = self.layer(torch.zeros(1, self.size)).sum()

@@ -1,6 +1,4 @@
-"""What the tests of formats share: the command line in process, truth by scipy, archives and
-pictures that lie.
-"""
+"""What the tests of formats share: the command line, truth by scipy, files that lie."""
 
 from __future__ import annotations
 
@@ -31,8 +29,9 @@ GRIDS = arrays.arrays(
 
 
 def cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Run ``mapdata`` with these arguments; return its exit code, output and errors without
-    progress bars.
+    """Run ``mapdata`` in this process; return its exit code, output and errors.
+
+    The errors are without progress bars.
     """
     code = 0
     try:
@@ -41,36 +40,38 @@ def cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
         code = int(stop.code or 0)
     captured = capsys.readouterr()
     lines = [line.split("\r")[-1] for line in captured.err.split("\n")]
-    return (
-        code,
-        captured.out,
-        "\n".join(line for line in lines if "maps/s]" not in line and "shards/s]" not in line),
-    )
+    errors = [line for line in lines if "maps/s]" not in line and "shards/s]" not in line]
+    return code, captured.out, "\n".join(errors)
 
 
 def lengths(
     grid: Bytes, source: tuple[int, int], *, cut: bool, diagonal: float
 ) -> npt.NDArray[np.float64]:
-    """Return the cost of the shortest 8-connected path from ``source`` to every cell, inf without
-    one, by scipy.
+    """Return the cost of the shortest 8-connected path from ``source`` to every cell, by scipy.
+
+    Cells without a path are inf.
     """
     rows, columns = grid.shape
-    edges = []
+    first = []
+    second = []
+    weights = []
     for row, column in np.argwhere(grid == 0).tolist():
         for down in (-1, 0, 1):
             for right in (-1, 0, 1):
-                r, c = row + down, column + right
-                if (down or right) and 0 <= r < rows and 0 <= c < columns and not grid[r, c]:
-                    if down and right and not cut and (grid[r, column] or grid[row, c]):
-                        continue
-                    edges.append(
-                        (
-                            row * columns + column,
-                            r * columns + c,
-                            diagonal if down and right else 1.0,
-                        )
-                    )
-    first, second, weights = zip(*edges, strict=True) if edges else ((), (), ())
+                r = row + down
+                c = column + right
+                if (
+                    (r, c) == (row, column)
+                    or not (0 <= r < rows and 0 <= c < columns)
+                    or grid[r, c]
+                ):
+                    continue
+                oblique = down != 0 and right != 0
+                if oblique and not cut and (grid[r, column] or grid[row, c]):
+                    continue
+                first.append(row * columns + column)
+                second.append(r * columns + c)
+                weights.append(diagonal if oblique else 1.0)
     graph = coo_matrix((weights, (first, second)), shape=(grid.size, grid.size)).tocsr()
     distances = dijkstra(graph, indices=source[0] * columns + source[1])
     return np.asarray(distances, float).reshape(rows, columns)
@@ -94,17 +95,13 @@ def npy(shape: tuple[int, ...], data: bytes, dtype: str = "|u1") -> bytes:
 
 
 def png(rows: int, columns: int, body: bytes = b"", depth: int = 1) -> bytes:
-    """Return a grey PNG that says this size; without ``body`` its pixels are all black and there as
-    it says.
-    """
-    raw = body or zlib.compress(bytes((1 + math.ceil(columns * depth / 8)) * rows), 9)
+    """Return a grey PNG that says this size; without ``body`` it is true, and all black."""
+    row_bytes = 1 + math.ceil(columns * depth / 8)
+    pixels = body or zlib.compress(bytes(row_bytes * rows), 9)
+    header = struct.pack(">IIBBBBB", columns, rows, depth, 0, 0, 0, 0)
     out = b"\x89PNG\r\n\x1a\n"
-    for kind, data in (
-        (b"IHDR", struct.pack(">IIBBBBB", columns, rows, depth, 0, 0, 0, 0)),
-        (b"IDAT", raw),
-        (b"IEND", b""),
-    ):
-        out += (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
+    for kind, data in ((b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")):
+        out += struct.pack(">I", len(data))
+        out += kind + data
+        out += struct.pack(">I", zlib.crc32(kind + data))
     return out
