@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
 from dataclasses import astuple
@@ -187,7 +188,7 @@ class MapDataModule(_Base):
         movement = astuple(dataset.movement)
         told = {**self.hparams, "fields": self.serving.names, "movement": movement}
         for logger in self.trainer.loggers if self.trainer else ():
-            logger.log_hyperparams({"data": told})
+            logger.log_hyperparams({"data": json.loads(json.dumps(told))})  # YAML has no tuples
 
     def _open(self, split: str) -> Dataset:
         arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}

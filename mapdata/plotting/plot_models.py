@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
     from mapdata.datasets.sample import Sample
 
-_SHOWN = 9
-"""Samples of a batch that are drawn."""
-
 
 def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch: map, start S, goal G and path, as far
@@ -29,23 +26,25 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
 
     Args:
         sample: what ``dataset[i]`` or a loader gives; with the field ``map`` or ``free``.
-        axes: where to draw one sample; a new figure without. A batch always has one of its own.
+        axes: where to draw one sample, not a batch; a new figure without.
         paper_colours: free black, occupied white.
 
     Returns:
         The axes, of a batch those of its first sample.
 
     Raises:
-        ValueError: no map, or no sample.
+        ValueError: no map, no sample, or axes for a batch.
     """
     from mapdata.datasets.sample import MAPS_AND_MASKS, row
 
     values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
     grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
-    if grid is None or not len(grid):
-        raise ValueError(f"sample: got {sample}, expected one sample or more with a map")
+    if grid is None or not len(grid) or (axes and grid.ndim == 4):
+        raise ValueError(
+            f"sample: got {sample}, expected one sample, or more without axes, with a map"
+        )
     if grid.ndim == 4:
-        count = min(len(grid), _SHOWN)
+        count = min(len(grid), 9)
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
         places = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))

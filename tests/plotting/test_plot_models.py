@@ -41,10 +41,12 @@ def test_sample_shows_what_it_holds(tmp_path: Path) -> None:
 def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> None:
     """The message says what was given."""
     root = build_small(tmp_path / "d")
-    with pytest.raises(ValueError, match=r"got Sample\(start=.*, expected one sample or more with"):
+    with pytest.raises(ValueError, match=r"got Sample\(start=.*, expected one sample, or more"):
         plot_sample(MapDataset(root, fields=("start",))[0])
     with pytest.raises(ValueError, match=r"got Sample\(map=uint8 \(0, 1, 20, 20\)"):
         plot_sample(MapDataset(root)[0:0])
+    with pytest.raises(ValueError, match=r"got Sample\(map=uint8 \(3, .* more without axes"):
+        plot_sample(MapDataset(root)[:3], plot_sample(MapDataset(root)[0]))
 
 
 @pytest.mark.parametrize("count", [1, 5, 12])
