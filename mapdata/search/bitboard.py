@@ -93,6 +93,7 @@ def bit_labels(
         free = count_bits(unseen, 0, _LEVEL)
         low = seed_points[s, 0] + _EDGE
         high = low
+        # Level 0 is the seed alone; the rows about it are read by the next level.
         for r in range(low - _EDGE, low + _EDGE + 1):
             level[r] = 0
         level[low] = _ONE << np.uint64(seed_points[s, 1])
@@ -101,16 +102,17 @@ def bit_labels(
             costs[pair + k, 0] = -1
             costs[pair + k, 1] = 0
         while True:
+            # A later seed that is not unseen any more, but was at the last level, is in this one.
             for k in range(n - 1 - s):
                 row = seed_points[s + 1 + k, 0] + _EDGE
                 column = np.uint64(seed_points[s + 1 + k, 1])
                 if costs[pair + k, 0] < 0 and (unseen[row] >> column) & _ONE == 0:
                     costs[pair + k, 0] = depth
                     pending -= 1
-                    if k == 0:
+                    if k == 0:  # the next seed, where a segment ends
                         seen = free - count_bits(unseen, 0, _LEVEL)
                         nearer = seen - count_bits(level, at + low, at + high + 1)
-            if pending == 0 and depth >= length:
+            if pending == 0 and depth >= length:  # `_trace` needs ``length`` levels
                 break
             here = level[at : at + _LEVEL]
             new = level[at + _LEVEL : at + 2 * _LEVEL]

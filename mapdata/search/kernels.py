@@ -121,7 +121,7 @@ def flood(start: Int, targets: Ints, lattice: Lattice, buffers: Scratch) -> Int:
                 if cut or (north and west):
                     tail = _enqueue(came, queue, tail, cell - stride - _ONE, 7)
         level += 1
-        # A level too many costs less than to look for the targets after each one.
+        # After every eighth level only: a few levels too many cost less than to look each time.
         if level & 7 == 0 and len(targets) and _all_seen(came, targets):
             break
     return np.int64(tail)
@@ -176,6 +176,7 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
     g = buffers.g
     pushed = buffers.pushed
     links = buffers.links
+    # 32 bits hold every cell, and are divided faster than 64.
     stride = np.uint32(lattice.stride)
     target = np.uint32(goal)
     goal_row = target // stride
@@ -186,7 +187,7 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
     expansions = 0
     pushed[1] = start
     links[1] = 0
-    came[start] = 0
+    came[start] = 0  # any move: a path is traced back only as far as its start
     g[start] = 0
     while True:
         if near == 0:
@@ -196,7 +197,7 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
             far = np.uint32(0)
         cell = pushed[np.uint64(near)]
         near = links[np.uint64(near)]
-        # Pushed again with a smaller g, and expanded then: its f was smaller, too.
+        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
         if came[np.uint64(cell)] & CLOSED:
             continue
         came[np.uint64(cell)] |= CLOSED
@@ -258,10 +259,10 @@ def astar_heap(
     f = buffers.f
     g_weight, h_weight = search
     goal_row, goal_column = position(goal, lattice)
-    came[start] = 0
+    came[start] = 0  # any move: a path is traced back only as far as its start
     g[start] = 0
     pushed[1] = start
-    f[0] = 0
+    f[0] = 0  # alone in the heap, it needs no f
     heap[0] = 1
     pushes = 2
     size = 1

@@ -67,10 +67,10 @@ A plain tuple, like `Rule`: a NamedTuple costs 2 us a call from Python, a third 
 ASTAR: Weights = (1, 1.0)
 
 BFS: Weights = (-1, 0.0)
-"""Breadth-first search; the numbers are but a name, for it has no f."""
+"""Breadth-first search. It has no f: the numbers only tell it from the others."""
 
 COSTS: Weights = (-2, 0.0)
-"""The costs of all cells; a name, too."""
+"""The costs of all cells from one; likewise."""
 
 Rule: TypeAlias = tuple[Int, Int]
 """How one moves, as kernels take it: ``diagonals`` and ``step`` of a `Lattice`."""
