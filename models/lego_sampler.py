@@ -228,7 +228,8 @@ class Sampler(pl.LightningModule, ABC):
                 below 1.
         """
         grid = np.asarray(map, np.uint8).reshape(1, *np.shape(map)[-2:])
-        found: Floats = self.sample_batch(grid, np.array([start]), np.array([goal]), n, seed)[0]
+        ends = np.asarray(start)[None], np.asarray(goal)[None]  # (1, 2) both
+        found: Floats = self.sample_batch(grid, *ends, n, seed)[0]
         return found
 
     def sample_batch(

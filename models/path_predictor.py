@@ -287,11 +287,11 @@ class PathPredictor(pl.LightningModule):
             start: its cell.
             goal: its cell.
         """
-        grid = np.asarray(map, np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
-        scores = self.predict(grid, np.array([goal]))[0][0]  # (moves, H, W)
+        grid = np.asarray(map).astype(np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
+        scores = self.predict(grid, np.asarray(goal)[None])[0][0]  # (moves, H, W)
         legal = legal_moves(torch.from_numpy(grid)[:, None], self.movement)[0]  # (moves, H, W)
-        last = tuple(np.array(goal).tolist())
-        path = [tuple(np.array(start).tolist())]
+        last = tuple(np.asarray(goal).tolist())
+        path = [tuple(np.asarray(start).tolist())]
         while path[-1] != last:
             row, column = path[-1]
             options = []
