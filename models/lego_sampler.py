@@ -22,9 +22,9 @@ from the bank of experience of `models.experience.FixedProblems`, with its ``FIE
 with both functions from models/roadmap.py. scripts/train_lego_sampler.py names the command that
 made each of the weights that ship; models/cvae.py has LEGO's own autoencoder.
 
-This file reads from top to bottom: what the network sees, symmetries, what all samplers share (data
-and training), the heat map (network, loss, prediction). The network's layers, the optimizer and the
-files of weights are in models/common.py.
+This file reads from top to bottom: what the network sees; what all samplers share, data and
+training; the heat map: network, loss, prediction. The network's layers, symmetries of maps, the
+optimizer and the files of weights are in models/common.py.
 """
 
 from __future__ import annotations
@@ -43,7 +43,19 @@ from torch import Tensor, nn
 
 from mapdata import Sample
 from mapdata.arrays import Bytes, Flags, Floats, Ints
-from models.common import Muon, Trunk, bfloat16, load_model, one_cycle, padded, save_model
+from models.common import (
+    Muon,
+    Trunk,
+    bfloat16,
+    load_model,
+    one_cycle,
+    padded,
+    restore_plane,
+    save_model,
+    transform_cells,
+    transform_plane,
+    transform_points,
+)
 
 FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
@@ -88,40 +100,6 @@ def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
     rows, columns = occupied.shape[2:]
     cells = points.floor().long()  # (M, 2)
     return cells[:, 0].clamp(0, rows - 1) * columns + cells[:, 1].clamp(0, columns - 1)
-
-
-# --- symmetries of a map: bit 0 flips rows, bit 1 flips columns, bit 2 transposes at last -------
-
-
-def transform_plane(plane: Tensor, code: int) -> Tensor:
-    """Return (..., H, W) after a symmetry."""
-    if code & 1:
-        plane = plane.flip(-2)
-    if code & 2:
-        plane = plane.flip(-1)
-    return plane.transpose(-2, -1) if code & 4 else plane
-
-
-def restore_plane(plane: Tensor, code: int) -> Tensor:
-    """Return the plane of which `transform_plane` made this one."""
-    if code & 4:
-        plane = plane.transpose(-2, -1)
-    return transform_plane(plane, code & 3)
-
-
-def transform_points(points: Tensor, code: int, shape: torch.Size) -> Tensor:
-    """Return points (M, 2) on a map (..., H, W) after a symmetry."""
-    row, column = points.unbind(1)  # (M,) both
-    if code & 1:
-        row = shape[-2] - row
-    if code & 2:
-        column = shape[-1] - column
-    return torch.stack([column, row] if code & 4 else [row, column], dim=1)
-
-
-def transform_cells(cells: Tensor, code: int, shape: torch.Size) -> Tensor:
-    """Return cells (M, 2) after a symmetry, which moves their centres."""
-    return transform_points(cells + 0.5, code, shape).floor().long()
 
 
 def random_symmetry(fields: dict[str, Tensor], points: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -269,8 +247,8 @@ class Sampler(pl.LightningModule, ABC):
 
 # --- the heat map: network, loss, prediction ----------------------------------------------------
 
-VIEWS = ((0, False), (3, True), (4, False), (7, True), (1, False), (2, True), (5, False), (6, True))
-"""Symmetries in the order in which a heat map adds them, and whether start and goal swap."""
+VIEWS = (0, 3, 4, 7, 1, 2, 5, 6)
+"""Symmetries of a map in the order in which a heat map adds them, as `transform_plane` has them."""
 
 
 class Heatmap(Sampler):
@@ -339,13 +317,14 @@ class Heatmap(Sampler):
         views = VIEWS[: self.hparams["views"]]
         total = torch.zeros(grids.shape, dtype=torch.float64)
         with torch.inference_mode(), bfloat16(self.device):
-            for code, swap in views:
+            for code in views:
                 seen = transform_plane(occupied, code)
                 ends = [transform_cells(each, code, occupied.shape) for each in (start, goal)]
-                scores = self(seen, *(reversed(ends) if swap else ends))[:, 0]
+                scores = self(seen, *ends)[:, 0]
                 scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
                 shares = scores.flatten(1).double().softmax(1).view(scores.shape)
                 total += restore_plane(shares, code).cpu()
+                start, goal = goal, start  # what one way needs, the way back needs too
         found: Floats = (total / len(views)).numpy()
         return found
 

@@ -57,9 +57,9 @@ def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     - optimal moves, a bit set: bit k says that move k starts a shortest path to the goal.
     - the heuristic ratio in [0, 1]: heuristic over true cost to the goal.
     """
-    if "optimal_moves" in batch._fields:
-        return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
-    return targets_on_path(batch, movement)
+    if "optimal_moves" not in batch._fields:
+        return targets_on_path(batch, movement)
+    return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
 
 
 def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:

@@ -24,5 +24,5 @@ for epoch in range(2):
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    right = (predicted.argmax(dim=1) == move).float().mean()
-    print(f"epoch {epoch}: {right:.0%} of the moves are those of the path")
+    share = (predicted.argmax(dim=1) == move).float().mean()
+    print(f"epoch {epoch}: {share:.0%} of the moves are those of the path")
