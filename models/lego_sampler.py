@@ -81,7 +81,7 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     shape = (count, rows, columns)
     planes = [(occupied[:, 0] == 0).float()]
     distances = []
-    for cells in (starts, goals):
+    for cells in (starts, goals):  # divisors bring all planes to a size of about 1
         row = torch.arange(rows, device=cells.device) - cells[:, :1]  # (B, H)
         column = torch.arange(columns, device=cells.device) - cells[:, 1:]  # (B, W)
         down = row[:, :, None].float().expand(shape)  # (B, H, W)
@@ -91,7 +91,8 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         planes += [(down / 4).clamp(-1, 1), (right / 4).clamp(-1, 1), distance / 64]
         distances.append(distance)
     span = torch.linalg.vector_norm((starts - goals).float(), dim=1)  # (B,)
-    planes.append((distances[0] + distances[1] - span[:, None, None]) / 32)  # way round by a cell
+    detour = distances[0] + distances[1] - span[:, None, None]  # (B, H, W) of the way over a cell
+    planes.append(detour / 32)
     return torch.stack(planes, dim=1)
 
 
@@ -153,6 +154,11 @@ class Sampler(pl.LightningModule, ABC):
         """Mine or read the bank of the training problems."""
         if self.bank is None and self.targets != "path":
             data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
+            if not hasattr(data, "mine"):
+                raise ValueError(
+                    f"targets: {self.targets!r} are points of a bank of experience, which the data "
+                    "module models.experience.FixedProblems has; any other teaches 'path'"
+                )
             self.bank = data.mine(self.experience)
 
     def target_points(self, batch: Sample) -> tuple[Tensor, Tensor]:
@@ -300,6 +306,7 @@ class Heatmap(Sampler):
         """Return the cross entropy of the shares, and of the second prediction."""
         occupied = batch["map"].flatten(1) != 0  # (B, H * W)
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
+        # -30 instead of -inf: a target that rounding puts into a wall costs much, not everything
         shares = scores[:, 0].masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
         each = -shares[owners, cell_numbers(points, batch["map"])]  # (M,)
         counts = torch.bincount(owners, minlength=len(shares))  # (B,) targets of each problem
