@@ -1,6 +1,7 @@
 """What the sample models share: their network, their optimizer, and weights in files.
 
 - `Trunk`: a convolutional network that gives every cell features from near and far.
+- `transform_plane` and others: the symmetries of maps.
 - `Muon` and `one_cycle`: the optimizer and its learning rate.
 - `save_model` and `load_model`: files that are read without trust.
 """
@@ -114,6 +115,43 @@ def bfloat16(device: torch.device) -> contextlib.AbstractContextManager[Any]:
     if device.type == "cpu" and (abilities.get("avx512_bf16") or abilities.get("amx_bf16")):
         return torch.autocast("cpu", torch.bfloat16)
     return contextlib.nullcontext()
+
+
+# --- symmetries of a map ------------------------------------------------------------------------
+
+
+def transform_plane(plane: Tensor, code: int) -> Tensor:
+    """Return (..., H, W) after a symmetry.
+
+    Bit 0 of its code flips rows, bit 1 flips columns, bit 2 transposes at last.
+    """
+    if code & 1:
+        plane = plane.flip(-2)
+    if code & 2:
+        plane = plane.flip(-1)
+    return plane.transpose(-2, -1) if code & 4 else plane
+
+
+def restore_plane(plane: Tensor, code: int) -> Tensor:
+    """Return the plane of which `transform_plane` made this one."""
+    if code & 4:
+        plane = plane.transpose(-2, -1)
+    return transform_plane(plane, code & 3)
+
+
+def transform_points(points: Tensor, code: int, shape: torch.Size) -> Tensor:
+    """Return points (M, 2) on a map (..., H, W) after a symmetry."""
+    row, column = points.unbind(1)  # (M,) both
+    if code & 1:
+        row = shape[-2] - row
+    if code & 2:
+        column = shape[-1] - column
+    return torch.stack([column, row] if code & 4 else [row, column], dim=1)
+
+
+def transform_cells(cells: Tensor, code: int, shape: torch.Size) -> Tensor:
+    """Return cells (M, 2) after a symmetry, which moves their centres."""
+    return transform_points(cells + 0.5, code, shape).floor().long()
 
 
 # --- the optimizer ------------------------------------------------------------------------------

@@ -1,11 +1,8 @@
-"""Planners that follow predicted moves: a walk, and a best-first search; rows for
-`mapdata.evaluate`.
-"""
+"""Planners that follow predicted moves, a walk and a best-first search: rows of `evaluate`."""
 
 from __future__ import annotations
 
 import heapq
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,8 +34,9 @@ class Predictor(Protocol):
     movement: Movement
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return log probabilities (B, moves, H, W), up to a constant a cell, and heuristic ratios
-        (B, H, W).
+        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W).
+
+        A score is a log probability, up to a constant a cell.
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
@@ -56,16 +54,22 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Follower(Batched, ABC):
-    """What follows a model: predicts a batch, then plans each of its problems.
+class LearnedPlanner(Batched):
+    """Follows the most probable legal move to a cell not yet visited, until the goal.
+
+    Every cell of the walk is one expansion: its neighbours are looked at, once, as in a search. The
+    path is the shortest one over the moves that were looked at.
 
     Attributes:
         name: its name in the table.
         model: what predicts the moves.
+        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew
+            from the start, and its expansions add to those of the walk; False gives up.
     """
 
     name: str
     model: Predictor
+    fallback: bool = True
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
@@ -74,49 +78,15 @@ class _Follower(Batched, ABC):
             ValueError: a start or goal outside its map or on an occupied cell.
         """
         grids, starts, goals = _problems(grids, starts, goals)
-        scores, ratios = self.model.predict(grids, goals)
-        plans = [
-            self._follow(*each) for each in zip(grids, scores, ratios, starts, goals, strict=True)
-        ]
-        return self._mended(plans, grids, starts, goals)
-
-    @abstractmethod
-    def _follow(
-        self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints
-    ) -> Plan:
-        """Return the plan for one problem, with an empty path where there is none."""
-
-    def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return the plans, those without a path replaced where the planner has another way."""
-        return plans
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedPlanner(_Follower):
-    """Follows the most probable legal move to a cell not yet visited, until the goal.
-
-    Every cell of the walk is one expansion: its neighbours are looked at, once, as in a search. The
-    path is the
-    shortest one over the moves that were looked at.
-
-    Attributes:
-        fallback: where a walk ends in a cell without unvisited neighbours, mapdata's A* begins anew
-            from the start, and its expansions add to those of the walk; False gives up.
-    """
-
-    fallback: bool = True
-
-    def _follow(
-        self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints
-    ) -> Plan:
-        return Plan(*_walk(grid, scores, start, goal, rule_of(self.model.movement)))
-
-    def _mended(self, plans: list[Plan], grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        scores, _ = self.model.predict(grids, goals)
+        movement = self.model.movement
+        rule = rule_of(movement)
+        plans = []
+        for each in zip(grids, scores, starts, goals, strict=True):
+            plans.append(Plan(*_walk(*each, rule)))
         stuck = [k for k, plan in enumerate(plans) if len(plan.path) == 0]
         if stuck and self.fallback:
-            found = search_batch(
-                "astar", grids[stuck], starts[stuck], goals[stuck], self.model.movement
-            )
+            found = search_batch("astar", grids[stuck], starts[stuck], goals[stuck], movement)
             for n, k in enumerate(stuck):
                 path = found.cells[found.offsets[n] : found.offsets[n + 1]]
                 plans[k] = Plan(path, plans[k].expansions + int(found.iterations[n]))
@@ -124,25 +94,32 @@ class LearnedPlanner(_Follower):
 
 
 @dataclass(frozen=True, eq=False)
-class GuidedSearch(_Follower):
-    """Best-first search by the cost so far, the predicted cost to go, and how improbable the moves
-    so far were.
+class GuidedSearch(Batched):
+    """Best-first search by the cost so far, the predicted cost to go, and improbable moves.
 
     f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell
     is expanded once; it finds a path where there is one, and needs no fallback. The path is the
     shortest one over the moves that were looked at.
 
     Attributes:
+        name: its name in the table.
+        model: what predicts moves and ratios.
         trust: cells that a factor e of probability is worth.
     """
 
+    name: str
+    model: Predictor
     trust: float = 2.0
 
-    def _follow(
-        self, grid: Bytes, scores: Float32s, ratios: Float32s, start: Ints, goal: Ints
-    ) -> Plan:
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return a plan for each problem, as `LearnedPlanner.plan_batch` does."""
+        grids, starts, goals = _problems(grids, starts, goals)
+        scores, ratios = self.model.predict(grids, goals)
         rule = rule_of(self.model.movement)
-        return Plan(*_search(grid, scores, ratios, start, goal, rule, self.trust))
+        plans = []
+        for each in zip(grids, scores, ratios, starts, goals, strict=True):
+            plans.append(Plan(*_search(*each, rule, self.trust)))
+        return plans
 
 
 def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:
@@ -152,7 +129,8 @@ def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Int
         ValueError: a start or goal outside its map or on an occupied cell.
     """
     grids = np.not_equal(grids, 0).astype(np.uint8)
-    starts, goals = np.array(starts, np.int64), np.array(goals, np.int64)
+    starts = np.array(starts, np.int64)
+    goals = np.array(goals, np.int64)
     for ends in (starts, goals):
         outside = (ends < 0).any() or (ends >= grids.shape[1:]).any()
         if outside or grids[np.arange(len(grids)), ends[:, 0], ends[:, 1]].any():
@@ -176,10 +154,9 @@ def _search(
     load(grid, came)
     first = cell_at(start[0], start[1], lattice)
     last = cell_at(goal[0], goal[1], lattice)
-    best = np.full(
-        lattice.cells, np.inf
-    )  # g and what the improbable moves cost; -inf once expanded
-    way = np.zeros(lattice.cells)
+    # the cost of the best way so far and of its improbable moves; -inf once a cell is expanded
+    best = np.full(lattice.cells, np.inf)
+    way = np.zeros(lattice.cells)  # its cost alone
     best[first] = 0.0
     heap = [(0.0, 0, first)]
     pushes = 0
@@ -210,17 +187,15 @@ def _search(
                 i, j = position(to, lattice)
                 least = in_cells(heuristic(i - goal[0], j - goal[1], lattice))
                 pushes += 1
-                f = (
-                    cost + least / max(ratios[i, j], 0.05) - 0.001 * way[to]
-                )  # among equals the farthest
+                to_go = least / max(ratios[i, j], 0.05)  # a ratio near 0 would say nothing
+                f = cost + to_go - 0.001 * way[to]  # among equals the farthest first
                 heapq.heappush(heap, (f, -pushes, to))
     return _through(came, best == -np.inf, first, last, lattice), expansions
 
 
 @kernel
 def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Lattice) -> Ints:
-    """Return the shortest path over all moves that a search has looked at, (k, 2); (0, 2) where
-    there is none.
+    """Return the shortest path over all moves that a search has looked at, (k, 2) or (0, 2).
 
     Those are the moves from and to expanded cells. Among them there may be a shorter path than the
     one that the search came by. Dijkstra's algorithm.
@@ -249,7 +224,7 @@ def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Latti
     cell = goal
     while costs[cell] < np.inf:
         at -= 1
-        path[at, 0], path[at, 1] = position(cell, lattice)
+        path[at] = position(cell, lattice)
         if cell == start:
             break
         cell = parents[cell]
@@ -258,9 +233,7 @@ def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Latti
 
 @kernel
 def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) -> tuple[Ints, Int]:
-    """Return the path (k, 2) of one problem, (0, 2) where the walk gets stuck, and how many cells
-    were expanded.
-    """
+    """Return the path (k, 2), (0, 2) where the walk gets stuck, and how many cells it expanded."""
     lattice = lattice_of(grid.shape, rule)
     came = np.full(lattice.cells, WALL)
     load(grid, came)

@@ -22,9 +22,9 @@ from the bank of experience of `models.experience.FixedProblems`, with its ``FIE
 with both functions from models/roadmap.py. scripts/train_lego_sampler.py names the command that
 made each of the weights that ship; models/cvae.py has LEGO's own autoencoder.
 
-This file reads from top to bottom: what the network sees, symmetries, what all samplers share (data
-and training), the heat map (network, loss, prediction). The network's layers, the optimizer and the
-files of weights are in models/common.py.
+This file reads from top to bottom: what the network sees; what all samplers share, data and
+training; the heat map: network, loss, prediction. The network's layers, symmetries of maps, the
+optimizer and the files of weights are in models/common.py.
 """
 
 from __future__ import annotations
@@ -43,7 +43,19 @@ from torch import Tensor, nn
 
 from mapdata import Sample
 from mapdata.arrays import Bytes, Flags, Floats, Ints
-from models.common import Muon, Trunk, bfloat16, load_model, one_cycle, padded, save_model
+from models.common import (
+    Muon,
+    Trunk,
+    bfloat16,
+    load_model,
+    one_cycle,
+    padded,
+    restore_plane,
+    save_model,
+    transform_cells,
+    transform_plane,
+    transform_points,
+)
 
 FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
@@ -69,7 +81,7 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     shape = (count, rows, columns)
     planes = [(occupied[:, 0] == 0).float()]
     distances = []
-    for cells in (starts, goals):
+    for cells in (starts, goals):  # divisors bring all planes to a size of about 1
         row = torch.arange(rows, device=cells.device) - cells[:, :1]  # (B, H)
         column = torch.arange(columns, device=cells.device) - cells[:, 1:]  # (B, W)
         down = row[:, :, None].float().expand(shape)  # (B, H, W)
@@ -79,7 +91,8 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         planes += [(down / 4).clamp(-1, 1), (right / 4).clamp(-1, 1), distance / 64]
         distances.append(distance)
     span = torch.linalg.vector_norm((starts - goals).float(), dim=1)  # (B,)
-    planes.append((distances[0] + distances[1] - span[:, None, None]) / 32)  # way round by a cell
+    detour = distances[0] + distances[1] - span[:, None, None]  # (B, H, W) of the way over a cell
+    planes.append(detour / 32)
     return torch.stack(planes, dim=1)
 
 
@@ -88,40 +101,6 @@ def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
     rows, columns = occupied.shape[2:]
     cells = points.floor().long()  # (M, 2)
     return cells[:, 0].clamp(0, rows - 1) * columns + cells[:, 1].clamp(0, columns - 1)
-
-
-# --- symmetries of a map: bit 0 flips rows, bit 1 flips columns, bit 2 transposes at last -------
-
-
-def transform_plane(plane: Tensor, code: int) -> Tensor:
-    """Return (..., H, W) after a symmetry."""
-    if code & 1:
-        plane = plane.flip(-2)
-    if code & 2:
-        plane = plane.flip(-1)
-    return plane.transpose(-2, -1) if code & 4 else plane
-
-
-def restore_plane(plane: Tensor, code: int) -> Tensor:
-    """Return the plane of which `transform_plane` made this one."""
-    if code & 4:
-        plane = plane.transpose(-2, -1)
-    return transform_plane(plane, code & 3)
-
-
-def transform_points(points: Tensor, code: int, shape: torch.Size) -> Tensor:
-    """Return points (M, 2) on a map (..., H, W) after a symmetry."""
-    row, column = points.unbind(1)  # (M,) both
-    if code & 1:
-        row = shape[-2] - row
-    if code & 2:
-        column = shape[-1] - column
-    return torch.stack([column, row] if code & 4 else [row, column], dim=1)
-
-
-def transform_cells(cells: Tensor, code: int, shape: torch.Size) -> Tensor:
-    """Return cells (M, 2) after a symmetry, which moves their centres."""
-    return transform_points(cells + 0.5, code, shape).floor().long()
 
 
 def random_symmetry(fields: dict[str, Tensor], points: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -175,6 +154,11 @@ class Sampler(pl.LightningModule, ABC):
         """Mine or read the bank of the training problems."""
         if self.bank is None and self.targets != "path":
             data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
+            if not hasattr(data, "mine"):
+                raise ValueError(
+                    f"targets: {self.targets!r} are points of a bank of experience, which the data "
+                    "module models.experience.FixedProblems has; any other teaches 'path'"
+                )
             self.bank = data.mine(self.experience)
 
     def target_points(self, batch: Sample) -> tuple[Tensor, Tensor]:
@@ -228,7 +212,8 @@ class Sampler(pl.LightningModule, ABC):
                 below 1.
         """
         grid = np.asarray(map, np.uint8).reshape(1, *np.shape(map)[-2:])
-        found: Floats = self.sample_batch(grid, np.array([start]), np.array([goal]), n, seed)[0]
+        ends = np.asarray(start)[None], np.asarray(goal)[None]  # (1, 2) both
+        found: Floats = self.sample_batch(grid, *ends, n, seed)[0]
         return found
 
     def sample_batch(
@@ -268,8 +253,8 @@ class Sampler(pl.LightningModule, ABC):
 
 # --- the heat map: network, loss, prediction ----------------------------------------------------
 
-VIEWS = ((0, False), (3, True), (4, False), (7, True), (1, False), (2, True), (5, False), (6, True))
-"""Symmetries in the order in which a heat map adds them, and whether start and goal swap."""
+VIEWS = (0, 3, 4, 7, 1, 2, 5, 6)
+"""Symmetries of a map in the order in which a heat map adds them, as `transform_plane` has them."""
 
 
 class Heatmap(Sampler):
@@ -321,6 +306,7 @@ class Heatmap(Sampler):
         """Return the cross entropy of the shares, and of the second prediction."""
         occupied = batch["map"].flatten(1) != 0  # (B, H * W)
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
+        # -30 instead of -inf: a target that rounding puts into a wall costs much, not everything
         shares = scores[:, 0].masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
         each = -shares[owners, cell_numbers(points, batch["map"])]  # (M,)
         counts = torch.bincount(owners, minlength=len(shares))  # (B,) targets of each problem
@@ -338,13 +324,14 @@ class Heatmap(Sampler):
         views = VIEWS[: self.hparams["views"]]
         total = torch.zeros(grids.shape, dtype=torch.float64)
         with torch.inference_mode(), bfloat16(self.device):
-            for code, swap in views:
+            for code in views:
                 seen = transform_plane(occupied, code)
                 ends = [transform_cells(each, code, occupied.shape) for each in (start, goal)]
-                scores = self(seen, *(reversed(ends) if swap else ends))[:, 0]
+                scores = self(seen, *ends)[:, 0]
                 scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
                 shares = scores.flatten(1).double().softmax(1).view(scores.shape)
                 total += restore_plane(shares, code).cpu()
+                start, goal = goal, start  # what one way needs, the way back needs too
         found: Floats = (total / len(views)).numpy()
         return found
 

@@ -40,13 +40,13 @@ import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 
-from mapdata import Movement, Sample
+from mapdata import Movement, Sample, check_path
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
 from models.common import Muon, Trunk, bfloat16, load_model, one_cycle, padded, save_model
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
-"""The fields that teach best. The model learns from ``map, start, goal, path`` just as well."""
+"""The richer fields, which teach more than ``map, start, goal, path``."""
 
 # --- data: a batch and its targets --------------------------------------------------------------
 
@@ -57,28 +57,27 @@ def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     - optimal moves, a bit set: bit k says that move k starts a shortest path to the goal.
     - the heuristic ratio in [0, 1]: heuristic over true cost to the goal.
     """
-    if "optimal_moves" in batch._fields:
-        return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
-    return targets_on_path(batch, movement)
+    if "optimal_moves" not in batch._fields:
+        return targets_on_path(batch, movement)
+    return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
 
 
 def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return the targets that a path gives: for each of its cells the next move and the ratio."""
-    maps = batch.map[:, 0]  # (B, H, W)
-    here = batch.path[:, :-1]  # (B, T - 1, 2)
-    step = batch.path[:, 1:] - here  # (B, T - 1, 2)
-    moves = torch.tensor(STEPS[: movement.connectivity], device=maps.device)  # (moves, 2)
-    made = (step[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves)
-    made &= here[:, :, :1] >= 0  # paths are padded with -1
-    costs = heuristic(moves[:, 0], moves[:, 1], movement)  # (moves,) cost of one move each
-    to_go = (made * costs).sum(dim=2).flip(1).cumsum(1).flip(1)  # (B, T - 1)
-    problem, k = made.any(dim=2).nonzero(as_tuple=True)  # the n cells that have a target
-    row, column = here[problem, k].unbind(1)  # (n,) both
-    down, right = (here - batch.goal[:, None])[problem, k].unbind(1)  # (n,) both
-    bits = 2 ** torch.arange(len(moves), device=maps.device)  # (moves,)
-    optimal = maps.new_zeros(maps.shape, dtype=torch.long)
-    optimal[problem, row, column] = (made * bits).sum(dim=2)[problem, k]
-    ratio = maps.new_zeros(maps.shape, dtype=torch.float)
+    """Return the targets that a path gives its own cells: the next move, and the ratio."""
+    moves = torch.tensor(STEPS[: movement.connectivity], device=batch.path.device)  # (moves, 2)
+    steps = batch.path[:, 1:] - batch.path[:, :-1]  # (B, T - 1, 2)
+    made = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
+    made &= batch.path[:, :-1, :1] >= 0  # paths are padded with -1
+    # the true cost from each cell to the goal: that of the steps that follow
+    costs = (made * heuristic(moves[:, 0], moves[:, 1], movement)).sum(dim=2)  # (B, T - 1)
+    to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
+    # the n cells of all paths, without their goals
+    problem, k = made.any(dim=2).nonzero(as_tuple=True)  # (n,) both
+    row, column = batch.path[problem, k].unbind(1)  # (n,) both
+    down, right = (batch.path[problem, k] - batch.goal[problem]).unbind(1)  # (n,) both
+    optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
+    optimal[problem, row, column] = 2 ** made[problem, k].long().argmax(dim=1)
+    ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
     ratio[problem, row, column] = heuristic(down, right, movement) / to_go[problem, k]
     return optimal, ratio
 
@@ -121,7 +120,7 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
     """Return what the network sees of each cell, and the detour of each move.
 
     A move's detour is its cost plus the change of the heuristic: 0 for the moves that are optimal
-    on an empty map. The scores of the moves begin with it, so that only walls are left to learn.
+    on an empty map. Scores start from it, so that only what walls change is left to learn.
 
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.
@@ -193,7 +192,7 @@ class PathPredictor(pl.LightningModule):
         self.save_hyperparameters()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.network = Trunk(8, connectivity + 1, widths, passes)
-        nn.init.zeros_(self.network.head.weight)  # it begins with the moves of an empty map
+        nn.init.zeros_(self.network.head.weight)
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W) in [0, 1].
@@ -206,6 +205,7 @@ class PathPredictor(pl.LightningModule):
         seen, detour = encode(padded(occupied), goals, self.movement)
         out, _ = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
         out = out[..., :rows, :columns].float()
+        # before it has learned anything, the most probable moves lead straight to the goal
         scores = out[:, :-1] - 3 * detour[..., :rows, :columns]
         return scores, torch.sigmoid(out[:, -1])
 
@@ -256,7 +256,7 @@ class PathPredictor(pl.LightningModule):
         self.log_dict(values, batch_size=len(batch.map))
 
     def configure_optimizers(self) -> Any:
-        """Return Muon, half of whose steps do what AdamW's do here, and torch's OneCycleLR."""
+        """Return Muon, since AdamW needs more steps here, and torch's OneCycleLR."""
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
         return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
 
@@ -275,7 +275,7 @@ class PathPredictor(pl.LightningModule):
         cells = torch.from_numpy(np.array(goals, np.int64)).to(self.device)
         with torch.inference_mode(), bfloat16(self.device):
             scores, ratios = self(occupied, cells)
-        return scores.cpu().numpy(), ratios.cpu().numpy()
+        return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
         """Return the predicted path, (k, 2) cells; (0, 2) where the moves do not lead to the goal.
@@ -286,12 +286,17 @@ class PathPredictor(pl.LightningModule):
             map: (H, W) or (1, H, W), 0 free and 1 occupied.
             start: its cell.
             goal: its cell.
+
+        Raises:
+            ValueError: a start or goal outside the map or on an occupied cell.
         """
-        grid = np.asarray(map, np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
-        scores = self.predict(grid, np.array([goal]))[0][0]  # (moves, H, W)
+        grid = np.asarray(map).astype(np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
+        for end in (start, goal):
+            check_path(grid[0], np.asarray(end)[None], self.movement)
+        scores = self.predict(grid, np.asarray(goal)[None])[0][0]  # (moves, H, W)
         legal = legal_moves(torch.from_numpy(grid)[:, None], self.movement)[0]  # (moves, H, W)
-        last = tuple(np.array(goal).tolist())
-        path = [tuple(np.array(start).tolist())]
+        last = tuple(np.asarray(goal).tolist())
+        path = [tuple(np.asarray(start).tolist())]
         while path[-1] != last:
             row, column = path[-1]
             options = []

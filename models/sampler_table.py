@@ -1,21 +1,20 @@
-"""Samplers of roadmaps in one table: how often a roadmap of n vertices has a path, and how long the
-paths are.
+"""Samplers of roadmaps in one table: how often their roadmaps have a path, and how long it is.
 
-    from mapdata import MapSpec, Problems
-    from models.lego_sampler import Heatmap
-    from models.sampler_table import compare, contenders, to_text
+from mapdata import MapSpec, Problems
+from models.lego_sampler import Heatmap
+from models.sampler_table import compare, contenders, to_text
 
-    rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
-    problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
-    print(to_text(compare(rows, problems)))
+rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
+problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
+print(to_text(compare(rows, problems)))
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -25,6 +24,7 @@ from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals
 from mapdata.plotting import MARKERS, PALETTE, plot_roadmap
 from mapdata.problems import HARD, Problems
+from models.lego_sampler import Sampler
 from models.roadmap import SAMPLERS, between, halton, path_lengths
 
 if TYPE_CHECKING:
@@ -40,55 +40,68 @@ DENSE = 2000
 METRICS = ("success", "length_ratio")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
 
+BATCH = 50
+"""Problems that a sampler gets at once."""
 
-_BATCH = 50
-
-
-class Contender(Protocol):
-    """What gives all vertices of roadmaps."""
-
-    def __call__(
-        self, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
-    ) -> Floats:
-        """Return (B, n, 2) points in free cells: grids (B, H, W), starts and goals (B, 2)."""
+Contender: TypeAlias = Callable[[Bytes, Ints, Ints, int, Sequence[int]], Floats]
+"""All vertices of roadmaps: of grids (B, H, W), starts and goals (B, 2), n and B seeds, (B, n, 2)
+points in free cells."""
 
 
-class Learned(Protocol):
-    """What `models.lego_sampler.Sampler` is."""
+def contenders(learned: Mapping[str, Sampler]) -> dict[str, Contender]:
+    """Return the rows of the table: the samplers that learn nothing, then the learned ones.
 
-    def sample_batch(
-        self, grids: Bytes, starts: Ints, goals: Ints, n: int, seed: int = 0
-    ) -> Floats:
-        """Return (B, n, 2) points."""
-
-
-def contenders(learned: Mapping[str, Learned]) -> dict[str, Contender]:
-    """Return the rows of the table: Halton and uniform points; half Halton and half Gaussian,
-    bridge or learned.
+    All but Halton's and uniform points come with as many of Halton's.
     """
-    rows: dict[str, Contender] = {name: partial(_classical, name) for name in SAMPLERS}
-    return rows | {name: partial(_learned, model) for name, model in learned.items()}
+    rows: dict[str, Contender] = {}
+    for name in SAMPLERS:
+        rows[name] = partial(_classical, name)
+    for name, model in learned.items():
+        rows[name] = partial(_learned, model)
+    return rows
 
 
 def _classical(
     name: str, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
 ) -> Floats:
-    first = 0 if name in ("halton", "uniform") else n - n // 2
-    rest = [SAMPLERS[name](grid, n - first, seed) for grid, seed in zip(grids, seeds, strict=True)]
-    return np.concatenate([_halton(grids, first, seeds), np.stack(rest)], axis=1)
+    own = n if name in ("halton", "uniform") else n // 2
+    sampler = SAMPLERS[name]
+    points = [sampler(grid, own, seed) for grid, seed in zip(grids, seeds, strict=True)]
+    return np.concatenate([_halton(grids, n - own, seeds), np.stack(points)], axis=1)
 
 
 def _learned(
-    model: Learned, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+    model: Sampler, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
 ) -> Floats:
-    found = model.sample_batch(grids, starts, goals, n // 2, seeds[0])
-    return np.concatenate([_halton(grids, n - n // 2, seeds), found], axis=1)
+    points = model.sample_batch(grids, starts, goals, n // 2, seeds[0])
+    return np.concatenate([_halton(grids, n - n // 2, seeds), points], axis=1)
 
 
 def _halton(grids: Bytes, n: int, seeds: Sequence[int]) -> Floats:
     if n == 0:
         return np.empty((len(grids), 0, 2))
     return np.stack([halton(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
+
+
+class RoadmapSuccess(Callback):
+    """Logs ``val_success``: the share of problems that roadmaps of 50 vertices solve.
+
+    Half of the vertices are Halton's, the others those that `Sampler.validation_step` gave.
+    """
+
+    def on_validation_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, *_: int
+    ) -> None:
+        """Build the roadmaps of one batch."""
+        grids = batch.map[:, 0].cpu().numpy().astype(np.uint8)
+        starts = batch.start.cpu().numpy()
+        goals = batch.goal.cpu().numpy()
+        points = np.concatenate([_halton(grids, 25, range(len(grids))), outputs.numpy()], axis=1)
+        solved = np.isfinite(path_lengths(grids, starts, goals, points))
+        pl_module.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
+
+
+# --- the table ----------------------------------------------------------------------------------
 
 
 def compare(
@@ -102,12 +115,12 @@ def compare(
     """Return the table: for each size two rows a sampler, all problems and the hard ones.
 
     Columns: ``sampler``; ``subset``, "all" or "hard" (hardness of the grid problem at least
-    ``HARD``); ``n``, vertices
-    of the roadmap; ``problems``, how many are in the subset; ``success``, the share whose roadmap
-    joins start and goal; ``length_ratio``, the mean over those of the path's length to that on a
-    Halton roadmap of ``DENSE`` vertices (a problem that has none there is left out), NaN where
-    there is none; of both ``<name>_low``, ``<name>_high``, a 95 % percentile interval over
-    resampled problems, the same resamples for all; ``ms``, milliseconds a problem to sample.
+    ``HARD``); ``n``, vertices of the roadmap; ``problems``, how many are in the subset;
+    ``success``, the share whose roadmap joins start and goal; ``length_ratio``, the mean over those
+    of the path's length to that on a Halton roadmap of ``DENSE`` vertices (a problem that has none
+    there is left out), NaN where there is none; of both ``<name>_low``, ``<name>_high``, a 95 %
+    percentile interval over resampled problems, the same resamples for all; ``ms``, milliseconds a
+    problem to sample.
 
     Args:
         rows: the samplers, by name.
@@ -123,63 +136,37 @@ def compare(
         raise ValueError(
             "expected at least one sampler, problem and resample, and sizes of 2 or more"
         )
-    dense = _lengths(_classical_halton, problems, DENSE)[0]
+    # seeds of their own: no sampler is compared with a roadmap that holds its points
+    dense, _ = _lengths(partial(_classical, "halton"), problems, DENSE, 10_000_019)
+    subsets = {"all": np.ones(len(problems), bool), "hard": problems.hard}
     table: list[dict[str, object]] = []
     outcomes: list[Floats] = []
     for n in sizes:
         for name, contender in rows.items():
             lengths, ms = _lengths(contender, problems, n)
-            for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
-                table.append(
-                    {
-                        "sampler": name,
-                        "subset": subset,
-                        "n": n,
-                        "problems": int(mask.sum()),
-                        "ms": ms,
-                    }
-                )
+            for subset, mask in subsets.items():
+                count = int(mask.sum())
+                table.append({"sampler": name, "subset": subset, "n": n, "problems": count})
+                table[-1]["ms"] = ms
                 outcomes.append(_outcomes(lengths, dense, mask))
     found = confidence_intervals(np.stack(outcomes, axis=1), _metrics, bootstrap, seed)
     for ending, values in zip(("", "_low", "_high"), found, strict=True):
         for row, pair in zip(table, values.tolist(), strict=True):
-            row |= {f"{metric}{ending}": value for metric, value in zip(METRICS, pair, strict=True)}
+            for metric, value in zip(METRICS, pair, strict=True):
+                row[f"{metric}{ending}"] = value
     return pd.DataFrame(table)
 
 
-class RoadmapSuccess(Callback):
-    """Logs ``val_success``: the share of problems that roadmaps of 50 vertices solve.
-
-    Half of the vertices are Halton's, the others those that `Sampler.validation_step` gave.
-    """
-
-    def on_validation_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, *_: int
-    ) -> None:
-        """Build the roadmaps of one batch."""
-        grids, starts, goals = (
-            each.cpu().numpy().astype(int) for each in (batch.map[:, 0], batch.start, batch.goal)
-        )
-        samples = np.concatenate([_halton(grids, 25, range(len(grids))), outputs.numpy()], axis=1)
-        solved = np.isfinite(path_lengths(grids, starts, goals, samples))
-        pl_module.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
-
-
-def _classical_halton(
-    grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
-) -> Floats:
-    return _halton(grids, n, [seed + 10_000_019 for seed in seeds])
-
-
-def _lengths(contender: Contender, problems: Problems, n: int) -> tuple[Floats, float]:
-    """Return path lengths (N,), inf without a path, and the milliseconds a problem took to
-    sample.
-    """
-    found, seconds = [], 0.0
-    for k in range(0, len(problems), _BATCH):
-        part = slice(k, k + _BATCH)
+def _lengths(
+    contender: Contender, problems: Problems, n: int, first_seed: int = 0
+) -> tuple[Floats, float]:
+    """Return path lengths (N,), inf without a path, and the milliseconds a problem to sample."""
+    found = []
+    seconds = 0.0
+    for k in range(0, len(problems), BATCH):
+        part = slice(k, k + BATCH)
         given = problems.grids[part], problems.starts[part], problems.goals[part]
-        seeds = list(range(k, k + len(given[0])))
+        seeds = range(first_seed + k, first_seed + k + len(given[0]))
         if k == 0:
             contender(*given, n, seeds)  # kernels compile in the first call
         began = time.perf_counter()
@@ -190,9 +177,7 @@ def _lengths(contender: Contender, problems: Problems, n: int) -> tuple[Floats, 
 
 
 def _outcomes(lengths: Floats, dense: Floats, subset: Flags) -> Floats:
-    """Return (N, 4): in the subset; solved; solved on both roadmaps; the ratio of the two lengths,
-    else 0.
-    """
+    """Return (N, 4): in the subset, solved, solved on both roadmaps, the ratio of lengths or 0."""
     solved = subset & np.isfinite(lengths)
     both = solved & np.isfinite(dense)
     ratios = np.divide(lengths, dense, out=np.zeros_like(lengths), where=both)
@@ -207,9 +192,7 @@ def _metrics(means: Floats) -> Floats:
 
 
 def to_text(table: pd.DataFrame) -> str:
-    """Return the table for a terminal: a block a subset, a line a sampler, success and length ratio
-    for each size.
-    """
+    """Return the table for a terminal: a block a subset, a line a sampler."""
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame(index=pd.Index(rows["sampler"].unique(), name="sampler"))
@@ -217,14 +200,14 @@ def to_text(table: pd.DataFrame) -> str:
             of = part.set_index("sampler")
             for metric in METRICS:
                 half = (of[f"{metric}_high"] - of[f"{metric}_low"]) / 2
-                values = [
-                    f"{value:.3f} ±{width:.3f}"
-                    for value, width in zip(of[metric], half, strict=True)
-                ]
-                text[f"{metric} n={n}"] = pd.Series(values, of.index)
+                value = of[metric].map("{:.3f}".format)
+                text[f"{metric} n={n}"] = value + half.map(" ±{:.3f}".format)
         which = f", hardness at least {HARD}" if subset == "hard" else ""
         blocks.append(f"{subset}: {rows['problems'].iloc[0]} problems{which}\n{text.to_string()}")
     return "\n\n".join(blocks)
+
+
+# --- figures ------------------------------------------------------------------------------------
 
 
 def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
@@ -232,24 +215,19 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
     rows = table[table["subset"] == subset]
     for k, (name, part) in enumerate(rows.groupby("sampler", sort=False)):
         style = "-" if k >= len(SAMPLERS) else ":"
-        colour, marker = PALETTE[k % len(PALETTE)], MARKERS[k % len(MARKERS)]
-        axes.plot(part["n"], part["success"], style, marker=marker, color=colour, label=str(name))
-        axes.fill_between(
-            part["n"],
-            part["success_low"],
-            part["success_high"],
-            color=colour,
-            alpha=0.12,
-            linewidth=0,
-        )
-    axes.set(
-        xlabel="vertices of the roadmap",
-        ylabel="problems solved",
-        title=f"{subset} problems",
-        ylim=(None, 1.01),
-    )
+        colour = PALETTE[k % len(PALETTE)]
+        marker = MARKERS[k % len(MARKERS)]
+        n = part["n"]
+        axes.plot(n, part["success"], style, marker=marker, color=colour, label=str(name))
+        low = part["success_low"]
+        axes.fill_between(n, low, part["success_high"], color=colour, alpha=0.12, linewidth=0)
+    axes.set_xlabel("vertices of the roadmap")
+    axes.set_ylabel("problems solved")
+    axes.set_title(f"{subset} problems")
+    axes.set_ylim(None, 1.01)
     axes.set_xscale("log", base=2)
-    axes.set_xticks(sorted(rows["n"].unique()), [str(n) for n in sorted(rows["n"].unique())])
+    sizes = sorted(rows["n"].unique())
+    axes.set_xticks(sizes, [str(n) for n in sizes])
     axes.minorticks_off()
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
@@ -259,24 +237,22 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
 def plot_roadmaps(
     rows: Mapping[str, Contender], problems: Problems, n: int, figure: Figure, maps: int = 3
 ) -> None:
-    """Draw the roadmaps of every sampler on the first hard problems, a line a problem, with the
-    path found.
-    """
+    """Draw every sampler's roadmaps and paths on the first hard problems, a line a problem."""
     chosen = [*np.flatnonzero(problems.hard), *np.flatnonzero(~problems.hard)][:maps]
     grid_of_axes = figure.subplots(len(chosen), len(rows), squeeze=False)
     for line, k in zip(grid_of_axes, chosen, strict=True):
-        grid, start, goal = problems.grids[k], problems.starts[k], problems.goals[k]
+        grid = problems.grids[k]
+        start = problems.starts[k]
+        goal = problems.goals[k]
         for axes, (name, contender) in zip(line, rows.items(), strict=True):
-            points = contender(grid[None], start[None], goal[None], n, [int(k)])[0]
-            roadmap = between(grid, start, goal, points)
+            samples = contender(grid[None], start[None], goal[None], n, [int(k)])[0]
+            roadmap = between(grid, start, goal, samples)
             length, path = roadmap.shortest_path()
             # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
-            plot_roadmap(
-                grid, roadmap.points - 0.5, roadmap.edges, axes, path=roadmap.points[path] - 0.5
-            )
-            axes.plot(
-                *(roadmap.points[:2, ::-1] - 0.5).T, "*", color="#009E73", markersize=12, zorder=4
-            )
-            axes.set_title(f"{name}, {f'{length:.1f} cells' if len(path) else 'no path'}")
+            points = roadmap.points - 0.5
+            plot_roadmap(grid, points, roadmap.edges, axes, path=points[path])
+            axes.plot(points[:2, 1], points[:2, 0], "*", color="#009E73", markersize=12, zorder=4)
+            found = f"{length:.1f} cells" if len(path) else "no path"
+            axes.set_title(f"{name}, {found}")
             if legend := axes.get_legend():
                 legend.remove()

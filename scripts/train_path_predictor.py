@@ -1,5 +1,4 @@
-"""Train the path predictor; python scripts/train_path_predictor.py fit --weights FILE writes its
-weights at the end.
+"""Train the path predictor: python scripts/train_path_predictor.py fit --weights FILE.
 
 All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
 Checkpoints, metrics.csv and figures of predictions each epoch lie under runs/path_predictor. More
@@ -7,7 +6,8 @@ flags after fit:
 
     --ckpt_path FILE             go on from a checkpoint
     --trainer.accelerator gpu    the same on a GPU
-    --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps
+    --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps;
+        its fields are map, start, goal, path, unless --data.fields asks for richer ones
 """
 
 from __future__ import annotations
@@ -35,16 +35,13 @@ class Figures(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write ``predictions-<step>.png`` into the folder of the logs."""
-        if (
-            not isinstance(pl_module, PathPredictor)
-            or trainer.log_dir is None
-            or not trainer.is_global_zero
-        ):
+        assert isinstance(pl_module, PathPredictor)
+        if trainer.log_dir is None or not trainer.is_global_zero:
             return
         loaders: Any = trainer.val_dataloaders
-        batches = [
-            next(iter(loader)) for loader in (loaders if isinstance(loaders, list) else [loaders])
-        ]
+        if not isinstance(loaders, list):
+            loaders = [loaders]
+        batches = [next(iter(loader)) for loader in loaders]
         canvas = Figure(figsize=(16, 5 * len(batches)), layout="constrained")
         axes = canvas.subplots(len(batches), 4, squeeze=False)
         for batch, line in zip(batches, axes, strict=True):
@@ -60,13 +57,13 @@ class Figures(Callback):
 
 def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
     """Draw the predicted path over a shortest one; shades are predicted heuristic ratios."""
-    fields = dict(zip(sample._fields, sample, strict=True))
-    grid, start, goal = (
-        fields[name].cpu().numpy().astype("int64") for name in ("map", "start", "goal")
-    )
+    grid = sample.map.cpu().numpy().astype("uint8")  # (1, H, W)
+    start = sample.start.cpu().numpy()
+    goal = sample.goal.cpu().numpy()
     truth = astar(grid[0], start, goal, model.movement).path
-    ratios = model.predict(grid, goal[None])[1][0]
-    plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=ratios)
+    predicted = model.predict_path(grid, start, goal)
+    _, ratios = model.predict(grid, goal[None])  # (1, H, W)
+    plot_prediction(grid[0], predicted, truth, axes, scores=ratios[0])
 
 
 class Cli(TrainingCli):
@@ -87,7 +84,8 @@ class Cli(TrainingCli):
         if config.connectivity is not None:
             model.connectivity = config.connectivity
         movement = Movement(model.connectivity, model.corner_cutting, model.diagonal_cost)
-        for part in [each.init_args for each in data.parts] if "parts" in data else [data]:
+        parts = [each.init_args for each in data.parts] if "parts" in data else [data]
+        for part in parts:
             given = part.movement
             if isinstance(given, (list, tuple)):
                 given = Movement(*given)

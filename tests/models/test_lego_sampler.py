@@ -414,6 +414,40 @@ def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
         load(tmp_path / "other.pt")
 
 
+def test_learns_from_map_start_goal_path(tmp_path: Path) -> None:
+    """The default fields of a data module are enough: samples of other maps lie near the paths."""
+    pl.seed_everything(0)
+    module = MapDataModule(None, build="paper", batch_size=16)
+    model = small(Heatmap, targets="path", learning_rate=0.02)
+    batch = next(iter(module.val_dataloader()))
+    assert batch._fields == ("map", "start", "goal", "path")
+    on_path = [set(map(tuple, cells.tolist())) for cells in batch.path]
+
+    def share() -> float:
+        grids = batch.map[:, 0].numpy()
+        points = model.sample_batch(grids, batch.start.numpy(), batch.goal.numpy(), 5)
+        cells = np.floor(points).astype(int).tolist()
+        found = [
+            tuple(cell) in path for path, each in zip(on_path, cells, strict=True) for cell in each
+        ]
+        return float(np.mean(found))
+
+    before = share()
+    run = pl.Trainer(
+        default_root_dir=tmp_path,
+        accelerator="cpu",
+        max_steps=60,
+        limit_val_batches=1,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        enable_checkpointing=False,
+        logger=False,
+    )
+    run.fit(model.train(), module)
+    model.eval()
+    assert share() > before + 0.1
+
+
 def _mean_loss(model: Sampler, module: FixedProblems) -> float:
     assert model.bank is not None
     losses = []

@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import json
 import runpy
+import subprocess
+import sys
+import textwrap
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -31,9 +34,9 @@ from mapdata import (
     evaluate,
 )
 from mapdata.evaluation import BatchPlanner, classical
-from mapdata.search import STEPS
+from mapdata.search import STEPS, heuristics
 from models.learned_planners import LearnedPlanner, planners
-from models.path_predictor import FIELDS, PathPredictor, legal_moves
+from models.path_predictor import FIELDS, PathPredictor, heuristic, legal_moves, targets_on_path
 from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]
@@ -135,6 +138,31 @@ def _passes(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: 
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
+def test_the_heuristic_is_that_of_the_searches(movement: Movement) -> None:
+    """Of all gaps on a map, up to float32."""
+    gaps = np.stack(np.meshgrid(np.arange(-70, 71), np.arange(-70, 71)), axis=-1)
+    truth = heuristics(gaps, [0, 0], movement)
+    down, right = torch.from_numpy(gaps).unbind(-1)
+    np.testing.assert_allclose(heuristic(down, right, movement), truth, rtol=1e-6)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_a_path_labels_its_own_cells(movement: Movement) -> None:
+    """With one of their optimal moves, and their heuristic ratio; all but the goal, and no other."""
+    fields = ("map", "start", "goal", "path", "optimal_moves", "heuristic_ratio", "path_mask")
+    data = OnlineMapDataset(DUNGEON, 3, 20, fields=fields, problems="random", movement=movement)
+    batch = next(iter(torch.utils.data.DataLoader(data, 20)))
+    moves, ratio = targets_on_path(batch, movement)
+    on_path = batch.path_mask[:, 0].bool()
+    on_path[torch.arange(20), batch.goal[:, 0], batch.goal[:, 1]] = False
+    assert torch.equal(moves != 0, on_path)
+    assert (moves & (moves - 1) == 0).all()
+    assert (moves & ~batch.optimal_moves[:, 0].long() == 0).all()
+    truth = torch.where(on_path, batch.heuristic_ratio[:, 0], 0)
+    torch.testing.assert_close(ratio, truth, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_loss_is_zero_for_any_optimal_policy(
     movement: Movement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -213,6 +241,24 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
         assert sum(same) >= 11
 
 
+def test_the_predicted_path_is_that_of_the_walk() -> None:
+    """Both reach the goal, or neither; the planner's may be shorter, along the moves it saw."""
+    model = confused()
+    drawn = Problems.sample(DUNGEON, 8, 40)
+    walks = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
+    reached = []
+    for plan, grid, start, goal in zip(walks, drawn.grids, drawn.starts, drawn.goals, strict=True):
+        path = model.predict_path(torch.tensor(grid)[None], torch.tensor(start), goal)
+        reached.append(len(path) > 0)
+        assert reached[-1] == (len(plan.path) > 0)
+        if reached[-1]:
+            assert len(path) == plan.expansions
+            assert np.array_equal(path[[0, -1]], [start, goal])
+            longer = check_path(grid, path, Movement(8))
+            assert longer >= check_path(grid, plan.path, Movement(8)) - 1e-9
+    assert {True, False} == set(reached)
+
+
 def test_start_at_the_goal_and_walls() -> None:
     """A path of one cell; no path between two halves; a start in a wall is refused."""
     model = confused()
@@ -245,6 +291,30 @@ def test_learns_quickly(tmp_path: Path) -> None:
     table = scores([*classical(), *planners(model.eval())], drawn)
     assert table.hmean["path_predictor (walk, else A*)"] > table.hmean["greedy best-first"] + 0.02
     assert table.success["path_predictor (walk, else A*)"] == 1
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> None:
+    """Batches of the card's four are enough: predictions for all cells of other maps improve."""
+    pl.seed_everything(0)
+    arguments: dict[str, Any] = {
+        "build": "dungeon",
+        "batch_size": 20,
+        "problems": "random",
+        "movement": Movement(connectivity),
+    }
+    data = MapDataModule(None, **arguments)
+    assert data.serving.fields == ("map", "start", "goal", "path")
+    model = PathPredictor(connectivity, widths=(16, 24, 24), passes=1, learning_rate=0.02)
+    truth = next(iter(MapDataModule(None, fields=FIELDS, **arguments).val_dataloader()))
+    with torch.no_grad():
+        before = model.losses(truth)
+    run = trainer(tmp_path, max_steps=60, limit_val_batches=0, enable_checkpointing=False)
+    run.fit(model, data)
+    with torch.no_grad():
+        after = model.losses(truth)
+    assert after["loss"] < 0.8 * before["loss"]
+    assert after["moves"] < before["moves"]
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
@@ -286,6 +356,57 @@ def test_saves_plain_types(tmp_path: Path) -> None:
         torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)
     )
     assert again.movement == Movement(4)
+
+
+EXPORT = """
+    import sys
+    import warnings
+
+    import numpy as np
+    import torch
+
+    from models.path_predictor import PathPredictor
+
+    warnings.simplefilter("ignore")
+    torch.manual_seed(0)
+    model = PathPredictor.load("models/weights/path_predictor.pt")
+    some, more = (
+        ((torch.rand(n, 1, 64, 64) < 0.3).to(torch.uint8), torch.randint(64, (n, 2))) for n in (2, 5)
+    )
+    if "warm" in sys.argv:
+        model(*some)
+    batch = {0: torch.export.Dim("batch")}
+    if "onnx" in sys.argv:
+        import onnxruntime
+
+        torch.onnx.export(model, some, dynamo=True, dynamic_shapes=(batch, batch)).save(sys.argv[-1])
+        session = onnxruntime.InferenceSession(sys.argv[-1])
+        names = [each.name for each in session.get_inputs()]
+        run = lambda *x: session.run(None, {k: v.numpy() for k, v in zip(names, x, strict=True)})
+    else:
+        run = torch.export.export(model, some, dynamic_shapes=(batch, batch)).module()
+    with torch.no_grad():
+        for given in (some, more):
+            for found, truth in zip(run(*given), model(*given), strict=True):
+                assert type(truth) is torch.Tensor
+                np.testing.assert_allclose(np.asarray(found), truth.numpy(), rtol=1e-4, atol=1e-4)
+"""
+
+
+@pytest.mark.parametrize("state", ["cold", "warm"])
+@pytest.mark.parametrize("kind", ["torch", "onnx"])
+def test_exports(kind: str, state: str, tmp_path: Path) -> None:
+    """The network exports before and after its first call, any number of problems at once, and
+    answers as before; in a process of its own, since what an export leaves behind stays there.
+    """
+    if kind == "onnx":
+        pytest.importorskip("onnxscript")
+        pytest.importorskip("onnxruntime")
+    arguments = [textwrap.dedent(EXPORT), state, kind, str(tmp_path / "model.onnx")]
+    found = subprocess.run(
+        [sys.executable, "-c", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
 
 
 @pytest.mark.slow
