@@ -59,7 +59,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
                 table = pa.Table.from_pylist(rows, schema)
                 parquet.write_table(table, target / "data" / name, compression="zstd")
                 written.add(split)
-    # the Hub refuses a pattern that no file has
+    # load_dataset refuses a pattern without files
     files = {
         _NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if split in written
     }

@@ -46,7 +46,7 @@ ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""
 
 PERCENTILES = (0.55, 0.70, 0.85, 1.0)
-"""The loader draws a start between two neighbouring ones of these, by the distance to the goal."""
+"""The loader draws starts from three intervals of distance, which these percentiles bound."""
 
 Array = npt.NDArray[Any]
 
