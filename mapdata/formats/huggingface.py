@@ -19,7 +19,8 @@ from mapdata.formats.registry import Format
 from mapdata.search.labels import Labels
 from mapdata.shards.dataset_card import Section, card
 from mapdata.shards.root import Root
-from mapdata.shards.table import SEARCHES, map_row
+from mapdata.shards.shard import SEARCHES
+from mapdata.shards.table import map_row
 from mapdata.spec import SPLITS
 
 if TYPE_CHECKING:

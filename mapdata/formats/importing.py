@@ -221,40 +221,33 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
     """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
-    if len(groups) == 1:
-        _check_folder(root)
-        return {groups[0]: root}
-    sizes = Counter((rows, columns) for rows, columns, _ in groups)
-    folders = {}
-    for rows, columns, metres in groups:
-        name = f"{rows}x{columns}"
-        if sizes[rows, columns] > 1:
-            name += f"-{metres:g}m"
-        folders[rows, columns, metres] = root / name
-    if not (root / MANIFEST).exists() and root.is_dir():
-        names = {folder.name for folder in folders.values()}
-        for path in root.iterdir():
-            if path.name not in names:
-                raise _other(root, path)
+    folders = dict.fromkeys(groups, root)
+    if len(groups) > 1:
+        sizes = Counter((rows, columns) for rows, columns, _ in groups)
+        for rows, columns, metres in groups:
+            name = f"{rows}x{columns}"
+            if sizes[rows, columns] > 1:
+                name += f"-{metres:g}m"
+            folders[rows, columns, metres] = root / name
+        _check_folder(root, {folder.name for folder in folders.values()}.__contains__)
     for folder in folders.values():
-        _check_folder(folder)
+        _check_folder(folder, _is_ours)
     return folders
 
 
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder without a manifest that holds what no import leaves behind."""
-    if not folder.is_dir() or (folder / MANIFEST).exists():
-        return
-    for path in folder.iterdir():
-        known = path.name in (LOCK, PROVENANCE) or path.name.endswith(".tmp")
-        if not (known or is_shard_name(path.name)):
-            raise _other(folder, path)
+def _check_folder(folder: Path, is_known: Callable[[str], bool]) -> None:
+    """Refuse a folder without a manifest that holds a name that is not known."""
+    if folder.is_dir() and not (folder / MANIFEST).exists():
+        for path in folder.iterdir():
+            if not is_known(path.name):
+                raise ValueError(
+                    f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
+                )
 
 
-def _other(folder: Path, path: Path) -> ValueError:
-    return ValueError(
-        f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
-    )
+def _is_ours(name: str) -> bool:
+    """Return whether an import that did not finish may have left a file of this name."""
+    return is_shard_name(name) or name in (LOCK, PROVENANCE) or name.endswith(".tmp")
 
 
 def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:

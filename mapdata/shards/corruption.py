@@ -136,9 +136,7 @@ def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspect
     if text != json.dumps(json.loads(text), indent=1) + "\n":
         what = "damaged (its text is not as it was written)"
         faults.append(Corruption(f"{place}/{MANIFEST}", what))
-    if manifest.spec is None:
-        faults += _check_provenance(place)
-    faults += _check_shards(place, manifest, True, progress)
+    faults += _check_files(place, manifest, True, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -157,9 +155,7 @@ def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
         return Inspection(place, None, tuple(faults))
-    if manifest.spec is None:
-        faults += _check_provenance(place)
-    faults += _check_shards(place, manifest, False, progress)
+    faults += _check_files(place, manifest, False, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -214,8 +210,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     return left
 
 
-def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
-    """Check the shards that a manifest lists, and name those that it should list.
+def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
+    """Check the shards that a manifest lists, name those that it should list, check an import.
 
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
@@ -226,7 +222,7 @@ def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) 
         if header is None:
             header = _partial(entry, planned.values())
         tasks.append((entry, header))
-    faults = []
+    faults = _check_provenance(place) if manifest.spec is None else []
     with (
         bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
         threads() as pool,

@@ -166,12 +166,12 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
         size = sum(entry.bytes for entry in manifest.shards)
         facts["size on disk"] = f"{size / 1e6:,.1f} MB" if size >= 1e6 else f"{size / 1e3:,.0f} kB"
         facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
-    presets = [name for name, spec in PRESETS.items() if spec == manifest.spec]
-    facts["preset"] = presets[0] if presets else ""
-    facts["seed"] = "" if manifest.seed is None else str(manifest.seed)
-    facts["identity"] = manifest.identity or "none: imported maps are what their content hash says"
-    facts["content hash"] = manifest.content_hash
-    return facts
+    return facts | {
+        "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
+        "seed": "" if manifest.seed is None else str(manifest.seed),
+        "identity": manifest.identity or "none: imported maps are what their content hash says",
+        "content hash": manifest.content_hash,
+    }
 
 
 def _rebuild(name: str, manifest: Manifest) -> Section:
@@ -267,13 +267,12 @@ def _distributions(of: DatasetStatistics) -> Section:
 def _duplicates(of: DatasetStatistics) -> Section:
     exact, symmetric = of.repeats
     same = f"the same up to {of.symmetries} symmetries"
-    rows: list[tuple[str, ...]] = [("maps that are there already", "exactly the same", same)]
+    rows = [("maps that are there already", "exactly the same", same)]
     for name in SPLITS:
-        counts = (exact.inside[name], symmetric.inside[name])
-        rows.append((f"inside {name}", *(f"{count:,}" for count in counts)))
+        rows.append((f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}"))
     for a, b in exact.across:
-        counts = (exact.across[a, b], symmetric.across[a, b])
-        rows.append((f"of {b}, also in {a}", *(f"{count:,}" for count in counts)))
+        counts = (f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}")
+        rows.append((f"of {b}, also in {a}", *counts))
     return Section("Duplicates", _verdict(exact, symmetric), table=tuple(rows))
 
 

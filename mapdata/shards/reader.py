@@ -28,6 +28,7 @@ from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
 from mapdata.shards.shard import (
     FIELDS,
+    SEARCHES,
     Array,
     Field,
     Header,
@@ -316,7 +317,7 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
         "directions": (segments, 2),
         "astar_diagonal": (pairs if header.movement.connectivity == 8 else 0,),
     }
-    for search in ("bfs", "astar"):
+    for search in SEARCHES:
         bits = _last(arrays[f"{search}_offsets"]) * bits_of(header.movement)
         shapes |= {
             f"{search}_offsets": (segments + 1,),

@@ -29,6 +29,9 @@ from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json
 
 Array = npt.NDArray[Any]
 
+SEARCHES = ("bfs", "astar")
+"""The searches whose results are stored, as names of datasets and columns begin."""
+
 
 class ShardError(ValueError):
     """A file that is not a sound shard; the message names the file and what is wrong with it."""

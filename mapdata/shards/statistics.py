@@ -18,6 +18,7 @@ from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
+from mapdata.shards.shard import SEARCHES
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
@@ -130,7 +131,7 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
     rooms_known = bool(table.pop("rooms_known").any())
     exact = table.pop("exact")
     symmetric = table.pop("symmetric")
-    iterations = {search: table.pop(search) for search in ("bfs", "astar")}
+    iterations = {search: table.pop(search) for search in SEARCHES}
     return DatasetStatistics(
         root=opened,
         iterations=iterations,

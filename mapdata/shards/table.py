@@ -8,10 +8,8 @@ import numpy as np
 
 from mapdata.arrays import Ints
 from mapdata.search.labels import Labels
-from mapdata.shards.shard import Shard, decode
+from mapdata.shards.shard import SEARCHES, Shard, decode
 from mapdata.spec import SPLITS
-
-SEARCHES = ("bfs", "astar")
 
 
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
