@@ -16,6 +16,8 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from mapdata.arrays import Bytes
+
 Array = npt.NDArray[Any]
 
 
@@ -267,7 +269,7 @@ def _array(file: IO[bytes], size: int, what: str) -> Array:
     return values.reshape(shape, order="F" if fortran else "C")
 
 
-def occupancy(values: Array, what: str, threshold: float | None = None) -> npt.NDArray[np.uint8]:
+def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes:
     """Return an array of 0 and 1, bool, or probabilities in [0, 1] as uint8.
 
     Args:

@@ -7,7 +7,6 @@ the draws of stream 5. An imported dataset has no recipe, so its identity is its
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -37,7 +36,7 @@ from mapdata.shards.manifest import (
     read_manifest,
     shard_name,
 )
-from mapdata.shards.shard import Header, Shard, shard_image, write_file
+from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_seed
 
@@ -83,7 +82,7 @@ class Imported:
 
 
 def import_maps(
-    root: str | os.PathLike[str],
+    root: StrPath,
     source: Collection,
     *,
     seed_points: int = 5,

@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.registry import Format
@@ -427,7 +426,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     ]
 
 
-def _scen(name: str, grid: Bytes, seed_points: npt.NDArray[np.int64]) -> str:
+def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
     first, second = np.triu_indices(len(seed_points), 1)

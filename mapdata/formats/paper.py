@@ -228,8 +228,7 @@ def _add_map(
 ) -> None:
     """Add one line of the CSV to ``found``, as a map or as left out."""
     # a label may be the path of a picture
-    _, _, name = row["label"].replace("\\", "/").rpartition("/")
-    name = name or f"map{row['item']}"
+    name = row["label"].replace("\\", "/").rpartition("/")[2] or f"map{row['item']}"
     stem = Path(name).stem if name.lower().endswith(PICTURES) else name
     try:
         picture = pictures.get(stem.lower()) or pictures.get(row["item"].lower())

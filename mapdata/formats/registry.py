@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, empty_target, walk
 from mapdata.shards.root import Places, Root
+from mapdata.shards.shard import StrPath
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def options_of(function: Callable[..., object]) -> dict[str, Option]:
     return options
 
 
-def recognise(source: str | os.PathLike[str]) -> str:
+def recognise(source: StrPath) -> str:
     """Return the name of the format of a file or folder.
 
     Raises:
@@ -122,7 +123,7 @@ def recognise(source: str | os.PathLike[str]) -> str:
 
 
 def read_any(
-    source: str | os.PathLike[str],
+    source: StrPath,
     kind: str | None = None,
     limits: Limits = Limits(),
     **options: object,
@@ -149,7 +150,7 @@ def read_any(
 
 def export(
     root: Places,
-    target: str | os.PathLike[str],
+    target: StrPath,
     kind: str,
     *,
     progress: bool = False,

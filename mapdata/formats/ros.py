@@ -20,13 +20,14 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 from PIL import Image
 
+from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.images import PICTURES, Pixels, read_pixels
@@ -36,6 +37,8 @@ from mapdata.spec import SPLITS
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
+
+Int8s: TypeAlias = npt.NDArray[np.int8]
 
 # pixels as map_saver writes them
 _FREE = 254
@@ -52,7 +55,7 @@ class RosMap:
         origin: (x, y, yaw) of the lower left corner, in metres and radians.
     """
 
-    cells: npt.NDArray[np.int8]
+    cells: Int8s
     resolution: float
     origin: tuple[float, float, float]
 
@@ -152,16 +155,14 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
     inside = image.is_relative_to(folder)
     if not (inside and image.is_file()):
         what = "is missing" if inside else "lies outside the folder of the yaml"
-        _, _, beside = name.replace("\\", "/").rpartition("/")
+        beside = name.replace("\\", "/").rpartition("/")[2]
         if beside != name and (folder / beside).is_file():
             what += f"; say image: {beside}, which lies beside it"
         raise FormatError(f"{path}: image {name[:80]!r} {what}")
     return image
 
 
-def _classify(
-    pixels: Pixels, mode: str, negate: bool, low: float, high: float
-) -> npt.NDArray[np.int8]:
+def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) -> Int8s:
     """Return map_server's value of each pixel, as in `RosMap`."""
     values, white = pixels
     colours = values if mode == "trinary" else values[:, :, :3]  # all but alpha
@@ -182,14 +183,14 @@ def _classify(
             table = np.clip(np.rint((occupied - low) / (high - low) * 100), 0, 100)
         table[occupied < low] = 0
         table[occupied > high] = 100
-    cells: npt.NDArray[np.int8] = table.astype(np.int8)[total]
+    cells: Int8s = table.astype(np.int8)[total]
     if mode == "scale" and values.shape[2] == 4:
         is_opaque = values[:, :, 3] == white
         cells[~is_opaque] = -1
     return cells
 
 
-def to_grid(cells: npt.NDArray[np.int8], unknown: str | None, what: str) -> npt.NDArray[np.uint8]:
+def to_grid(cells: Int8s, unknown: str | None, what: str) -> Bytes:
     """Return cells as a grid, 0 free and 1 occupied.
 
     Args:
@@ -212,7 +213,7 @@ def to_grid(cells: npt.NDArray[np.int8], unknown: str | None, what: str) -> npt.
     return np.asarray(occupied, np.uint8)
 
 
-def _unknown(cells: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+def _unknown(cells: Int8s) -> Flags:
     """Return which cells are neither free nor occupied."""
     return np.isin(cells, (0, 100), invert=True)
 

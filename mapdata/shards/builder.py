@@ -21,6 +21,7 @@ from mapdata.shards.manifest import (
     MOST_SHARDS,
     Entry,
     Manifest,
+    Range,
     entry_of,
     is_shard_name,
     load_shard,
@@ -31,7 +32,7 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import folder_of
-from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
+from mapdata.shards.shard import Header, Origin, Shard, ShardError, StrPath, shard_image, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
 
@@ -49,7 +50,7 @@ _FEW = 4 * CORES
 
 
 def build(
-    root: str | os.PathLike[str],
+    root: StrPath,
     spec: MapGenerator,
     *,
     maps: int = 10_000,
@@ -181,13 +182,13 @@ def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _make(root: Path, torn: frozenset[tuple[int, int]], header: Header) -> Entry:
+def _make(root: Path, torn: frozenset[Range], header: Header) -> Entry:
     """Make a shard, anew if it is torn: a function of the module, since processes pickle it."""
     return make_shard(root, header, anew=(header.start, header.stop) in torn)
 
 
 def _made(
-    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[tuple[int, int]], most: int
+    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[Range], most: int
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
     make = partial(_make, root, torn)
@@ -205,9 +206,7 @@ def _made(
                 yield entry
 
 
-def _prepare(
-    root: Path, wanted: Manifest
-) -> tuple[dict[tuple[int, int], Entry], frozenset[tuple[int, int]]]:
+def _prepare(root: Path, wanted: Manifest) -> tuple[dict[Range, Entry], frozenset[Range]]:
     """Make sure that the root is of the wanted dataset; make it if it is missing.
 
     Returns:

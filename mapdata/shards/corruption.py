@@ -23,6 +23,7 @@ from mapdata.shards.manifest import (
     DatasetNotFoundError,
     Entry,
     Manifest,
+    Range,
     counts_of,
     is_shard_name,
     limits_of,
@@ -41,7 +42,7 @@ from mapdata.shards.root import (
     places,
     read_file,
 )
-from mapdata.shards.shard import Header, ShardError, decode, write_file
+from mapdata.shards.shard import Header, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 
 
@@ -119,7 +120,7 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
     return [str(fault) for fault in left]
 
 
-def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspection:
+def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
     """Check every file of the dataset of one folder or URL.
 
     Raises:
@@ -265,7 +266,7 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
 
 
-def _shard_size(root: Path, limits: Sequence[tuple[int, int]]) -> int | None:
+def _shard_size(root: Path, limits: Sequence[Range]) -> int | None:
     """Return the maps a shard of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
     # What a damaged manifest still says comes first: a shard that is alone may be a partial one.

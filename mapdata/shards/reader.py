@@ -34,6 +34,7 @@ from mapdata.shards.shard import (
     Header,
     Shard,
     ShardError,
+    StrPath,
     bits_of,
     check_version,
     decode,
@@ -41,7 +42,7 @@ from mapdata.shards.shard import (
 from mapdata.spec import Movement
 
 
-def read_shard(path: str | os.PathLike[str]) -> Labels:
+def read_shard(path: StrPath) -> Labels:
     """Return all maps of a shard file with their labels.
 
     Raises:
@@ -51,7 +52,7 @@ def read_shard(path: str | os.PathLike[str]) -> Labels:
     return decode(open_shard(path))
 
 
-def open_shard(path: str | os.PathLike[str], size: int | None = None) -> Shard:
+def open_shard(path: StrPath, size: int | None = None) -> Shard:
     """Check a shard file and map it.
 
     Args:
@@ -102,7 +103,7 @@ def _parse(path: Path, status: os.stat_result, mapping: Bytes) -> Shard | None:
         file.close()
 
 
-_UNSOUND = (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
+_UNSOUND = (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError)
 """What HDF5, JSON and our own checks of a spec raise on files that are no sound shards."""
 
 _ATTEMPTS = 10

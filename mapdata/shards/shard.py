@@ -12,7 +12,7 @@ import socket
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import h5py
 import numpy as np
@@ -28,6 +28,7 @@ from mapdata.shards.content import content_hash
 from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json
 
 Array = npt.NDArray[Any]
+StrPath: TypeAlias = str | os.PathLike[str]
 
 SEARCHES = ("bfs", "astar")
 """The searches whose results are stored, as names of datasets and columns begin."""

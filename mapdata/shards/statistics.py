@@ -8,17 +8,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import SEARCHES
+from mapdata.shards.shard import SEARCHES, Array
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
@@ -162,7 +160,7 @@ def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
     return edges, counts.astype(np.int64)
 
 
-def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
+def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     """Return what a shard adds to each array of a `DatasetStatistics`."""
     maps = labels.maps
     movement = maps.movement
