@@ -1,6 +1,6 @@
 """Importing grids from elsewhere as a dataset: drawing seed points, labelling, writing shards.
 
-The bytes are a function of (grids, seed, seed points a map, movement) alone: docs/format.md lists
+The bytes are a function of (grids, seed, seed points per map, movement) alone: docs/format.md lists
 the draws of stream 5. An imported dataset has no recipe, so its identity is its content hash.
 """
 
@@ -111,7 +111,7 @@ def import_maps(
         splits: fractions of train, val and test, for maps whose split the source does not say.
         tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
             edges is dropped.
-        shard_size: maps a shard; default 1000, less for large maps.
+        shard_size: maps per shard; default 1000, less for large maps.
         progress: show a progress bar.
 
     Raises:

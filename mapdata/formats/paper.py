@@ -19,8 +19,8 @@ Lists are written as JSON.
 | resolution | metres per cell |
 | rooms | how many (ours) |
 | passage_size | width of the passages, in cells |
-| seed_rows, seed_columns | a number a room |
-| size_rows, size_columns | a number a room |
+| seed_rows, seed_columns | one number per room |
+| size_rows, size_columns | one number per room |
 | direction_for_passages | two a passage, its legs: 1 horizontal, 0 vertical, -1 none |
 | connected | one a passage: whether it was drawn |
 | reachable | one a segment: whether it has a path (path_exists in files of mapdata 0.1) |
@@ -284,7 +284,7 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
 
 
 def _pairs(row: dict[str, str], first: str, second: str) -> Ints:
-    """Return two lists of the CSV, each of a number a room, as (n, 2)."""
+    """Return two lists of the CSV, each with one number per room, as (n, 2)."""
     one = numbers(row[first])
     other = numbers(row[second])
     if len(one) != len(other):

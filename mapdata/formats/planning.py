@@ -135,7 +135,7 @@ def policy(values: Float32s) -> Bytes:
 
 def has_starts(values: Float32s) -> bool:
     """Return whether neural-astar's loader can draw a start in each of its three intervals."""
-    cells = values[values > values.min()]
+    cells = values[values > values.min()]  # the least value stands for no path
     if len(cells) < 2:
         return False  # only the goal itself
     # values are negative distances, so far cells have low percentiles
@@ -160,7 +160,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
-    # of each map its split, -1 if it is left out; a list of a shard each
+    # one array per shard: the split of each map, -1 if it is left out
     splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(root)]
     counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
     if 0 in counts:

@@ -71,7 +71,7 @@ def build(
         spec: the distribution of maps.
         maps: how many maps the dataset shall have.
         seed: 64-bit seed.
-        shard_size: maps a shard.
+        shard_size: maps per shard.
         workers: threads (the kernels hold no GIL); default all cores.
         executor: builds the shards instead of threads; anything with ``submit``. When one of its
             workers dies and breaks it, as in a process pool, threads of this process go on.

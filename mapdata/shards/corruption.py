@@ -82,7 +82,7 @@ class Inspection:
 
 
 def verify(root: Places, *, progress: bool = False) -> list[str]:
-    """Return what is wrong with a dataset, a line each; an empty list if nothing is.
+    """Return what is wrong with a dataset, one line per fault; an empty list if nothing is.
 
     Every file is hashed before HDF5 opens it, then checked, and its content hash is computed again.
 
@@ -100,7 +100,7 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
-    """Make again what `verify` finds damaged or missing; return what is still wrong, a line each.
+    """Make again what `verify` finds damaged or missing; return the faults that are left.
 
     Imported maps have no recipe, so their shards cannot be made again.
 
@@ -233,7 +233,7 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for limits, header in planned.items():
+    for limits, header in planned.items():  # what no entry took out
         path = f"{place}/{shard_name(*limits)}"
         if listed:
             what = "missing (the build did not finish)"
@@ -267,7 +267,7 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
 
 
 def _shard_size(root: Path, limits: Sequence[Range]) -> int | None:
-    """Return the maps a shard of a dataset with shards of these limits, or None if none fits."""
+    """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
     # What a damaged manifest still says comes first: a shard that is alone may be a partial one.
     if (root / MANIFEST).exists():

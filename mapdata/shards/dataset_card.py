@@ -125,8 +125,8 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
 def _introduction(of: DatasetStatistics) -> str:
     what = "rooms" if of.rooms_known else "seed points"
     sources = [
-        "imported maps, labelled" if spec is None else f"{spec.description}, made"
-        for spec in _specs(of)
+        f"{manifest.spec.description}, made" if manifest.spec else "imported maps, labelled"
+        for manifest in of.root.manifests
     ]
     made = "; ".join(dict.fromkeys(sources))  # places often have one source: once is enough
     text = (
@@ -307,12 +307,9 @@ def _use(of: DatasetStatistics, copied: bool) -> Section:
 
 def _whom_to_cite(of: DatasetStatistics) -> str:
     imported = f"Cite the source of the maps. {Generator.citation}"
-    texts = [imported if spec is None else spec.citation for spec in _specs(of)]
+    specs = [manifest.spec for manifest in of.root.manifests]
+    texts = [imported if spec is None else spec.citation for spec in specs]
     return " ".join(dict.fromkeys(texts))  # each once
-
-
-def _specs(of: DatasetStatistics) -> list[Generator | None]:
-    return [manifest.spec for manifest in of.root.manifests]
 
 
 def movement_text(movement: Movement) -> str:

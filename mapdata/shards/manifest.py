@@ -118,7 +118,7 @@ class Manifest(Origin):
 
     Attributes:
         maps: how many maps the dataset shall have.
-        shard_size: maps a shard.
+        shard_size: maps per shard.
         shards: finished shards in the order of their maps.
     """
 
@@ -450,7 +450,7 @@ def counts_of(labels: Labels) -> dict[str, Any]:
         "most_rooms": int(maps.rooms.max(initial=0)),
     }
     costs = labels.astar.costs  # straight and diagonal moves of each pair, -1 without a path
-    # of each kind: problems a map; of each problem, whether it has a path, and the moves of that
+    # of each kind: its problems per map; for each problem, whether it has a path, and its moves
     kinds = {
         "route": (passages, labels.reachable, np.diff(labels.astar.offsets)),
         "rooms": (np.diff(maps.pair_offsets), costs[:, 0] >= 0, costs.sum(axis=1)),

@@ -285,7 +285,7 @@ def _checked_arrays(file: h5f.FileID, mapping: Bytes, header: Header) -> dict[st
 
 
 def head(shard: Shard, maps: int) -> Shard:
-    """Return the first maps of a shard as a shard, which keeps the content hash and path of all."""
+    """Return a shard of the first maps of another one, still with the content hash of all."""
     arrays = dict(shard.arrays)
     for name in ("room_offsets", "pair_offsets"):
         arrays[name] = arrays[name][: maps + 1]

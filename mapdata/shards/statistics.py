@@ -20,7 +20,7 @@ from mapdata.shards.shard import SEARCHES, Array
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
-"""How many cells are unpacked to a byte each at once: memory stays flat however large a shard."""
+"""Cells that are unpacked at once, to a byte each: memory stays flat for shards of any size."""
 
 _DIGEST = 16
 """Bytes of the hash of a map: among 10**9 different maps two collide with probability 1e-21."""
