@@ -247,8 +247,8 @@ def _images(grids: Bytes) -> Iterator[Bytes]:
 def _digest(grids: Bytes) -> Bytes:
     """Return (N, 16) uint8, a hash of each grid."""
     packed = np.ascontiguousarray(np.packbits(grids, axis=2)).reshape(len(grids), -1)
-    found = b"".join(hashlib.blake2b(row, digest_size=_DIGEST).digest() for row in packed)  # type: ignore[arg-type]
-    return np.frombuffer(found, np.uint8).reshape(len(grids), _DIGEST)
+    digests = [hashlib.blake2b(row.data, digest_size=_DIGEST).digest() for row in packed]
+    return np.frombuffer(b"".join(digests), np.uint8).reshape(len(grids), _DIGEST)
 
 
 def _repeats(digests: Bytes, split: Bytes) -> Repeats:

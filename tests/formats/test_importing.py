@@ -21,7 +21,8 @@ from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
 Bytes = npt.NDArray[np.uint8]
-SPLIT, POINTS = 2, 5
+SPLIT = 2
+POINTS = 5
 
 
 def test_a_dataset_of_grids(tmp_path: Path) -> None:

@@ -121,7 +121,8 @@ def test_long_published_lengths() -> None:
     benchmark does.
     """
     for straight, diagonal in ((687, 600), (1, 1023), (1500, 1)):
-        exact, theirs = straight + diagonal * math.sqrt(2), straight + diagonal * 1.414213562
+        exact = straight + diagonal * math.sqrt(2)
+        theirs = straight + diagonal * 1.414213562
         assert agrees(Problem(0, "", None, (0, 0), (1, 1), f"{theirs:.8f}", 1, 1e-8), exact)
         for wrong in (-2e-6, 2e-8):
             assert not agrees(

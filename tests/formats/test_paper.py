@@ -94,7 +94,9 @@ def test_joined() -> None:
     """A joint stands once, that of two seed points on one cell too; after a missing segment the
     next one begins.
     """
-    one, other, stay = np.array([[0, 0], [0, 1]]), np.array([[0, 1], [1, 1]]), np.array([[0, 1]])
+    one = np.array([[0, 0], [0, 1]])
+    other = np.array([[0, 1], [1, 1]])
+    stay = np.array([[0, 1]])
     none = np.empty((0, 2), np.int64)
     assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
     assert joined([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]

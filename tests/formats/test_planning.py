@@ -74,7 +74,8 @@ def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
     """
     export(root, tmp_path / "maps.npz", "planning-datasets")
     assert recognise(tmp_path / "maps.npz") == "planning-datasets"
-    random, total = np.random.default_rng(0), 0
+    random = np.random.default_rng(0)
+    total = 0
     for split in ("train", "valid", "test"):
         loader = Loader(tmp_path / "maps.npz", split)
         assert loader.maps.shape[1:] == (20, 70)

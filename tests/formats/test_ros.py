@@ -116,7 +116,8 @@ def slow(
 )
 def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: float) -> None:
     """The table agrees with the servers' rule on any pixels and thresholds."""
-    low, high = min(one, other), max(one, other) + 0.01
+    low = min(one, other)
+    high = max(one, other) + 0.01
     cells = _classify(Pixels(values, 255), mode, negate and mode != "raw", low, high)
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):

@@ -218,7 +218,8 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
 def test_a_second_run_makes_nothing(root: Path) -> None:
     """A finished dataset is left as it is, file by file."""
     first = make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     assert make(root, workers=2) == first
     assert stamps(root) == before
     assert (root / MANIFEST).read_bytes() == text
@@ -257,7 +258,8 @@ def test_only_what_is_missing_is_made_again(how: str, root: Path, truth: str) ->
 def test_a_finished_shard_that_missed_the_manifest_is_adopted(root: Path) -> None:
     """A crash between a shard and the manifest costs nothing."""
     whole = make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).write_text(
         replace(whole, shards=whole.shards[1:2]).to_json(), encoding="utf-8"
     )
@@ -285,7 +287,8 @@ def test_a_damaged_shard_that_missed_the_manifest_is_made_again(dataset: str, ro
 def test_a_lost_manifest_is_made_again(root: Path) -> None:
     """It is derived from the shards, which are left as they are."""
     make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).unlink()
     make(root)
     assert stamps(root) == before
@@ -356,7 +359,8 @@ def test_another_dataset_under_the_root_is_refused(
 ) -> None:
     """The message names what the root holds and what was asked for; nothing changes."""
     make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     with pytest.raises(ValueError, match=re.escape(str(root))) as caught:
         build(root, **(KNOWN | arguments))
     assert [word for word in says if word not in str(caught.value)] == []
@@ -488,7 +492,8 @@ class FailsAfter(InTheCaller):
 
     def __init__(self, tasks: int, error: BaseException) -> None:
         """Fail with ``error``."""
-        self.left, self.error = tasks, error
+        self.left = tasks
+        self.error = error
 
     def submit(self, function: Task, /, *arguments: object, **options: object) -> Future[Any]:
         """Run ``function`` now, or fail."""
@@ -496,7 +501,8 @@ class FailsAfter(InTheCaller):
         if self.left < 0:
             if not isinstance(self.error, Exception):
                 raise self.error
-            function, arguments = self.fail, ()
+            function = self.fail
+            arguments = ()
         return super().submit(function, *arguments, **options)
 
     def fail(self) -> None:

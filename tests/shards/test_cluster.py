@@ -16,7 +16,8 @@ from mapdata import build, verify
 from mapdata.shards import read_manifest
 from mapdata.shards.cluster import executor_of
 
-MAPS, SHARD = 400, 5
+MAPS = 400
+SHARD = 5
 RECIPE = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": MAPS})
 
 LOSSES = """

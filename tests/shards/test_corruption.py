@@ -157,7 +157,8 @@ def test_verify_lives_with_other_library_versions(
 
 def test_verify_changes_nothing(finished: Path) -> None:
     """It reads."""
-    before, text = stamps(finished), (finished / MANIFEST).read_bytes()
+    before = stamps(finished)
+    text = (finished / MANIFEST).read_bytes()
     assert verify(finished) == []
     assert (stamps(finished), (finished / MANIFEST).read_bytes()) == (before, text)
 
@@ -344,7 +345,8 @@ def test_imported_maps_cannot_be_made_again(
     until they are back.
     """
     path = imported / shard_name(3, 6)
-    image, text = path.read_bytes(), (imported / MANIFEST).read_bytes()
+    image = path.read_bytes()
+    text = (imported / MANIFEST).read_bytes()
     path.write_bytes(flipped(path, "maps"))
     (imported / MANIFEST).write_bytes(text[:-9])
     with pytest.raises(SystemExit, match="1"):

@@ -73,7 +73,8 @@ def test_numbers_are_those_of_the_data(tmp_path: Path) -> None:
             solvable[1],
             every[1] - solvable[1],
         ]
-    frame, shares = MapDataset(root, split=None).table(), table(text, "Shares")
+    frame = MapDataset(root, split=None).table()
+    shares = table(text, "Shares")
     for name, column in (("drawn passages", "connected"), ("reachable segments", "reachable")):
         flags = [flag for row in frame[column] for flag in row]
         assert shares[name][1] == f"{np.mean(flags):.1%} ({sum(flags):,} of {len(flags):,})"

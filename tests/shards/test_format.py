@@ -28,7 +28,9 @@ Array: TypeAlias = npt.NDArray[Any]
 Row: TypeAlias = list[str]
 
 PAGE = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
-SEED, MAPS, SHARD_SIZE = 2**63 + 5, 11, 4
+SEED = 2**63 + 5
+MAPS = 11
+SHARD_SIZE = 4
 SPEC = MapSpec(
     (20, 70),
     (2, 6),
@@ -471,16 +473,15 @@ def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
     assert sorted(manifest["spec"]) == sorted(names("spec"))
     assert sorted(manifest["spec"]["movement"]) == sorted(names("movement"))
     for number, entry in enumerate(manifest["shards"]):
-        start, stop = number * SHARD_SIZE, min((number + 1) * SHARD_SIZE, MAPS)
+        start = number * SHARD_SIZE
+        stop = min((number + 1) * SHARD_SIZE, MAPS)
         assert list(entry) == names("key of a shard")
         assert (entry["start"], entry["stop"]) == (start, stop)
         assert entry["name"] == f"maps-{start:012d}-{stop:012d}.h5" == dataset.shards[number].name
         splits = names("count")[names("count").index("train") : names("count").index("maps")]
         assert splits == ["train", "val", "test"]
-        outer, inner = (
-            names("count")[: names("count").index("maps")],
-            names("count")[names("count").index("maps") :],
-        )
+        outer = names("count")[: names("count").index("maps")]
+        inner = names("count")[names("count").index("maps") :]
         assert list(entry["counts"]) == outer
         assert all(list(entry["counts"][split]) == inner for split in splits)
 
@@ -496,7 +497,8 @@ def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
             for one in maps:
                 if one.split != code:
                     continue
-                found, n = one.planners["astar"], len(one.seed_points)
+                found = one.planners["astar"]
+                n = len(one.seed_points)
                 ways = [s + d for s, d in zip(found.straight, found.diagonal, strict=True)]
                 costs["rooms"] += ways
                 costs["route"] += [ways[q * (2 * n - q - 1) // 2] for q in range(n - 1)]
@@ -563,7 +565,8 @@ def test_values_to_check_against(tmp_path: Path) -> None:
     manifest = build(tmp_path / "maps", spec, maps=10, seed=0, shard_size=10, workers=1)
     maps = read(tmp_path / "maps" / manifest.shards[0].name)[1]
     first = maps[0]
-    bfs, astar = first.planners["bfs"], first.planners["astar"]
+    bfs = first.planners["bfs"]
+    astar = first.planners["astar"]
     stated = [
         " ".join(f"{word:08x}" for word in reference.philox4x32((0, 0, 0, 0), (0, 0))),
         spec.to_json().replace(',"passage', ', "passage').replace(',"skip', ', "skip'),

@@ -208,7 +208,8 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
     model = PathPredictor(4, widths=(8, 8, 8), passes=1)
     model.save(folder / "sound.pt")
     sound = torch.load(folder / "sound.pt", weights_only=True)
-    plain, weights = sound["arguments"], sound["weights"]
+    plain = sound["arguments"]
+    weights = sound["weights"]
     first = next(iter(weights))
     tar = io.BytesIO()
     tarfile.open(fileobj=tar, mode="w").close()

@@ -59,7 +59,8 @@ def test_kept_datasets_read_to_the_same_hash(name: str) -> None:
     """Written by the version that brought the format: content, bytes and samples are what they
     were.
     """
-    root, (content, samples) = KEPT / name, HASHES[name]
+    root = KEPT / name
+    (content, samples) = HASHES[name]
     manifest = read_manifest(root)
     assert manifest.content_hash == content
     found = []

@@ -211,7 +211,9 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
 
 def test_a_flipped_bit_changes_no_value(built: Path) -> None:
     """Any flipped bit is refused, or lies in white space and changes no value."""
-    text, manifest, random = (built / MANIFEST).read_bytes(), read_manifest(built), Random(1)
+    text = (built / MANIFEST).read_bytes()
+    manifest = read_manifest(built)
+    random = Random(1)
     refused = 0
     for _ in range(600):
         damaged = bytearray(text)
@@ -299,7 +301,8 @@ def test_the_error_crosses_processes(tmp_path: Path) -> None:
 def test_merge_is_a_union(tmp_path: Path) -> None:
     """What two builders finished stands in the manifest of both, in the order of the maps."""
     whole = manifest_of(SPEC, 1, 10, 4, done=3)
-    first, second = replace(whole, shards=whole.shards[2:]), replace(whole, shards=whole.shards[:1])
+    first = replace(whole, shards=whole.shards[2:])
+    second = replace(whole, shards=whole.shards[:1])
     assert merge(tmp_path, first) == first == read_manifest(tmp_path)
     assert merge(tmp_path, second).shards == (whole.shards[0], whole.shards[2])
     assert merge(tmp_path, whole) == whole == read_manifest(tmp_path)
@@ -311,7 +314,8 @@ def test_merge_keeps_the_larger_dataset(tmp_path: Path) -> None:
     """A builder of fewer maps does not shrink what another one extends, nor bring back its partial
     shard.
     """
-    small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
+    small = manifest_of(SPEC, 1, 6, 4, done=2)
+    large = manifest_of(SPEC, 1, 10, 4, done=2)
     for first, second in ((small, large), (large, small)):
         merge(tmp_path, first)
         union = merge(tmp_path, second)
@@ -322,7 +326,8 @@ def test_merge_keeps_the_larger_dataset(tmp_path: Path) -> None:
 
 def test_merge_removes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
     """The partial shard of a builder of fewer maps goes when the manifest no longer lists it."""
-    small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
+    small = manifest_of(SPEC, 1, 6, 4, done=2)
+    large = manifest_of(SPEC, 1, 10, 4, done=2)
     for entry in (*small.shards, *large.shards):
         (tmp_path / entry.name).touch()
     merge(tmp_path, large)

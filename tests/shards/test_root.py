@@ -71,7 +71,9 @@ class Server:
 
     def __init__(self, folder: Path, url: str, fetched: list[str]) -> None:
         """Keep what a test needs."""
-        self.folder, self.url, self.fetched = folder, url, fetched
+        self.folder = folder
+        self.url = url
+        self.fetched = fetched
 
 
 @pytest.fixture
@@ -219,7 +221,8 @@ def occupancy(labels: Iterator[Labels]) -> list[bytes]:
 
 def test_a_root_is_its_maps(server: Server) -> None:
     """Folder and URL hold the same maps, a shard at a time; one map is found without the others."""
-    here, there = Root.open(server.folder), Root.open(server.url)
+    here = Root.open(server.folder)
+    there = Root.open(server.url)
     assert (here.map_size, here.movement, here.maps) == ((20, 20), Movement(), 60)
     assert len(here.shards) == len(here.manifests[0].shards)
     assert (str(here), str(there)) == (str(server.folder), server.url)
@@ -279,7 +282,8 @@ def test_statistics_card_report_and_figures(server: Server, tmp_path: Path) -> N
     assert report(server.url) == report(server.folder)
     other = samples.build_small(tmp_path / "other", maps=10)
     both = (server.url, other)
-    of, parts = dataset_statistics(both), [dataset_statistics(place) for place in both]
+    of = dataset_statistics(both)
+    parts = [dataset_statistics(place) for place in both]
     assert len(of) == 70
     for name in ("rooms", "free", "split", "hardness", "lengths"):
         np.testing.assert_array_equal(

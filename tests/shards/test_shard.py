@@ -76,13 +76,15 @@ def assert_same_labels(found: Labels, expected: Labels) -> None:
         "directions",
         "split",
     ):
-        value, truth = getattr(found.maps, name), getattr(expected.maps, name)
+        value = getattr(found.maps, name)
+        truth = getattr(expected.maps, name)
         if name in ("seed_points", "sizes", "directions"):
             truth = truth[:, : most - (name == "directions")]
         np.testing.assert_array_equal(value, truth, err_msg=name, strict=True)
     for search in ("bfs", "astar"):
         for name in ("moves", "offsets", "iterations", "costs"):
-            value, truth = getattr(found.of(search), name), getattr(expected.of(search), name)
+            value = getattr(found.of(search), name)
+            truth = getattr(expected.of(search), name)
             np.testing.assert_array_equal(value, truth, err_msg=f"{search} {name}", strict=True)
 
 
@@ -158,7 +160,8 @@ def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
 
 def test_the_image_is_deterministic(sound: Sound) -> None:
     """The same labels give the same bytes, also when threads make many images at once."""
-    header, image = header_of(SPEC, SEED, 0, 3), sound.contents.image
+    header = header_of(SPEC, SEED, 0, 3)
+    image = sound.contents.image
     assert shard_image(label(generate(SPEC, SEED, range(3))), header)[0] == image
     with ThreadPoolExecutor(4) as pool:
         images = list(pool.map(lambda _: shard_image(sound.labels, header)[0], range(16)))
@@ -256,7 +259,8 @@ def test_a_failed_write_leaves_nothing(
 
 def test_two_writers_of_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that writes the same name meanwhile takes nothing away, and neither file is torn."""
-    true_fsync, waiting = os.fsync, [b"other"]
+    true_fsync = os.fsync
+    waiting = [b"other"]
 
     def fsync(descriptor: int) -> None:
         true_fsync(descriptor)
@@ -356,7 +360,8 @@ class Opens:
     sees nothing.
     """
 
-    IN_OPEN, IN_NONBLOCK = 0x20, 0o4000
+    IN_OPEN = 0x20
+    IN_NONBLOCK = 0o4000
 
     def __init__(self, path: Path) -> None:
         """Watch ``path``."""
@@ -434,7 +439,8 @@ def test_text_of_variable_length_is_refused_unread(sound: Sound, tmp_path: Path)
 
 def test_truncation_is_refused(sound: Sound, tmp_path: Path) -> None:
     """Cut at every place: the header, the datasets, the last byte."""
-    image, path = sound.contents.image, tmp_path / "shard.h5"
+    image = sound.contents.image
+    path = tmp_path / "shard.h5"
     for length in [*range(1, len(image), len(image) // 60), len(image) - 1]:
         path.write_bytes(image[:length])
         refused(path, "not a sound shard")
@@ -462,7 +468,8 @@ def test_a_file_replaced_while_it_is_opened(
         shard_image(label(generate(SPEC, seed, range(3))), header_of(SPEC, seed, 0, 3))[0]
         for seed in (4, 5)
     ]
-    true_open, opened = h5py.h5f.open, []
+    true_open = h5py.h5f.open
+    opened = []
 
     def open_another(*arguments: object) -> object:
         opened.append(arguments)
@@ -493,7 +500,9 @@ def flip_bits(sound: Sound, path: Path, flips: list[tuple[int, int]]) -> int:
     """Flip one bit at a time: the shard is refused, or read with the same header. Return how often
     it was read.
     """
-    image, header, taken = sound.contents.image, header_of(SPEC, SEED, 0, 3), 0
+    image = sound.contents.image
+    header = header_of(SPEC, SEED, 0, 3)
+    taken = 0
     for place, bit in flips:
         if place in heap(image):
             continue
