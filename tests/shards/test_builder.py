@@ -1,6 +1,4 @@
-"""Building: one content hash whatever the way, going on, extending, refusing, crashes, many
-builders, verifying.
-"""
+"""Building: one content hash whatever the way; going on, extending, refusing, crashes."""
 
 from __future__ import annotations
 
@@ -146,9 +144,7 @@ def test_golden_hashes(spec: MapSpec, seed: int, maps: int, name: str, content: 
 def test_shard_size_and_workers_do_not_matter(
     shard_size: int, workers: int, root: Path, truth: str
 ) -> None:
-    """The content hash is that of the maps themselves; files lie where they should, and all is
-    well.
-    """
+    """The content hash is that of the maps themselves, and files lie where they should."""
     manifest = make(root, shard_size=shard_size, workers=workers)
     assert manifest.content_hash == truth
     assert manifest.complete
@@ -197,9 +193,7 @@ def test_any_executor_gives_the_same(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str) -> None:
-    """Shards that other hands made, in random order and twice, become the dataset without being
-    made again.
-    """
+    """Shards that others made, in random order and twice, are adopted and not made again."""
     planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
     todo = [*headers(planned)] * 2
@@ -235,9 +229,7 @@ def test_a_second_run_makes_nothing(root: Path) -> None:
     ],
 )
 def test_only_what_is_missing_is_made_again(how: str, root: Path, truth: str) -> None:
-    """A shard that is gone or has another size than the manifest says is made again, and no other
-    one.
-    """
+    """A shard that is gone or of another size is made again, and no other one."""
     make(root)
     before = stamps(root)
     name = shard_name(4, 8)
@@ -306,9 +298,7 @@ def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
 
 
 def test_more_maps_extend(root: Path, tmp_path: Path) -> None:
-    """Whole shards stay as they are, a partial last one becomes whole, and the result is what one
-    build gives.
-    """
+    """Whole shards stay, a partial last one becomes whole, the result is that of one build."""
     make(root, maps=6)
     before = stamps(root)
     extended = make(root, maps=MAPS)

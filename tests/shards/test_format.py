@@ -362,9 +362,7 @@ def test_the_split_draw_gives_the_fractions() -> None:
 
 
 def test_hashes_are_those_of_the_page(dataset: Dataset) -> None:
-    """Content hash of a shard and of the whole, file hash, identity and the manifest's own hash can
-    be made by hand.
-    """
+    """All hashes and the identity can be made by hand."""
     manifest = json.loads((dataset.root / "manifest.json").read_text(encoding="utf-8"))
     every = []
     for path, entry in zip(dataset.shards, manifest["shards"], strict=True):
@@ -401,9 +399,7 @@ HDF5_TYPES = {"int64": "<i8", "int64[2]": "<i8", "float64": "<f8"}
 
 
 def test_the_tables_list_every_dataset_and_attribute(dataset: Dataset) -> None:
-    """The page names exactly the datasets and root attributes of each shard, in the file's order,
-    with their types.
-    """
+    """The page names exactly the datasets and root attributes of each shard, with their types."""
     for path in dataset.shards:
         with h5py.File(path, "r") as file:
             assert sorted(file) == sorted(names("dataset"))
@@ -463,9 +459,7 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
 
 
 def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
-    """The page names exactly the keys of manifest.json, in its order, of its shards, counts, spec
-    and movement.
-    """
+    """The page names exactly the keys of manifest.json and of all in it, in its order."""
     content = (dataset.root / "manifest.json").read_text(encoding="utf-8")
     manifest = json.loads(content)
     assert content == json.dumps(manifest, indent=1) + "\n"
@@ -520,9 +514,7 @@ def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
 
 
 def test_files_keep_the_rules_of_the_page(dataset: Dataset) -> None:
-    """Superblock 3, no user block, hard links only, contiguous, no filter, aligned, spare bits
-    clear.
-    """
+    """Superblock 3, no user block, hard links, contiguous, no filter, aligned, spare bits clear."""
     for path in dataset.shards:
         assert path.read_bytes()[:9] == b"\x89HDF\r\n\x1a\n\x03"
         with h5py.File(path, "r") as file:

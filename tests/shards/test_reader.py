@@ -1,6 +1,4 @@
-"""Opening a shard without trust: hostile ones are in test_shard.py, changed ones in
-test_fuzzing.py.
-"""
+"""Mapping a shard; hostile ones are in test_shard.py, changed ones in test_fuzzing.py."""
 
 from __future__ import annotations
 

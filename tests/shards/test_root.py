@@ -1,6 +1,4 @@
-"""A dataset is a folder, a URL or several; one at a URL, over a real HTTP server, is fetched once
-and checked.
-"""
+"""A dataset is a folder, a URL or several; one at a URL is fetched once and checked."""
 
 from __future__ import annotations
 
@@ -110,9 +108,7 @@ def test_a_dataset_at_a_url_is_the_dataset(server: Server) -> None:
 
 
 def test_what_is_cached_is_not_fetched_again(server: Server) -> None:
-    """Only the manifest is, so that a dataset that grew is seen; a slash at the end changes
-    nothing.
-    """
+    """Only the manifest is, so that a grown dataset is seen; a slash at the end is ignored."""
     first = MapDataset(server.url)[:]
     count = len(server.fetched)
     again = MapDataset(server.url + "/")
@@ -136,9 +132,7 @@ def test_workers_read_the_cache(server: Server) -> None:
 
 
 def test_damaged_files_are_refused(server: Server, tmp_path: Path) -> None:
-    """What does not have the manifest's hash is never mapped nor kept; once it is repaired, it is
-    fetched.
-    """
+    """What does not have the manifest's hash is never kept; once repaired, it is fetched."""
     entry = read_manifest(server.folder).shards[0]
     shard = server.folder / entry.name
     sound = shard.read_bytes()
@@ -318,9 +312,7 @@ def test_imported_maps_at_a_url_say_where_they_come_from(server: Server) -> None
 
 
 def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
-    """Each file that is damaged or missing is named by its URL; several are looked at one after
-    another.
-    """
+    """Each damaged or missing file is named by its URL; several are checked one after another."""
     assert verify(server.url) == verify([server.url, server.folder]) == []
     first, second, *_ = (entry.name for entry in read_manifest(server.folder).shards)
     (server.folder / first).write_bytes(b"damaged")

@@ -1,6 +1,4 @@
-"""Shards: a round trip changes nothing, the bytes are one, faults of disk and files are named, and
-nothing escapes.
-"""
+"""Shards: round trips change nothing, bytes are one, faults are named, nothing escapes."""
 
 from __future__ import annotations
 
@@ -59,9 +57,7 @@ def header_of(spec: MapSpec, seed: int, start: int, stop: int, *, imported: bool
 
 
 def assert_same_labels(found: Labels, expected: Labels) -> None:
-    """Compare all values and types; padding of rooms may end where the largest map of the shard
-    does.
-    """
+    """Compare all values and types; padding may end with the largest map of the shard."""
     most = int(expected.maps.rooms.max(initial=2))
     for name in ("movement", "columns"):
         assert getattr(found.maps, name) == getattr(expected.maps, name)
@@ -111,9 +107,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 4), st.booleans())
 def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
-    """What is written is read back equal, types included, for all movements and sizes, with and
-    without a recipe.
-    """
+    """What is written is read back equal, for all movements and sizes, imported or not."""
     header = header_of(spec, seed, start, start + count, imported=imported)
     labels = label(generate(spec, seed, range(start, start + count)))
     image, content = shard_image(labels, header)
@@ -144,9 +138,7 @@ def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
 @SETTINGS
 @given(st.lists(st.integers(0, 7), max_size=40), st.sampled_from(MOVEMENTS))
 def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
-    """Move k stands in the bits from k * bits on, spare bits are 0, and unpacking undoes
-    packing.
-    """
+    """Move k is in the bits from k * bits on, spare bits are 0; unpacking undoes packing."""
     moves = np.array([code % movement.connectivity for code in codes], np.uint8)
     bits = bits_of(movement)
     packed = pack_moves(moves, bits)
