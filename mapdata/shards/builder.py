@@ -21,7 +21,7 @@ from mapdata.shards.manifest import (
     MOST_SHARDS,
     Entry,
     Manifest,
-    Range,
+    Span,
     entry_of,
     is_shard_name,
     load_shard,
@@ -182,13 +182,13 @@ def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _make(root: Path, torn: frozenset[Range], header: Header) -> Entry:
+def _make(root: Path, torn: frozenset[Span], header: Header) -> Entry:
     """Make a shard, anew if it is torn: a function of the module, since processes pickle it."""
     return make_shard(root, header, anew=(header.start, header.stop) in torn)
 
 
 def _made(
-    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[Range], most: int
+    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[Span], most: int
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
     make = partial(_make, root, torn)
@@ -206,7 +206,7 @@ def _made(
                 yield entry
 
 
-def _prepare(root: Path, wanted: Manifest) -> tuple[dict[Range, Entry], frozenset[Range]]:
+def _prepare(root: Path, wanted: Manifest) -> tuple[dict[Span, Entry], frozenset[Span]]:
     """Make sure that the root is of the wanted dataset; make it if it is missing.
 
     Returns:

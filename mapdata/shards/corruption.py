@@ -23,7 +23,7 @@ from mapdata.shards.manifest import (
     DatasetNotFoundError,
     Entry,
     Manifest,
-    Range,
+    Span,
     counts_of,
     is_shard_name,
     limits_of,
@@ -266,7 +266,7 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
 
 
-def _shard_size(root: Path, limits: Sequence[Range]) -> int | None:
+def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
     """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
     # What a damaged manifest still says comes first: a shard that is alone may be a partial one.

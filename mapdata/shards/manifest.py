@@ -51,7 +51,7 @@ MOST_SHARDS = 10**7
 MOST_BYTES = 2**28
 """Largest manifest that is read: room for some 300,000 shards."""
 
-Range = tuple[int, int]
+Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
 
 _A_DAY = 86_400
@@ -137,7 +137,7 @@ class Manifest(Origin):
         return sum(entry.stop - entry.start for entry in self.shards) == self.maps
 
     @property
-    def plan(self) -> list[Range]:
+    def plan(self) -> list[Span]:
         """(start, stop) of every shard that the dataset shall have."""
         starts = range(0, self.maps, self.shard_size)
         return [(start, min(start + self.shard_size, self.maps)) for start in starts]
@@ -389,7 +389,7 @@ def sweep(root: Path, manifest: Manifest) -> None:
                 path.unlink(missing_ok=True)
 
 
-def limits_of(path: Path) -> Range:
+def limits_of(path: Path) -> Span:
     """Return (start, stop) of the maps of a shard file, as its name states them."""
     _, start, stop = path.stem.split("-")
     return int(start), int(stop)
