@@ -1,5 +1,4 @@
-"""Foreign formats, one file each: `read_any` reads what somebody brings, `export` writes what
-somebody takes away.
+"""Foreign formats, one file each: `read_any` and `import_maps` bring maps in, `export` writes them.
 
 docs/formats.md describes each format. A new one is a file with a `Format` and its name in the list
 below; the command line takes its options from the keyword-only parameters of its functions.
@@ -11,7 +10,7 @@ from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.importing import import_maps
 from mapdata.formats.registry import FORMATS, Format, export, read_any, recognise, register
 
-# pictures first, since the formats below know some pictures and arrays better
+# images first: of formats that know a file, the last one has it, and these know some images better
 for _module in (images, paper, movingai, ros, planning, huggingface):
     register(_module.FORMAT)
 

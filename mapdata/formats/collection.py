@@ -16,7 +16,9 @@ from mapdata.spec import Movement
 
 @dataclass(frozen=True, eq=False)
 class ForeignMap:
-    """One grid as a format gives it, kept as bits: an import holds all its maps in memory.
+    """One grid as a format gives it.
+
+    Its cells are kept as bits, since an import holds all its maps in memory.
 
     Attributes:
         name: where it came from, for reports.
@@ -58,11 +60,13 @@ class ForeignMap:
         Raises:
             ValueError: not two-dimensional, or another value.
         """
-        if cells.ndim != 2 or cells.max(initial=0) > 1:
-            what = f"values up to {cells.max(initial=0)} in shape {cells.shape}"
+        most = cells.max(initial=0)
+        if cells.ndim != 2 or most > 1:
+            what = f"values up to {most} in shape {cells.shape}"
             raise ValueError(
                 f"cells: {self.name}: got {what}, expected 0 free and 1 occupied in shape (H, W)"
             )
+        # the way to set attributes of a frozen dataclass
         object.__setattr__(self, "shape", cells.shape)
         object.__setattr__(self, "_bits", np.packbits(cells, axis=1))
 
@@ -96,9 +100,7 @@ class Collection:
 
     @contextmanager
     def leaving_out(self, name: object) -> Iterator[None]:
-        """Add ``name`` to ``left_out`` when a `FormatError` ends what is done inside, with its
-        message.
-        """
+        """Catch a `FormatError`, and add ``name`` to ``left_out`` with its message."""
         try:
             yield
         except FormatError as error:

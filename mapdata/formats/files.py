@@ -1,10 +1,9 @@
-"""What all formats share: the error, the limits, folders, and arrays in .npy and .npz read without
-trust.
-"""
+"""What all formats share: errors, limits, folders, and .npy and .npz arrays read without trust."""
 
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 import zipfile
@@ -12,18 +11,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
+
+from mapdata.arrays import Bytes
 
 Array = npt.NDArray[Any]
 
 
 class FormatError(ValueError):
-    """A foreign file that cannot be used; the message names the file and what is wrong with it, on
-    one line.
-    """
+    """A foreign file that cannot be used; one line names the file and what is wrong with it."""
 
     def __init__(self, message: str) -> None:
         """Keep ``message`` on one line, whatever a library put into it."""
@@ -56,20 +55,20 @@ def read_bytes(path: Path, limits: Limits = LIMITS) -> bytes:
     """
     try:
         if not path.is_file():
-            raise FormatError(f"{path}: {'not a plain file' if path.exists() else 'no such file'}")
+            what = "not a plain file" if path.exists() else "no such file"
+            raise FormatError(f"{path}: {what}")
         size = path.stat().st_size
         if size > limits.unpacked:
             raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
         return path.read_bytes()
+    except FormatError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, FormatError):
-            raise
         raise FormatError(f"{path}: cannot be read ({error})") from None
 
 
 def read_text(path: Path, limits: Limits = LIMITS) -> str:
-    """Return the text of a file in UTF-8 (else Latin-1, as old benchmark files are), line ends as a
-    line feed.
+    """Return the text of a file in UTF-8, or Latin-1 as in old benchmarks, with Unix line ends.
 
     Raises:
         FormatError: as `read_bytes`; or it is no text.
@@ -91,18 +90,20 @@ LeftOut = list[tuple[str, str]]
 def walk(
     folder: Path, endings: tuple[str, ...], limits: Limits = LIMITS, left_out: LeftOut | None = None
 ) -> list[Path]:
-    """Return the files below ``folder`` with one of these endings (lower case), in natural order:
-    map2 before map10.
+    """Return the files below ``folder`` with one of these endings, map2 before map10.
 
-    Hidden names and links to folders are passed over; links to files outside ``folder`` are added
-    to ``left_out``.
+    Endings are in lower case. Hidden names and links to folders are passed over; links to files
+    outside ``folder`` are added to ``left_out``.
 
     Raises:
         FormatError: more than ``limits.files`` files.
     """
-    found, seen, inside = list[Path](), 0, folder.resolve()
+    found: list[Path] = []
+    left = [] if left_out is None else left_out
+    seen = 0
+    inside = folder.resolve()
     for here, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        folders[:] = [name for name in folders if not name.startswith(".")]  # os.walk goes by it
         seen += len(names)
         if seen > limits.files:
             raise FormatError(f"{folder}: holds more than {limits.files} files")
@@ -111,9 +112,7 @@ def walk(
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
             if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(inside):
-                (left_out if left_out is not None else []).append(
-                    (str(path), "a link to outside the folder")
-                )
+                left.append((str(path), "a link to outside the folder"))
             else:
                 found.append(path)
     return sorted(found, key=lambda path: natural(str(path.relative_to(folder))))
@@ -121,11 +120,14 @@ def walk(
 
 def natural(text: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers inside names by their value."""
-    parts = re.findall(r"\d+|\D+", text)
-    return [
-        (int(part), "") if part.isascii() and part.isdigit() and len(part) < 19 else (-1, part)
-        for part in parts
-    ]
+    key = []
+    for part in re.findall(r"\d+|\D+", text):
+        # digits of other scripts are no numbers here, nor are thousands of digits
+        if part.isascii() and part.isdigit() and len(part) < 19:
+            key.append((int(part), ""))
+        else:
+            key.append((-1, part))
+    return key
 
 
 SPLIT_NAMES = {
@@ -143,8 +145,10 @@ SPLIT_NAMES = {
 
 def split_of(path: Path, folder: Path) -> int | None:
     """Return the split that the folders between ``folder`` and ``path`` say, or None."""
-    parts = path.relative_to(folder).parts[:-1]
-    return next((SPLIT_NAMES[part.lower()] for part in parts if part.lower() in SPLIT_NAMES), None)
+    for part in path.relative_to(folder).parts[:-1]:
+        if part.lower() in SPLIT_NAMES:
+            return SPLIT_NAMES[part.lower()]
+    return None
 
 
 def empty_target(target: Path) -> None:
@@ -153,7 +157,8 @@ def empty_target(target: Path) -> None:
     Raises:
         FormatError: it is something else.
     """
-    if target.exists() and not (target.is_dir() and not any(target.iterdir())):
+    is_empty = target.is_dir() and not any(target.iterdir())
+    if target.exists() and not is_empty:
         raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
 
 
@@ -161,7 +166,7 @@ def empty_target(target: Path) -> None:
 
 
 class Npz:
-    """An .npz archive: names and shapes are known at once, an array is unpacked when asked for.
+    """An .npz archive that unpacks an array when it is asked for.
 
     Attributes:
         path: the file.
@@ -174,7 +179,7 @@ class Npz:
         Raises:
             FormatError: not a sound archive, too large, or pickled arrays in it.
         """
-        self.path, self._limits = path, limits
+        self.path = path
         self.shapes: dict[str, tuple[int, ...]] = {}
         if not path.is_file():
             raise FormatError(f"{path}: no such file")
@@ -191,8 +196,7 @@ class Npz:
                     )
                 with archive.open(info) as member:
                     what = f"{path}: array {name!r}"
-                    header = _header(member, info.file_size, what)  # type: ignore[arg-type]
-                    self.shapes[name] = header[0]
+                    self.shapes[name], _, _ = _header(member, info.file_size, what)
 
     def __getitem__(self, name: str) -> Array:
         """Return one array.
@@ -208,7 +212,7 @@ class Npz:
             archive.open(f"{name}.npy") as member,
         ):
             size = archive.getinfo(f"{name}.npy").file_size
-            return _array(member, size, f"{self.path}: array {name!r}")  # type: ignore[arg-type]
+            return _array(member, size, f"{self.path}: array {name!r}")
 
 
 @contextmanager
@@ -235,20 +239,13 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
     return _array(io.BytesIO(data), len(data), str(path))
 
 
-def _header(file: BinaryIO, size: int, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return (shape, fortran order, type) of an array whose header and data have ``size`` bytes in
-    all.
-    """
+def _header(file: IO[bytes], size: int, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return (shape, fortran order, type) of an .npy of ``size`` bytes, its header included."""
     try:
-        version = np.lib.format.read_magic(file)
-        if version == (1, 0):
-            shape, fortran, dtype = np.lib.format.read_array_header_1_0(
-                file, max_header_size=10_000
-            )
-        else:
-            shape, fortran, dtype = np.lib.format.read_array_header_2_0(
-                file, max_header_size=10_000
-            )
+        read_header = np.lib.format.read_array_header_2_0
+        if np.lib.format.read_magic(file) == (1, 0):
+            read_header = np.lib.format.read_array_header_1_0
+        shape, fortran, dtype = read_header(file, max_header_size=10_000)
     except Exception as error:
         # numpy parses the header as Python text: what it raises is not documented
         raise FormatError(f"{what}: not an array ({type(error).__name__}: {error})") from None
@@ -256,24 +253,23 @@ def _header(file: BinaryIO, size: int, what: str) -> tuple[tuple[int, ...], bool
         raise FormatError(
             f"{what}: holds {dtype}, expected numbers (pickled objects are never opened)"
         )
-    count = 1
-    for side in shape:
-        count *= side
-    if min(shape, default=0) < 0 or count * dtype.itemsize + file.tell() != size:
+    expected = file.tell() + math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or expected != size:
         raise FormatError(f"{what}: says shape {shape} of {dtype}, but has {size} bytes")
     return shape, fortran, dtype
 
 
-def _array(file: BinaryIO, size: int, what: str) -> Array:
+def _array(file: IO[bytes], size: int, what: str) -> Array:
+    """Return the array of an .npy of ``size`` bytes; no more of it is read or unpacked."""
     shape, fortran, dtype = _header(file, size, what)
     data = file.read(size - file.tell())
-    if file.read(1):  # its archive states a smaller size than it has
+    if file.read(1):
         raise FormatError(f"{what}: has more than the {size} bytes that its archive states")
     values = np.frombuffer(data, dtype)
     return values.reshape(shape, order="F" if fortran else "C")
 
 
-def occupancy(values: Array, what: str, threshold: float | None = None) -> npt.NDArray[np.uint8]:
+def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes:
     """Return an array of 0 and 1, bool, or probabilities in [0, 1] as uint8.
 
     Args:
@@ -286,8 +282,11 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> npt.N
     """
     if values.dtype == np.bool_:
         return values.view(np.uint8)
-    low, high = (values.min(), values.max()) if values.size else (0, 0)
-    if not (low >= 0 and high <= 1):  # NaN fails too
+    if values.size == 0:
+        return np.empty(values.shape, np.uint8)
+    low = values.min()
+    high = values.max()
+    if not (low >= 0 and high <= 1):  # and not "low < 0 or high > 1", which lets NaN pass
         raise FormatError(f"{what}: holds values from {low} to {high}, expected 0 to 1")
     if values.dtype.kind in "iu":
         return values.astype(np.uint8, copy=False)  # a stack may be as large as the limits allow
@@ -300,8 +299,10 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> npt.N
 def files_of(
     source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut
 ) -> Iterator[Path]:
-    """Yield ``source`` itself if it is a file, else the files below it with one of these
-    endings.
+    """Yield ``source`` if it is a file, else the files below it with one of these endings.
+
+    Raises:
+        FormatError: there is neither, or as `walk`.
     """
     if source.is_dir():
         yield from walk(source, endings, limits, left_out)

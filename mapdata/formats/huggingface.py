@@ -19,7 +19,8 @@ from mapdata.formats.registry import Format
 from mapdata.search.labels import Labels
 from mapdata.shards.dataset_card import Section, card
 from mapdata.shards.root import Root
-from mapdata.shards.table import SEARCHES, map_row
+from mapdata.shards.shard import SEARCHES
+from mapdata.shards.table import map_row
 from mapdata.spec import SPLITS
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
                 table = pa.Table.from_pylist(rows, schema)
                 parquet.write_table(table, target / "data" / name, compression="zstd")
                 written.add(split)
-    # the Hub refuses a pattern that no file has
+    # load_dataset refuses a pattern without files
     files = {
         _NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if split in written
     }

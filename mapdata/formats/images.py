@@ -1,7 +1,7 @@
 """Pictures read without trust, and a folder of them (or a stack of arrays) as maps.
 
-Pixels are counted before anything is decoded. PGM is read here: Pillow has no say in P2, comments
-and 16 bits.
+Pixels are counted before anything is decoded. PGM is read here rather than by Pillow, whose support
+of P2, comments and 16 bits depends on its version.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ ARRAYS = (".npy", ".npz")
 _HEADER = re.compile(
     rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})"
 )
+"""P2 or P5, columns, rows and the value of white, with white space or comments between them."""
 
 
 class Pixels(NamedTuple):
@@ -58,27 +59,23 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
         FormatError: missing, no such picture, damaged, or more than ``limits.pixels`` pixels.
     """
     data = read_bytes(path, limits)
-    return _pgm(path, data, limits) if data[:2] in (b"P2", b"P5") else _picture(path, limits)
+    if data[:2] in (b"P2", b"P5"):
+        return _pgm(path, data, limits)
+    return _picture(path, limits)
 
 
 def _picture(path: Path, limits: Limits) -> Pixels:
+    """Return the pixels of a PNG, JPEG or BMP file, by Pillow."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # of decompression bombs: our own limit follows, before decoding
+            # of decompression bombs: our own limit follows, before anything is decoded
+            warnings.simplefilter("ignore")
             image = Image.open(path, formats=("PNG", "JPEG", "BMP"))
         with image:
             columns, rows = image.size
             _check_size(path, rows, columns, limits)
             image.load()
-            if image.mode in ("I;16", "I;16B", "I;16L", "I"):
-                return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
-            if image.mode not in ("1", "L", "RGB", "RGBA"):
-                clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info
-                return Pixels(np.asarray(image.convert("RGBA" if clear else "RGB")), 255)
-            values = np.asarray(image.convert("L") if image.mode == "1" else image)
-            return Pixels(values.reshape(rows, columns, -1), 255)
+            return _decoded(image)
     except UnidentifiedImageError:
         raise FormatError(f"{path}: not a PNG, JPEG, BMP or PGM picture") from None
     except Image.DecompressionBombError as error:
@@ -88,6 +85,19 @@ def _picture(path: Path, limits: Limits) -> Pixels:
     except Exception as error:
         # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise FormatError(f"{path}: damaged picture ({type(error).__name__}: {error})") from None
+
+
+def _decoded(image: Image.Image) -> Pixels:
+    """Return the pixels of an image of Pillow as grey, RGB or RGBA, whatever its mode."""
+    if image.mode in ("I;16", "I;16B", "I;16L", "I"):
+        return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
+    if image.mode == "1":
+        image = image.convert("L")
+    elif image.mode not in ("L", "RGB", "RGBA"):
+        clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info
+        image = image.convert("RGBA" if clear else "RGB")
+    values = np.asarray(image)
+    return Pixels(values.reshape(*values.shape[:2], -1), 255)
 
 
 def _check_size(path: Path, rows: int, columns: int, limits: Limits) -> None:
@@ -109,52 +119,53 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
     _check_size(path, rows, columns, limits)
     if not 1 <= maximum <= 65535:
         raise FormatError(f"{path}: says a maximum of {maximum}, expected 1 to 65535")
-    count, at = rows * columns, match.end()
+    dtype = np.dtype("u1" if maximum < 256 else ">u2")
+    count = rows * columns
     if match[1] == b"2":
-        body = re.sub(rb"#[^\n]*", b"", data[at:]).split(None, count)
+        body = re.sub(rb"#[^\n]*", b"", data[match.end() :]).split(None, count)
         digits = [word for word in body[:count] if word.isdigit() and len(word) <= 5]
         if len(digits) != count:
             raise FormatError(f"{path}: has {len(digits)} values, its header says {count}")
         values = np.array(digits, np.bytes_).astype(np.int64)
     else:
-        if not data[at : at + 1].isspace():
+        # exactly one white space stands between header and pixels
+        first = match.end() + 1
+        if not data[first - 1 : first].isspace():
             raise FormatError(f"{path}: its PGM header is damaged")
-        kind = np.dtype("u1" if maximum < 256 else ">u2")
-        if len(data) - at - 1 < count * kind.itemsize:
+        size = len(data) - first
+        if size < count * dtype.itemsize:
             raise FormatError(
-                f"{path}: has {len(data) - at - 1} bytes of pixels, its header says {rows} x "
-                f"{columns}"
+                f"{path}: has {size} bytes of pixels, its header says {rows} x {columns}"
             )
-        values = np.frombuffer(data, kind, count, at + 1)
-    if count and values.max() > maximum:
+        values = np.frombuffer(data, dtype, count, first)
+    if values.max() > maximum:
         raise FormatError(
             f"{path}: holds the value {values.max()}, its header says at most {maximum}"
         )
-    kept = values.astype(np.uint8 if maximum < 256 else np.uint16)
+    kept = values.astype(dtype.newbyteorder("="))
     return Pixels(kept.reshape(rows, columns, 1), maximum)
 
 
 def brightness(pixels: Pixels) -> Bytes:
-    """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels count as
-    white.
-    """
+    """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels are white."""
     grey = np.empty(pixels.values.shape[:2], np.uint8)
-    for k in range(
-        0, len(grey), 256
-    ):  # a strip at a time: all at once would take several times the picture
+    # a strip at a time: all at once would take several times the memory of the picture
+    for k in range(0, len(grey), 256):
         grey[k : k + 256] = _mean(pixels.values[k : k + 256], pixels.maximum)
     return grey
 
 
 def _mean(values: Array, maximum: int) -> Bytes:
+    """Return `brightness` of some rows of a picture, (H, W, C) with white at ``maximum``."""
     if values.shape[2] == 4:
         colour = values[:, :, :3].astype(np.uint16)
-        values = 255 - (255 - colour) * values[:, :, 3:].astype(np.uint16) // 255
-    if values.shape[2] == 1 and maximum == 255:
+        alpha = values[:, :, 3:].astype(np.uint16)
+        values = 255 - (255 - colour) * alpha // 255  # before a white background
+    channels = values.shape[2]
+    if channels == 1 and maximum == 255:
         return np.asarray(values[:, :, 0], np.uint8)
-    return np.asarray(
-        values.sum(axis=2, dtype=np.uint32) * np.uint32(255) // np.uint32(values.shape[2] * maximum)
-    )
+    total = values.sum(axis=2, dtype=np.uint32)
+    return np.asarray(total * np.uint32(255) // np.uint32(channels * maximum), np.uint8)
 
 
 def read(
@@ -169,9 +180,8 @@ def read(
     """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
 
     Pictures: dark is occupied, as in ROS and most sets of floor plans; a pixel is occupied when its
-    brightness is not
-    above ``threshold``. Arrays: (H, W), (N, H, W) or (N, 1, H, W); 1 is occupied, probabilities are
-    occupied above ``threshold``.
+    brightness is not above ``threshold``. Arrays: (H, W), (N, H, W) or (N, 1, H, W); 1 is occupied,
+    probabilities are occupied above ``threshold``.
 
     Args:
         source: folder or file.
@@ -203,21 +213,24 @@ def read(
             split = split_of(path, folder)
             for k, grid in enumerate(grids):
                 name = f"{path}[{k}]" if len(grids) > 1 else str(path)
-                found.maps.append(ForeignMap(name, grid ^ np.uint8(invert), split))
+                cells = 1 - grid if invert else grid
+                found.maps.append(ForeignMap(name, cells, split))
     return found
 
 
 def _grids(
     path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, crop: bool
 ) -> Bytes:
-    """Return the grids of a file, (N, H, W): one of a picture."""
+    """Return the grids of a file, (N, H, W); a picture is one."""
     if path.suffix.lower() in ARRAYS:
         grids = _stack(path, limits, threshold)
         if size is None or grids.shape[1:] == size:
             return grids
+        # scaled as pictures are: a cell is occupied where half of what it covers is
         return np.stack([_fit(255 * grid, size, crop) for grid in grids]) // 128
     grey = brightness(read_pixels(path, limits))
-    if 0 < grey.max() <= threshold * 255:  # masks of 0 and 1, which look black
+    if 0 < grey.max() <= threshold * 255:
+        # a mask of 0 and 1, which looks black and would be occupied everywhere
         what = f"its brightest pixel is {grey.max()} of 255"
         raise FormatError(f"{path}: {what}, nothing is above --images.threshold {threshold}")
     if size is not None:
@@ -249,7 +262,7 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
 
 
 def _fit(grey: Bytes, size: tuple[int, int], crop: bool) -> Bytes:
-    """Return ``grey``, (H, W), with ``size``."""
+    """Return ``grey``, (H, W), brought to ``size``: its middle if ``crop``, else scaled."""
     rows, columns = size
     if not crop:
         return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
@@ -257,7 +270,8 @@ def _fit(grey: Bytes, size: tuple[int, int], crop: bool) -> Bytes:
         raise FormatError(
             f"has {grey.shape[0]} x {grey.shape[1]} cells, too small to crop {rows} x {columns}"
         )
-    top, left = (grey.shape[0] - rows) // 2, (grey.shape[1] - columns) // 2
+    top = (grey.shape[0] - rows) // 2
+    left = (grey.shape[1] - columns) // 2
     return grey[top : top + rows, left : left + columns]
 
 

@@ -1,25 +1,22 @@
-"""Grids from elsewhere become a dataset: seed points are drawn, everything is labelled, shards are
-written.
+"""Importing grids from elsewhere as a dataset: drawing seed points, labelling, writing shards.
 
-The bytes are a function of (grids, seed, seed points a map, movement) alone: docs/format.md lists
-the draws of stream
-5. An imported dataset has no recipe, so its identity is its content hash.
+The bytes are a function of (grids, seed, seed points per map, movement) alone: docs/format.md lists
+the draws of stream 5. An imported dataset has no recipe, so its identity is its content hash.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mapdata.arrays import Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import draw_points, largest_component
@@ -39,7 +36,7 @@ from mapdata.shards.manifest import (
     read_manifest,
     shard_name,
 )
-from mapdata.shards.shard import Header, Shard, shard_image, write_file
+from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_seed
 
@@ -47,6 +44,10 @@ RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
 
 _CELLS_A_SHARD = 2**24
+"""Most cells of a shard where its size is not given, so that large maps fit in memory."""
+
+Group: TypeAlias = tuple[int, int, float]
+"""Rows, columns and resolution: all that maps of one dataset must share."""
 
 
 class Draws(NamedTuple):
@@ -81,7 +82,7 @@ class Imported:
 
 
 def import_maps(
-    root: str | os.PathLike[str],
+    root: StrPath,
     source: Collection,
     *,
     seed_points: int = 5,
@@ -93,9 +94,10 @@ def import_maps(
     shard_size: int | None = None,
     progress: bool = False,
 ) -> list[Imported]:
-    """Make datasets of the grids of ``source``: one under ``root``, or, when the grids differ in
-    size or resolution, one for each below it (``root/64x64``, ...). What cannot be used is added to
-    ``source.left_out``.
+    """Make a dataset of the grids of ``source`` under ``root``.
+
+    When the grids differ in size or resolution, each kind becomes a dataset below ``root``
+    (``root/64x64``, ...). What cannot be used is added to ``source.left_out``.
 
     Args:
         root: folder, made if missing; empty, or made by the same import before (then only what is
@@ -109,7 +111,7 @@ def import_maps(
         splits: fractions of train, val and test, for maps whose split the source does not say.
         tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
             edges is dropped.
-        shard_size: maps a shard; default 1000, less for large maps.
+        shard_size: maps per shard; default 1000, less for large maps.
         progress: show a progress bar.
 
     Raises:
@@ -119,49 +121,51 @@ def import_maps(
     root = Path(root)
     check_seed(seed)
     split_thresholds(splits)
-    if (
-        isinstance(seed_points, bool)
-        or not isinstance(seed_points, int)
-        or not 2 <= seed_points <= MAX_ROOMS
-    ):
+    whole = isinstance(seed_points, int) and not isinstance(seed_points, bool)
+    if not whole or not 2 <= seed_points <= MAX_ROOMS:
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
     if shard_size is not None and shard_size < 1:
         raise ValueError(f"shard_size: got {shard_size}, expected at least 1")
     if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
-    groups: dict[tuple[int, int, float], list[ForeignMap]] = {}
+    groups: dict[Group, list[ForeignMap]] = {}
     for one in _tiles(source, tile):
-        if why := _unusable(one, movement):
+        why = _unusable(one, movement)
+        if why is not None:
             source.left_out.append((one.name, why))
             continue
         metres = resolution or one.resolution or RESOLUTION
         groups.setdefault((*one.shape, metres), []).append(one)
     if not groups:
-        why = f": {source.left_out[0][0]}: {source.left_out[0][1]}" if source.left_out else ""
+        why = ""
+        if source.left_out:
+            name, reason = source.left_out[0]
+            why = f": {name}: {reason}"
         raise ValueError(f"no map to import{why}")
     folders = _folders(root, list(groups))
     draws = Draws(seed_points, seed, splits)
+    made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
-        made = []
-        for (rows, columns, metres), maps in groups.items():
+        for group, maps in groups.items():
+            rows, columns, metres = group
+            most = max(1, _CELLS_A_SHARD // (rows * columns))
             wanted = Manifest(
                 spec=None,
                 seed=None,
                 maps=len(maps),
-                shard_size=shard_size or max(1, min(1000, _CELLS_A_SHARD // (rows * columns))),
+                shard_size=shard_size or min(1000, most),
                 map_size=(rows, columns),
                 movement=movement,
                 resolution=metres,
             )
             ordered = _ordered(maps, source)
-            folder = folders[rows, columns, metres]
-            made.append(_write(folder, wanted, ordered, draws, advance, pool))
+            made.append(_write(folders[group], wanted, ordered, draws, advance, pool))
     return made
 
 
 def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[ForeignMap]:
-    """Yield the maps, or their tiles."""
+    """Yield the maps, or their tiles if they are to be cut."""
     if tile is None:
         yield from source.maps
         return
@@ -169,11 +173,11 @@ def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[Foreign
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         raise ValueError(f"tile: got {rows}x{columns}, expected 1 to {MAX_SIDE} rows and columns")
     for one in source.maps:
-        grid, (height, width) = one.grid, one.shape
+        grid = one.grid
+        height, width = one.shape
         if height < rows or width < columns:
-            source.left_out.append(
-                (one.name, f"{height} x {width} cells, smaller than a tile of {rows} x {columns}")
-            )
+            why = f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"
+            source.left_out.append((one.name, why))
         for row in range(0, height - rows + 1, rows):
             for column in range(0, width - columns + 1, columns):
                 name = f"{one.name} rows {row}.. columns {column}.."
@@ -183,7 +187,8 @@ def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[Foreign
 
 def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     """Return why a map cannot be in a dataset, or None."""
-    grid, (rows, columns) = one.grid, one.shape
+    grid = one.grid
+    rows, columns = one.shape
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         return (
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
@@ -196,45 +201,56 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     rooms = len(one.seed_points)
     if one.rooms_known and not 1 <= rooms <= MAX_ROOMS:
         return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
-    if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
+    if not one.rooms_known and len(_free_component(grid, movement)) < 2:
         return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
     return None
 
 
-def _folders(
-    root: Path, keys: Sequence[tuple[int, int, float]]
-) -> dict[tuple[int, int, float], Path]:
-    """Return the folder of each dataset, after a look at what stands under ``root``."""
-    folders = dict.fromkeys(keys, root)
-    if len(keys) > 1:
-        sizes = Counter(key[:2] for key in keys)
-        for key in keys:
-            rows, columns, metres = key
-            folders[key] = root / (
-                f"{rows}x{columns}" + (f"-{metres:g}m" if sizes[rows, columns] > 1 else "")
-            )
+def _free_component(grid: Bytes, movement: Movement) -> Ints:
+    """Return the free cells of the largest component of a grid, as row * W + column."""
+    diagonals, _ = rule_of(movement)
+    return largest_component(grid, diagonals)
+
+
+def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
+    """Return the folder of each dataset.
+
+    Raises:
+        ValueError: something else stands where they are to be written.
+    """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
-    expected = {folder.name for folder in folders.values() if folder != root}
-    for folder in {root, *folders.values()}:
-        for path in (
-            folder.iterdir() if folder.is_dir() and not (folder / MANIFEST).exists() else ()
-        ):
-            name = path.name
-            ours = (
-                is_shard_name(name) or name in (LOCK, MANIFEST, PROVENANCE) or name.endswith(".tmp")
-            )
-            if not (name in expected if folder == root and expected else ours):
-                raise ValueError(
-                    f"root: {folder} holds something else ({name!r}), expected an empty folder"
-                )
+    folders = dict.fromkeys(groups, root)
+    if len(groups) > 1:
+        sizes = Counter((rows, columns) for rows, columns, _ in groups)
+        for rows, columns, metres in groups:
+            name = f"{rows}x{columns}"
+            if sizes[rows, columns] > 1:
+                name += f"-{metres:g}m"
+            folders[rows, columns, metres] = root / name
+        _check_folder(root, {folder.name for folder in folders.values()}.__contains__)
+    for folder in folders.values():
+        _check_folder(folder, _is_ours)
     return folders
 
 
+def _check_folder(folder: Path, is_known: Callable[[str], bool]) -> None:
+    """Refuse a folder without a manifest that holds a name that is not known."""
+    if folder.is_dir() and not (folder / MANIFEST).exists():
+        for path in folder.iterdir():
+            if not is_known(path.name):
+                raise ValueError(
+                    f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
+                )
+
+
+def _is_ours(name: str) -> bool:
+    """Return whether an import that did not finish may have left a file of this name."""
+    return is_shard_name(name) or name in (LOCK, PROVENANCE) or name.endswith(".tmp")
+
+
 def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
-    """Return the maps in the order of their own numbers if those are 0 to N - 1, else as they
-    came.
-    """
+    """Return the maps in the order of their numbers if those are 0 to N - 1, else as they came."""
     numbers = [one.number for one in maps if one.number is not None]
     if sorted(numbers) == list(range(len(maps))):
         return sorted(maps, key=lambda one: one.number or 0)
@@ -260,12 +276,16 @@ def _write(
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
         have = {(entry.start, entry.stop): entry for entry in found.shards}
     manifest = merge(folder, wanted)
+    checked = 0
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
         batch = maps[header.start : header.stop]
+        # in a thread, so that Ctrl-C need not wait for it
         labels = pool.submit(label, to_maps(batch, header, draws)).result()
         for k, one in enumerate(batch):
-            disagreements.update(one.check(labels, k) if one.check else [])
+            if one.check is not None:
+                checked += 1
+                disagreements.update(one.check(labels, k))
         image, content = shard_image(labels, header)
         path = folder / shard_name(header.start, header.stop)
         old = have.get((header.start, header.stop))
@@ -278,19 +298,16 @@ def _write(
         advance(len(batch))
     origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}
     write_file(folder / PROVENANCE, provenance_text(origin).encode())
-    return Imported(
-        folder, manifest, sum(one.check is not None for one in maps), dict(disagreements)
-    )
+    return Imported(folder, manifest, checked, dict(disagreements))
 
 
 def to_maps(batch: Sequence[ForeignMap], header: Header, draws: Draws) -> Maps:
-    """Return foreign maps of one size as `Maps` with the numbers of ``header``; draw what they
-    lack.
+    """Return foreign maps of one size as `Maps`; draw the seed points and splits that they lack.
 
     Args:
         batch: the maps ``header.start`` to ``header.stop`` - 1.
-        header: size and movement.
-        draws: how.
+        header: their numbers, size and movement.
+        draws: how many seed points, and how they and the splits are drawn.
     """
     points = [_seed_points(one, header, draws, header.start + k) for k, one in enumerate(batch)]
     most = max(2, *map(len, points))
@@ -312,11 +329,14 @@ def to_maps(batch: Sequence[ForeignMap], header: Header, draws: Draws) -> Maps:
 
 
 def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> Ints:
+    """Return the seed points of map ``index``, (k, 2): its own, then those drawn to fill up."""
     missing = draws.seed_points - len(one.seed_points)
     if one.rooms_known or missing <= 0:
         return one.seed_points
-    cells = largest_component(one.grid, rule_of(header.movement)[0])
-    given = one.seed_points[:, 0] * one.shape[1] + one.seed_points[:, 1]
+    _, columns = one.shape
+    given = one.seed_points[:, 0] * columns + one.seed_points[:, 1]
+    cells = _free_component(one.grid, header.movement)
     cells = cells[~np.isin(cells, given)]
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
-    return np.stack(np.divmod(np.concatenate((given, drawn)), one.shape[1]), axis=1)
+    rows_and_columns = np.divmod(np.concatenate((given, drawn)), columns)
+    return np.stack(rows_and_columns, axis=1)

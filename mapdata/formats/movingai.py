@@ -1,12 +1,12 @@
 """MovingAI benchmark maps (.map) and scenarios (.scen), in and out; the check of published lengths.
 
-Source: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", 2012, https://movingai.com/benchmarks/formats.html.
+Source: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", 2012,
+https://movingai.com/benchmarks/formats.html.
 
-A move joins two cells of one world: land (`.`, `G` and swamp `S`) or water (`W`); `@`, `O`, `T` are
-blocked. So land is
-one binary grid and water another, and both are exact: nothing leads from one to the other. A
-dataset holds the land; `check_scen` takes the world that a problem starts in. The benchmark's rule:
-8-connected, a diagonal costs sqrt 2 and needs both orthogonal cells passable.
+A move joins two cells of land (`.`, `G` and swamp `S`) or two of water (`W`); `@`, `O`, `T` are
+blocked. So land is one binary grid and water another, and both are exact: nothing leads from one to
+the other. A dataset holds the land; `check_scen` takes the one that a problem starts in. The
+benchmark's rule: 8-connected, a diagonal costs sqrt 2 and needs both orthogonal cells passable.
 
 A line of a .scen: bucket, map, width, height, start x, start y, goal x, goal y, optimal length; x
 is the column. Files of the first version have spaces, no line `version` and no sizes. Length 0
@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.registry import Format
@@ -40,7 +39,9 @@ Cell: TypeAlias = tuple[int, int]
 MOVEMENT = Movement(8)
 """The benchmark's rule."""
 
-LAND, WATER, BLOCKED = ".GS", "W", "@OT"
+LAND = ".GS"
+WATER = "W"
+BLOCKED = "@OT"
 
 
 class Problem(NamedTuple):
@@ -67,53 +68,51 @@ class Problem(NamedTuple):
 
 
 def read_terrain(path: str | Path, limits: Limits = LIMITS) -> Bytes:
-    """Return the letters of a .map file, (H, W) uint8 of ASCII codes. Text after the rows is
-    ignored.
+    """Return the letters of a .map file, (H, W) uint8 of ASCII codes; text after them is ignored.
 
     Raises:
         FormatError: no sound map; the message says which line.
     """
     path = Path(path)
     lines = read_text(path, limits).split("\n")
-    sides: dict[str, int] = {}
-    for number, line in enumerate(lines[:20]):
-        words = line.lower().split()
-        if words == ["map"]:
-            break
-        if (
-            len(words) == 2
-            and words[0] in ("height", "width")
-            and words[1].isascii()
-            and words[1].isdigit()
-        ):
-            sides[words[0]] = int(words[1][:10])
-        elif words and words[0] != "type":
-            raise FormatError(
-                f"{path}: line {number + 1} is {line[:40]!r}, expected type, height, width or map"
-            )
-    else:
-        raise FormatError(f"{path}: no line 'map' near the top, expected a MovingAI map")
-    rows, columns = sides.get("height", 0), sides.get("width", 0)
+    first, sides = _map_header(path, lines)
+    rows = sides.get("height", 0)
+    columns = sides.get("width", 0)
     if not 1 <= rows * columns <= limits.pixels:
         raise FormatError(
             f"{path}: height {rows} and width {columns}, expected 1 to {limits.pixels} cells"
         )
-    body = [line.rstrip(" \t") for line in lines[number + 1 : number + 1 + rows]]
+    body = [line.rstrip(" \t") for line in lines[first : first + rows]]
     for k in range(rows):
-        length = len(body[k]) if k < len(body) else -1
-        if length != columns:
-            what = f"{length} letters" if length >= 0 else "missing"
-            raise FormatError(
-                f"{path}: row {k} is {what}, expected {columns} letters ({rows} rows)"
-            )
+        if k < len(body) and len(body[k]) == columns:
+            continue
+        what = f"{len(body[k])} letters" if k < len(body) else "missing"
+        raise FormatError(f"{path}: row {k} is {what}, expected {columns} letters ({rows} rows)")
     text = "".join(body)
-    unknown = set(text) - set(LAND + WATER + BLOCKED)
+    known = LAND + WATER + BLOCKED
+    unknown = set(text) - set(known)
     if unknown:
         raise FormatError(
-            f"{path}: unknown terrain {sorted(unknown)[0]!r}, expected one of "
-            f"{LAND + WATER + BLOCKED}"
+            f"{path}: unknown terrain {sorted(unknown)[0]!r}, expected one of {known}"
         )
     return np.frombuffer(text.encode("ascii"), np.uint8).reshape(rows, columns)
+
+
+def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
+    """Return the number of the first row's line, and the sides that the lines above it state."""
+    sides: dict[str, int] = {}
+    for number, line in enumerate(lines[:20]):
+        words = line.lower().split()
+        if words == ["map"]:
+            return number + 1, sides
+        is_side = len(words) == 2 and words[0] in ("height", "width")
+        if is_side and words[1].isascii() and words[1].isdigit():
+            sides[words[0]] = int(words[1][:10])  # ten digits are too large for any limit
+        elif words and words[0] != "type":
+            raise FormatError(
+                f"{path}: line {number + 1} is {line[:40]!r}, expected type, height, width or map"
+            )
+    raise FormatError(f"{path}: no line 'map' near the top, expected a MovingAI map")
 
 
 def world(terrain: Bytes, letters: str = LAND) -> Bytes:
@@ -132,57 +131,75 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
     after_gap = False
     for number, line in enumerate(read_text(path, limits).split("\n"), 1):
         words = line.split()
-        if not words or (words[0] == "version" and not problems):
-            after_gap = not words
+        if not words:
+            after_gap = True
+            continue
+        if words[0] == "version" and not problems:
+            after_gap = False
             continue
         if after_gap and problems and not words[0].isdecimal():
-            break  # a citation
-        if len(words) == 8 or len(words) < 7:
-            raise FormatError(
-                f"{path}: line {number} has {len(words)} fields, expected 9 (or 7 in the old form)"
-            )
-        numeric = 5 if len(words) == 7 else 7  # a name with spaces leaves more than 9 words
-        try:
-            values = [int(word) for word in (words[0], *words[-numeric:-1])]
-            length = Decimal(words[-1])
-        except (ValueError, InvalidOperation):
-            raise FormatError(
-                f"{path}: line {number} is {line[:60]!r}, expected numbers around the map"
-            ) from None
-        if (
-            not length.is_finite()
-            or length < 0
-            or min(values) < 0
-            or int(length.as_tuple().exponent) > 9
-        ):
-            raise FormatError(
-                f"{path}: line {number}: expected numbers of at least 0, as people write them"
-            )
-        x, y, goal_x, goal_y = values[-4:]
-        size = (values[2], values[1]) if numeric == 7 else None
-        name = " ".join(words[1:-numeric])
-        problems.append(
-            Problem(values[0], name, size, (y, x), (goal_y, goal_x), words[-1], number, math.nan)
+            break  # a citation ends the file
+        problems.append(_problem(line, number, path))
+    lengths = [problem.length for problem in problems]
+    decimals = {len(length.partition(".")[2]) for length in lengths}
+    has_last_zero = any(re.search(r"\.\d*0$", length) for length in lengths)
+    is_fixed = len(decimals) == 1 and has_last_zero
+    return [problem._replace(unit=_unit(problem.length, is_fixed)) for problem in problems]
+
+
+def _problem(line: str, number: int, path: Path) -> Problem:
+    """Return the problem of a line; its unit is not known before all lines are read."""
+    words = line.split()
+    if len(words) == 8 or len(words) < 7:
+        raise FormatError(
+            f"{path}: line {number} has {len(words)} fields, expected 9 (or 7 in the old form)"
         )
-    texts = [problem.length for problem in problems]
-    fixed = len({len(text.partition(".")[2]) for text in texts}) == 1 and any(
-        re.search(r"\.\d*0$", t) for t in texts
+    # The name may have spaces, so numbers are counted from the end: 7 of them with sizes, else 5.
+    numeric = 5 if len(words) == 7 else 7
+    try:
+        bucket = int(words[0])
+        values = [int(word) for word in words[-numeric:-1]]
+        length = Decimal(words[-1])
+    except (ValueError, InvalidOperation):
+        raise FormatError(
+            f"{path}: line {number} is {line[:60]!r}, expected numbers around the map"
+        ) from None
+    is_plain = length.is_finite() and int(length.as_tuple().exponent) <= 9
+    if not is_plain or length < 0 or min(bucket, *values) < 0:
+        raise FormatError(
+            f"{path}: line {number}: expected numbers of at least 0, as people write them"
+        )
+    *sides, x, y, goal_x, goal_y = values
+    size = None
+    if sides:
+        columns, rows = sides
+        size = (rows, columns)
+    return Problem(
+        bucket=bucket,
+        map=" ".join(words[1:-numeric]),
+        size=size,
+        start=(y, x),
+        goal=(goal_y, goal_x),
+        length=words[-1],
+        line=number,
+        unit=math.nan,
     )
-    return [problem._replace(unit=_unit(problem.length, fixed)) for problem in problems]
 
 
-def _unit(length: str, fixed: bool) -> float:
+def _unit(length: str, is_fixed: bool) -> float:
     """Return the unit of the last digit of a printed length.
 
     Args:
         length: as printed.
-        fixed: all lengths of the file have equally many decimals, last zeros included, as in
+        is_fixed: all lengths of the file have equally many decimals, last zeros included, as in
             459.10. Else they have six significant digits, so that 440.72 stands for 440.720, or all
             digits of a double.
     """
     number = Decimal(length)
     exponent = int(number.as_tuple().exponent)
-    return float(10.0 ** (exponent if fixed else min(exponent, number.adjusted() - 5)))
+    if not is_fixed:
+        exponent = min(exponent, number.adjusted() - 5)
+    return float(10.0**exponent)
 
 
 @dataclass
@@ -205,8 +222,7 @@ class ScenReport:
 def check_scen(
     path: str | Path, maps: str | Path | None = None, limits: Limits = LIMITS
 ) -> ScenReport:
-    """Solve every problem of a .scen by A* under the benchmark's rule; compare with the printed
-    optimal lengths.
+    """Compare the optimal lengths of a .scen with those that A* finds under the benchmark's rule.
 
     Args:
         path: the .scen file.
@@ -218,7 +234,8 @@ def check_scen(
             .scen says.
     """
     path = Path(path)
-    report, terrains = ScenReport(path), dict[str, Bytes]()
+    terrains: dict[str, Bytes] = {}
+    # problems of one map and of one side of its shores are solved together
     groups: dict[tuple[str, str], list[Problem]] = {}
     all_problems = read_scen(path, limits)
     if not all_problems:
@@ -228,12 +245,12 @@ def check_scen(
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
         terrain = terrains[problem.map]
         _check_cells(problem, terrain, path)
-        letter = chr(terrain[problem.start])
-        groups.setdefault((problem.map, WATER if letter == WATER else LAND), []).append(problem)
+        letters = WATER if chr(terrain[problem.start]) == WATER else LAND
+        groups.setdefault((problem.map, letters), []).append(problem)
+    report = ScenReport(path)
     for (name, letters), problems in groups.items():
-        for problem, found in zip(
-            problems, _solve(world(terrains[name], letters), problems), strict=True
-        ):
+        lengths = _solve(world(terrains[name], letters), problems)
+        for problem, found in zip(problems, lengths, strict=True):
             report.total += 1
             if agrees(problem, found):
                 report.agreed += 1
@@ -247,6 +264,7 @@ def check_scen(
 
 
 def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
+    """Refuse a problem that does not fit on its map, and a map that is too large to be searched."""
     if problem.size not in (None, terrain.shape):
         raise FormatError(
             f"{path}: line {problem.line} says {problem.size}, the map has {terrain.shape} rows, "
@@ -263,23 +281,20 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
 
 
 def _solve(grid: Bytes, problems: list[Problem]) -> list[float]:
-    """Return the optimal length of each problem, -1 without a path (an end may stand on a blocked
-    cell).
-    """
+    """Return the optimal length of each problem, -1 without a path."""
     starts = np.array([problem.start for problem in problems])
     goals = np.array([problem.goal for problem in problems])
-    costs = np.full(len(problems), -1.0)
-    open_ends = (grid[tuple(starts.T)] == 0) & (grid[tuple(goals.T)] == 0)
-    if open_ends.any():
-        costs[open_ends] = search_batch(
-            "astar", grid, starts[open_ends], goals[open_ends], MOVEMENT
-        ).cost
-    return [float(cost) for cost in costs]
+    lengths = np.full(len(problems), -1.0)
+    # an end on a blocked cell is a problem without a path here, an error to a search
+    is_free = (grid[tuple(starts.T)] == 0) & (grid[tuple(goals.T)] == 0)
+    if is_free.any():
+        found = search_batch("astar", grid, starts[is_free], goals[is_free], MOVEMENT)
+        lengths[is_free] = found.cost
+    return [float(length) for length in lengths]
 
 
 def agrees(problem: Problem, found: float) -> bool:
-    """Return whether an optimal length (-1: no path) is what a .scen prints, as exactly as it
-    prints it.
+    """Return whether an optimal length (-1: no path) is what a .scen prints, up to its last digit.
 
     The benchmark's own files count a diagonal as 1.414213562: their last decimals are a bit less.
     """
@@ -289,28 +304,30 @@ def agrees(problem: Problem, found: float) -> bool:
     if stated == 0:
         return problem.start == problem.goal
     least = found * (1.414213562 / math.sqrt(2))  # if all steps are diagonal
+    # half a unit for rounding, a bit more for the errors of floating point
     slack = 0.5 * problem.unit * (1 + 1e-9) + 1e-12 * found
     return least - slack <= stated <= found + slack
 
 
 def find_map(name: str, scen: Path, maps: str | Path | None = None) -> Path:
-    """Return the file of the map that a .scen names: under ``maps``, or beside the .scen, and
-    nowhere else.
+    """Return the map that a .scen names: a file below ``maps`` or below the .scen's own folder.
+
+    A name with folders that are not there is looked for without the first of them.
 
     Raises:
         FormatError: there is none; the message says where it was looked for.
     """
     folder = scen.parent if maps is None else Path(maps)
     parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
-    tried = []
+    looked = f"a name inside {folder}"
     for start in range(len(parts)):
-        candidate = folder.joinpath(*parts[start:])
         if ".." in parts[start:]:
             continue
-        tried.append(candidate)
+        candidate = folder.joinpath(*parts[start:])
+        looked = str(candidate)
+        # a link may still lead out of the folder
         if candidate.is_file() and candidate.resolve().is_relative_to(folder.resolve()):
             return candidate
-    looked = f"{tried[-1]}" if tried else f"a name inside {folder}"
     advice = "--maps DIR, or --movingai.maps DIR of an import, says where maps are"
     raise FormatError(f"{scen}: its map {name!r} is missing: looked for {looked}; {advice}")
 
@@ -329,8 +346,8 @@ def read(
         source: file or folder.
         limits: of what is read.
         scen: take the end points of the problems in .scen files as seed points, in the order of
-            their first appearance, and only maps that a .scen names. A .scen file as source says so
-            too.
+            their first appearance, and only maps that a .scen names; always so if the source is a
+            .scen file.
         maps: folder of the maps that .scen files name.
         seed_points: how many of these end points at most.
     """
@@ -347,15 +364,16 @@ def read(
             grid = world(terrain)
             water += int((terrain == ord(WATER)).sum())
             rows, columns = grid.shape
-            free = [
-                cell
-                for cell in dict.fromkeys(ends)
-                if cell[0] < rows and cell[1] < columns and not grid[cell]
-            ]
+            free = []
+            for cell in dict.fromkeys(ends):  # each once
+                row, column = cell
+                if row < rows and column < columns and not grid[cell]:
+                    free.append(cell)
             split = split_of(path, folder) if path.is_relative_to(folder) else None
             chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)
+            known = len(chosen) > 1  # else the import draws the others
             found.maps.append(
-                ForeignMap(str(path), grid, split, seed_points=chosen, rooms_known=len(chosen) > 1)
+                ForeignMap(str(path), grid, split, seed_points=chosen, rooms_known=known)
             )
     if water:
         found.notes.append(
@@ -367,9 +385,7 @@ def read(
 def _end_points(
     source: Path, limits: Limits, maps: str | Path | None, found: Collection
 ) -> dict[Path, list[Cell]]:
-    """Return the end points of the problems of each map that a .scen names, in the order of their
-    appearance.
-    """
+    """Return the end points of the problems of each map that a .scen names, in their order."""
     if source.suffix.lower() == ".map":
         raise FormatError(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
@@ -378,15 +394,13 @@ def _end_points(
     for path in files_of(source, (".scen",), limits, found.left_out):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
-                points.setdefault(find_map(problem.map, path, maps), []).extend(
-                    (problem.start, problem.goal)
-                )
+                ends = points.setdefault(find_map(problem.map, path, maps), [])
+                ends += (problem.start, problem.goal)
     return points
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
-    """Write each map as ``<split>/map<i>.map`` with ``<split>/map<i>.map.scen`` beside it: all its
-    room pairs.
+    """Write each map as ``<split>/map<i>.map``, and all pairs of its rooms as a .scen beside it.
 
     Lengths are those of the benchmark's rule, whatever the movement of the dataset; pairs without a
     path have 0.
@@ -398,35 +412,35 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         maps = labels.maps
         rows, columns = maps.occupancy.shape[1:]
         for k, grid in enumerate(maps.occupancy):
-            folder, name = target / SPLITS[maps.split[k]], f"map{maps.index[k]}.map"
+            folder = target / SPLITS[maps.split[k]]
             folder.mkdir(parents=True, exist_ok=True)
-            lines = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
-            body = "\n".join(line.tobytes().decode() for line in lines)
-            (folder / name).write_text(
-                f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n", newline="\n"
-            )
-            (folder / f"{name}.scen").write_text(
-                _scen(name, grid, maps.seed_points[k, : maps.rooms[k]]), newline="\n"
-            )
+            name = f"map{maps.index[k]}.map"
+            letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
+            body = "\n".join(row.tobytes().decode() for row in letters)
+            text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
+            (folder / name).write_text(text, newline="\n")
+            scen = _scen(name, grid, maps.seed_points[k, : maps.rooms[k]])
+            (folder / f"{name}.scen").write_text(scen, newline="\n")
     return [
         "lengths in the .scen files are 8-connected without corner cutting, the benchmark's rule"
     ]
 
 
-def _scen(name: str, grid: Bytes, seed_points: npt.NDArray[np.int64]) -> str:
+def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
+    height, width = grid.shape
     first, second = np.triu_indices(len(seed_points), 1)
+    starts = seed_points[first]
+    goals = seed_points[second]
     lines = ["version 1"]
     if len(first):
-        costs = search_batch("astar", grid, seed_points[first], seed_points[second], MOVEMENT).cost
-        for (row, column), (goal_row, goal_column), cost in zip(
-            seed_points[first].tolist(), seed_points[second].tolist(), costs.tolist(), strict=True
-        ):
-            length = max(cost, 0.0)
-            values = (math.floor(length / 4), name, grid.shape[1], grid.shape[0])
-            lines.append(
-                "\t".join(map(str, (*values, column, row, goal_column, goal_row, f"{length:.8f}")))
-            )
+        costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost
+        for start, goal, cost in zip(starts.tolist(), goals.tolist(), costs.tolist(), strict=True):
+            length = max(cost, 0.0)  # 0 stands for no path
+            bucket = math.floor(length / 4)
+            cells = (*start[::-1], *goal[::-1])  # x and y
+            words = (bucket, name, width, height, *cells, f"{length:.8f}")
+            lines.append("\t".join(map(str, words)))
     return "\n".join(lines) + "\n"
 
 

@@ -1,13 +1,12 @@
 """The paper's release: one PNG a map and one CSV with its columns, in and out.
 
-Source: Flores-Aquino et al., arXiv 2110.13242, section III-D: 10,000 maps as images plus one CSV.
-Its repository,
-https://github.com/gbriel21/map2D_dataSet, says no more; a script of its authors reads
-``maps_parameters.csv`` and ``map0.png``, ``map1.png``, ... beside it. Nobody here has seen the
-headers of that file. A reader takes ours and the words of section III-D ("Passages size", "Row path
-for A*"), whatever their case and what stands between the words; commas, semicolons or tabs between
-columns; lists as JSON, as numpy prints them, or with any separators. Other kinds of pictures do as
-well.
+Source: Flores-Aquino et al., arXiv 2110.13242, sections 3 and 4: 10,000 maps as images plus one
+CSV. Its repository, https://github.com/gbriel21/map2D_dataSet, says no more; a script of its
+authors reads ``maps_parameters.csv`` and ``map0.png``, ``map1.png``, ... beside it. Nobody here has
+seen the headers of that file. The reader takes ours and the words of the paper ("Passages size",
+"Row path for A*"), whatever their case and what stands between the words; commas, semicolons or
+tabs between columns; lists as JSON, as numpy prints them, or with any separators; and pictures of
+any kind that `mapdata.formats.images` reads.
 
 Pictures are black where free and white where occupied, as in the paper's Figure 2; 1 bit a pixel.
 Lists are written as JSON.
@@ -20,8 +19,8 @@ Lists are written as JSON.
 | resolution | metres per cell |
 | rooms | how many (ours) |
 | passage_size | width of the passages, in cells |
-| seed_rows, seed_columns | a number a room |
-| size_rows, size_columns | a number a room |
+| seed_rows, seed_columns | one number per room |
+| size_rows, size_columns | one number per room |
 | direction_for_passages | two a passage, its legs: 1 horizontal, 0 vertical, -1 none |
 | connected | one a passage: whether it was drawn |
 | reachable | one a segment: whether it has a path (path_exists in files of mapdata 0.1) |
@@ -55,7 +54,8 @@ from mapdata.formats.images import PICTURES, brightness, read_pixels
 from mapdata.formats.registry import Format
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
-from mapdata.shards.table import SEARCHES, map_row
+from mapdata.shards.shard import SEARCHES
+from mapdata.shards.table import map_row
 from mapdata.spec import Movement, canonical_json
 
 NEEDED = ("seed_rows", "seed_columns")
@@ -68,7 +68,7 @@ LABELS = (
     "all_connected",
     *(f"{search}_{name}" for search in SEARCHES for name in _FOUND),
 )
-"""Columns that are compared with what we find."""
+"""Columns that a search of ours can check."""
 
 _OTHER_NAMES = {
     "passages_size": "passage_size",
@@ -76,7 +76,7 @@ _OTHER_NAMES = {
     **{f"{name}_for_breadth_first_search": f"bfs_{name}" for name in _FOUND},
     **{f"{name}_for_a*": f"astar_{name}" for name in _FOUND},
 }
-"""Our names of columns that section III-D, or an earlier mapdata, calls otherwise."""
+"""Our names of columns that the paper, or an earlier mapdata, calls otherwise."""
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -93,7 +93,8 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             movement = canonical_json(asdict(labels.maps.movement))
             for k, grid in enumerate(labels.maps.occupancy):
                 row = map_row(labels, k, root.resolution)
-                Image.fromarray(grid.view(np.bool_)).save(target / "images" / f"{row['label']}.png")
+                image = Image.fromarray(grid.view(np.bool_))  # of bool, a PNG of 1 bit a pixel
+                image.save(target / "images" / f"{row['label']}.png")
                 if not header:
                     header = [*row, "movement"]
                     table.writerow(header)
@@ -108,9 +109,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 
 
 def is_release(path: Path) -> bool:
-    """Return whether a CSV has columns for the seed points, or lies beside ``map0.png`` as the
-    authors' does.
-    """
+    """Return whether a CSV has columns of seed points, or lies beside ``map0.png``."""
     try:
         header = _header(path)
     except OSError:
@@ -120,38 +119,33 @@ def is_release(path: Path) -> bool:
 
 
 def _csv(source: Path) -> Path:
-    if source.is_file() and source.suffix.lower() == ".csv":
-        return source
-    found = (
-        [path for path in source.iterdir() if path.suffix.lower() == ".csv"]
-        if source.is_dir()
-        else []
-    )
+    """Return the CSV that ``source`` is, or the only one in its folder."""
+    inside = source.iterdir() if source.is_dir() else [source]
+    found = [path for path in inside if path.is_file() and path.suffix.lower() == ".csv"]
     if len(found) != 1:
         raise FormatError(f"{source}: holds {len(found)} .csv files, expected a folder with one")
     return found[0]
 
 
 def _header(path: Path) -> str:
+    """Return the first line of a CSV, however long the file's lines are."""
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         return file.readline(100_000).strip()
 
 
 def _separator(header: str) -> str:
-    """Return what separates the columns: commas, semicolons as where a comma is in numbers, or
-    tabs.
-    """
+    """Return what separates columns: commas, tabs, or semicolons where numbers have commas."""
     return max(",;\t", key=header.count)
 
 
 def _column(header: str) -> str:
-    """Return our name of a column."""
+    """Return our name of the column with this header."""
     plain = re.sub(r"[^a-z0-9*]+", "_", header.lower()).strip("_")
     return _OTHER_NAMES.get(plain, plain)
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
-    """Read a release: a folder with one CSV and its PNGs anywhere below, or the CSV beside them.
+    """Read a release: a folder with one CSV and its pictures anywhere below, or the CSV itself.
 
     Raises:
         FormatError: no CSV, or one that cannot be read. A map whose picture or rooms are damaged is
@@ -160,18 +154,16 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     import pandas as pd
 
     path = _csv(source)
-    if path.stat().st_size > limits.unpacked:
-        raise FormatError(
-            f"{path}: has {path.stat().st_size} bytes, expected at most {limits.unpacked}"
-        )
+    size = path.stat().st_size
+    if size > limits.unpacked:
+        raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
     found = Collection()
-    pictures = {
-        picture.stem.lower(): picture
-        for picture in walk(path.parent, PICTURES, limits, found.left_out)
-    }
+    files = walk(path.parent, PICTURES, limits, found.left_out)
+    pictures = {picture.stem.lower(): picture for picture in files}
     movements: set[str] = set()
     items: set[int] = set()
     try:
+        # in chunks, all as text: lists are parsed a map at a time
         chunks = pd.read_csv(
             path,
             sep=_separator(_header(path)),
@@ -185,18 +177,10 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         with chunks, warnings.catch_warnings():
             warnings.simplefilter("error")  # of lines with more fields than there are headers
             for chunk in chunks:
-                columns = [_column(str(name)) for name in chunk.columns]
-                missing = [name for name in NEEDED if name not in columns]
-                if "label" not in columns and "item" not in columns:
-                    missing.append("label")
-                if missing:
-                    names = ", ".join(map(str, chunk.columns))
-                    advice = "--format images reads the pictures alone"
-                    raise FormatError(f"{path}: no column {missing[0]!r} among {names}; {advice}")
+                columns = _columns(path, [str(name) for name in chunk.columns])
                 for line in chunk.to_dict("split")["data"]:
-                    row = defaultdict(
-                        str, zip(columns, (str(cell).strip() for cell in line), strict=True)
-                    )
+                    cells = [str(cell).strip() for cell in line]
+                    row = defaultdict(str, zip(columns, cells, strict=True))  # "" is not stated
                     _add_map(found, row, pictures, limits, items)
                     movements.add(row["movement"])
     except FormatError:
@@ -208,7 +192,24 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     return found
 
 
+def _columns(path: Path, headers: list[str]) -> list[str]:
+    """Return our names of all columns.
+
+    Raises:
+        FormatError: one that is needed is missing.
+    """
+    columns = [_column(header) for header in headers]
+    missing = [name for name in NEEDED if name not in columns]
+    if "label" not in columns and "item" not in columns:
+        missing.append("label")
+    if missing:
+        advice = "--format images reads the pictures alone"
+        raise FormatError(f"{path}: no column {missing[0]!r} among {', '.join(headers)}; {advice}")
+    return columns
+
+
 def _movement(path: Path, texts: set[str]) -> Movement:
+    """Return the movement that all lines state, 4-connected if none states one."""
     if len(texts) > 1:
         raise FormatError(f"{path}: holds maps of {len(texts)} movements, expected one")
     text = "".join(texts)
@@ -226,8 +227,9 @@ def _add_map(
     items: set[int],
 ) -> None:
     """Add one line of the CSV to ``found``, as a map or as left out."""
-    name = row["label"].replace("\\", "/").rsplit("/", 1)[-1] or f"map{row['item']}"
-    stem = name[: -len(Path(name).suffix)] if name.lower().endswith(PICTURES) else name
+    # a label may be the path of a picture
+    name = row["label"].replace("\\", "/").rpartition("/")[2] or f"map{row['item']}"
+    stem = Path(name).stem if name.lower().endswith(PICTURES) else name
     try:
         picture = pictures.get(stem.lower()) or pictures.get(row["item"].lower())
         if picture is None:
@@ -257,19 +259,21 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
         )
     if (sizes < -1).any() or (sizes >= 2**15).any() or not np.isin(directions, (-1, 0, 1)).all():
         raise FormatError("its sizes or directions are out of range")
-    width = next(iter(numbers(row["passage_size"])), -1)
+    widths = numbers(row["passage_size"])
+    width = widths[0] if widths else -1
     if not -1 <= width < 2**15:
         raise FormatError(f"passage size {width} is out of range")
     resolution = float(row["resolution"]) if row["resolution"] else None
     if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
         raise FormatError(f"resolution {resolution}, expected metres per cell above 0")
+    number = int(item) if item.isdecimal() and len(item) < 18 else None  # else too long for int64
     stated = {name: row[name] for name in LABELS if row[name]}
     return ForeignMap(
         name=name,
         cells=cells,
         split=SPLIT_NAMES.get(row["split"].lower()),
         resolution=resolution,
-        number=int(item) if item.isdecimal() and len(item) < 18 else None,
+        number=number,
         seed_points=seed_points,
         rooms_known=True,
         sizes=sizes if len(sizes) else None,
@@ -280,7 +284,7 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
 
 
 def _pairs(row: dict[str, str], first: str, second: str) -> Ints:
-    """Return two cells of the CSV with a number a room as (n, 2)."""
+    """Return two lists of the CSV, each with one number per room, as (n, 2)."""
     one = numbers(row[first])
     other = numbers(row[second])
     if len(one) != len(other):
@@ -315,21 +319,23 @@ def numbers(text: str) -> list[int]:
 
 
 def _differing(stated: dict[str, str], labels: Labels, k: int) -> list[str]:
-    """Return the names of the columns that say otherwise than our labels of map k."""
+    """Return the names of the columns that disagree with our labels of map k."""
     ours = map_row(labels, k, resolution=0.0)
     return [name for name, text in stated.items() if not _same(text, ours[name])]
 
 
 def _same(text: str, ours: object) -> bool:
-    words = re.sub(r"(?i)\btrue\b", "1", re.sub(r"(?i)\bfalse\b", "0", text))
+    """Return whether a cell of the CSV holds our numbers, whatever the shape of its lists."""
+    text = re.sub(r"(?i)\bfalse\b", "0", text)
+    text = re.sub(r"(?i)\btrue\b", "1", text)
     try:
-        stated = floats(words)
+        stated = floats(text)
     except FormatError:
         return False
-    expected = np.ravel(np.array(ours, float)).tolist()
-    return len(stated) == len(expected) and bool(
-        np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
-    )
+    expected = np.ravel(np.array(ours, float))
+    if len(stated) != len(expected):
+        return False
+    return bool(np.allclose(stated, expected, rtol=1e-6, atol=1e-6))  # printed numbers are rounded
 
 
 FORMAT = Format("paper", (".csv",), read, write, is_mine=is_release, beside=PICTURES)

@@ -25,15 +25,13 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from tqdm.auto import tqdm
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Bytes, Flags, Float32s
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
+from mapdata.formats.files import LIMITS, Array, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.registry import Format
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
@@ -46,9 +44,7 @@ ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""
 
 PERCENTILES = (0.55, 0.70, 0.85, 1.0)
-"""The loader draws a start between two neighbouring ones of these, by the distance to the goal."""
-
-Array = npt.NDArray[Any]
+"""The loader draws starts from three intervals of distance, which these percentiles bound."""
 
 
 def is_planning(path: Path) -> bool:
@@ -57,8 +53,7 @@ def is_planning(path: Path) -> bool:
         shapes = Npz(path).shapes
     except FormatError:
         return False
-    names = {f"arr_{k}" for k in range(4)}
-    return names <= set(shapes) and len(shapes["arr_2"]) == 5
+    return {f"arr_{k}" for k in range(4)} <= set(shapes) and len(shapes["arr_2"]) == 5
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
@@ -117,14 +112,14 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
             yield ForeignMap(name, grid, code, seed_points=cells.astype(np.int64)), distances[k, 0]
 
 
-def hops(grid: Bytes, goal: object) -> npt.NDArray[np.float32]:
+def hops(grid: Bytes, goal: object) -> Float32s:
     """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W without a path."""
     distance = distance_field(grid, goal, MOVEMENT)
     # 0 - distance rather than -distance: the goal is 0, not -0, in the file
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
 
-def policy(values: npt.NDArray[np.float32]) -> Bytes:
+def policy(values: Float32s) -> Bytes:
     """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=-np.inf)
@@ -138,9 +133,9 @@ def policy(values: npt.NDArray[np.float32]) -> Bytes:
     return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
 
 
-def has_starts(values: npt.NDArray[np.float32]) -> bool:
+def has_starts(values: Float32s) -> bool:
     """Return whether neural-astar's loader can draw a start in each of its three intervals."""
-    cells = values[values > values.min()]
+    cells = values[values > values.min()]  # the least value stands for no path
     if len(cells) < 2:
         return False  # only the goal itself
     # values are negative distances, so far cells have low percentiles
@@ -165,7 +160,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
-    # of each map its split, -1 if it is left out; a list of a shard each
+    # one array per shard: the split of each map, -1 if it is left out
     splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(root)]
     counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
     if 0 in counts:
@@ -214,7 +209,7 @@ def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
         yield labels.maps.occupancy, labels.maps.seed_points[:, 0], labels.maps.split
 
 
-def _usable(grids: Bytes, goals: Array) -> npt.NDArray[np.bool_]:
+def _usable(grids: Bytes, goals: Array) -> Flags:
     """Return, for each map, whether the loader finds starts on it."""
     usable = [has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)]
     return np.array(usable, np.bool_)

@@ -1,4 +1,4 @@
-"""What a foreign format is, the table of all of them, and what works with any."""
+"""`Format`, the table of all formats, and reading and writing any of them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, empty_target, walk
 from mapdata.shards.root import Places, Root
+from mapdata.shards.shard import StrPath
 
 
 @dataclass(frozen=True)
@@ -73,28 +74,28 @@ def register(one: Format) -> None:
 
 def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
     """Return what reads, or what writes, by the name of the format."""
-    return {
-        name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what) is not None
-    }
+    found = {name: getattr(one, what) for name, one in FORMATS.items()}
+    return {name: function for name, function in found.items() if function is not None}
 
 
 def options_of(function: Callable[..., object]) -> dict[str, Option]:
-    """Return the keyword-only parameters of a function by name, with what its docstring's ``Args``
-    say.
-    """
-    documented = (inspect.getdoc(function) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
-    texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", documented, re.MULTILINE))
+    """Return the keyword-only parameters of a function by name, with the help of its docstring."""
+    _, _, after = (inspect.getdoc(function) or "").partition("\nArgs:\n")
+    arguments, _, _ = after.partition("\n\n")
+    # a name and a text, whose further lines are indented once more
+    texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", arguments, re.MULTILINE))
     hints = get_type_hints(function)
     options = {}
     for name, parameter in inspect.signature(function).parameters.items():
         if parameter.kind is parameter.KEYWORD_ONLY:
-            hint = hints[name]
-            kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
+            kind = hints[name]
+            if NoneType in get_args(kind):
+                kind = get_args(kind)[0]
             options[name] = Option(kind, parameter.default, " ".join(texts.get(name, "").split()))
     return options
 
 
-def recognise(source: str | os.PathLike[str]) -> str:
+def recognise(source: StrPath) -> str:
     """Return the name of the format of a file or folder.
 
     Raises:
@@ -110,6 +111,7 @@ def recognise(source: str | os.PathLike[str]) -> str:
         for one in FORMATS.values():
             if path.suffix.lower() in one.endings and one.is_mine(path):
                 owners[path] = one
+    # the pictures of a ROS map do not make its folder one of images too
     beside = {ending for one in owners.values() for ending in one.beside}
     found = {one.name for path, one in owners.items() if path.suffix.lower() not in beside}
     if len(found) != 1:
@@ -121,7 +123,7 @@ def recognise(source: str | os.PathLike[str]) -> str:
 
 
 def read_any(
-    source: str | os.PathLike[str],
+    source: StrPath,
     kind: str | None = None,
     limits: Limits = Limits(),
     **options: object,
@@ -148,7 +150,7 @@ def read_any(
 
 def export(
     root: Places,
-    target: str | os.PathLike[str],
+    target: StrPath,
     kind: str,
     *,
     progress: bool = False,
@@ -184,7 +186,7 @@ def export(
     try:
         notes: list[str] = write(temporary, source, progress, **options)
         if target.is_dir():
-            target.rmdir()
+            target.rmdir()  # it is empty; a file cannot replace a folder
         os.replace(temporary, target)
     finally:
         if temporary.is_dir():
@@ -197,16 +199,20 @@ def export(
 def _checked(
     what: Literal["read", "write"], name: str, options: dict[str, object]
 ) -> Callable[..., Any]:
-    """Return what reads or writes a format, after a look at its options."""
+    """Return what reads or writes a format, after checking the name and the options.
+
+    Raises:
+        ValueError: no such format, or an option or value that it does not have.
+    """
     known = functions(what)
     if name not in known:
         raise ValueError(f"format: got {name!r}, expected one of {', '.join(known)}")
-    has = options_of(known[name])
+    accepted = options_of(known[name])
     for key, value in options.items():
-        if key not in has:
+        if key not in accepted:
             raise ValueError(f"{key}: does nothing for format {name}")
-        if get_origin(has[key].kind) is Literal and value not in get_args(has[key].kind):
-            raise ValueError(
-                f"{key}: got {value!r}, expected {' or '.join(get_args(has[key].kind))}"
-            )
+        kind = accepted[key].kind
+        choices = get_args(kind)
+        if get_origin(kind) is Literal and value not in choices:
+            raise ValueError(f"{key}: got {value!r}, expected {' or '.join(choices)}")
     return known[name]

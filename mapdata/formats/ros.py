@@ -1,14 +1,14 @@
 """Maps of ROS map_server and Nav2: a .yaml beside a .pgm, .png or .bmp, in and out.
 
-Source: http://wiki.ros.org/map_server and nav2_map_server/src/map_io.cpp of https://github.com/ros-navigation/navigation2.
+Sources: http://wiki.ros.org/map_server and nav2_map_server/src/map_io.cpp of
+https://github.com/ros-navigation/navigation2.
 
-The probability of a pixel p is (255 - p) / 255, or p / 255 with ``negate``; above
-``occupied_thresh`` it is occupied, below ``free_thresh`` free, else unknown. p is the mean of the
-channels: under ``mode: trinary`` alpha is one of them, as in both servers. ``scale``: what is not
-opaque is unknown, and between the
-thresholds stands a value of 0 to 100; ``raw``: p itself is the value up to 100, above it is
-unknown. Values between the thresholds are neither free nor
-occupied, so they go where unknown cells go.
+The probability that a pixel p is occupied is (255 - p) / 255, or p / 255 with ``negate``. Under
+``mode: trinary`` it is occupied above ``occupied_thresh``, free below ``free_thresh``, else
+unknown; p is the mean of the channels, and alpha is one of them, as in both servers. ``scale``:
+what is not opaque is unknown, and between the thresholds stands a value of 0 to 100. ``raw``: p
+itself is the value up to 100, and unknown above. Values between the thresholds are neither free
+nor occupied, so they are treated as unknown cells.
 
 Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose
 (x, y, yaw) of the lower left corner of the picture, in metres and radians.
@@ -17,15 +17,17 @@ Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``or
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 from PIL import Image
 
+from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
 from mapdata.formats.images import PICTURES, Pixels, read_pixels
@@ -36,8 +38,11 @@ from mapdata.spec import SPLITS
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
 
-_FREE, _OCCUPIED = 254, 0
-"""Pixels as map_saver writes them."""
+Int8s: TypeAlias = npt.NDArray[np.int8]
+
+# pixels as map_saver writes them
+_FREE = 254
+_OCCUPIED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +55,20 @@ class RosMap:
         origin: (x, y, yaw) of the lower left corner, in metres and radians.
     """
 
-    cells: npt.NDArray[np.int8]
+    cells: Int8s
     resolution: float
     origin: tuple[float, float, float]
 
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
         """Return (x, y), in metres, of the middle of a cell (row, col)."""
         x0, y0, yaw = self.origin
-        across, up = (
-            (column + 0.5) * self.resolution,
-            (len(self.cells) - row - 0.5) * self.resolution,
-        )
-        return x0 + across * math.cos(yaw) - up * math.sin(yaw), y0 + across * math.sin(
-            yaw
-        ) + up * math.cos(yaw)
+        # metres from the lower left corner, along the edges of the picture
+        across = (column + 0.5) * self.resolution
+        up = (len(self.cells) - row - 0.5) * self.resolution
+        # the picture is rotated by yaw about that corner
+        x = x0 + across * math.cos(yaw) - up * math.sin(yaw)
+        y = y0 + across * math.sin(yaw) + up * math.cos(yaw)
+        return x, y
 
 
 def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
@@ -78,7 +83,8 @@ def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
     resolution = _number(path, fields, "resolution")
     if resolution <= 0:
         raise FormatError(f"{path}: resolution is {resolution}, expected metres per cell above 0")
-    low, high = _number(path, fields, "free_thresh"), _number(path, fields, "occupied_thresh")
+    low = _number(path, fields, "free_thresh")
+    high = _number(path, fields, "occupied_thresh")
     if not 0 <= low <= high <= 1:
         raise FormatError(
             f"{path}: free_thresh {low} and occupied_thresh {high}, expected 0 <= free <= "
@@ -98,43 +104,46 @@ def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
     if not isinstance(origin, list) or len(origin) != 3:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
     x, y, yaw = (_number(path, {"origin": value}, "origin") for value in origin)
-    cells = _classify(read_pixels(_image(path, fields), limits), mode, bool(negate), low, high)
+    pixels = read_pixels(_image(path, fields), limits)
+    cells = _classify(pixels, mode, bool(negate), low, high)
     return RosMap(cells, resolution, (x, y, yaw))
 
 
 def _fields(path: Path) -> dict[str, Any]:
+    """Return the fields of a .yaml file by name."""
     text = read_text(path, Limits(unpacked=2**20))
     try:
         fields = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
-        raise FormatError(
-            f"{path}: not plain YAML ({str(error).splitlines()[0] if str(error) else error!r})"
-        ) from None
+        first_line, *_ = str(error).splitlines() or [repr(error)]
+        raise FormatError(f"{path}: not plain YAML ({first_line})") from None
     if not isinstance(fields, dict) or "image" not in fields:
         raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
     return {str(name): value for name, value in fields.items() if isinstance(name, str)}
 
 
 def _number(path: Path, fields: dict[str, Any], name: str) -> float:
-    """Return a finite number; YAML 1.1 takes 5e-2 for text, so text of a number is one."""
+    """Return the finite number of a field.
+
+    Text of a number is one too: to YAML 1.1, 5e-2 without a point is text.
+    """
     if name not in fields:
         raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
     value = fields[name]
-    try:
-        number = (
-            math.nan
-            if isinstance(value, bool) or not isinstance(value, (int, float, str))
-            else float(value)
-        )
-    except (ValueError, OverflowError):
-        number = math.nan
+    number = math.nan
+    if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            number = float(value)
     if not math.isfinite(number):
         raise FormatError(f"{path}: {name} is {str(value)[:40]!r}, expected a finite number")
     return number
 
 
 def _image(path: Path, fields: dict[str, Any]) -> Path:
-    """Return the picture's path, which must lie in the folder of the yaml, links followed."""
+    """Return the picture's path, which must lie in the folder of the yaml, links followed.
+
+    Another picture is never opened: a yaml from elsewhere may name any file of this machine.
+    """
     name = fields["image"]
     if not isinstance(name, str) or not name or "\0" in name:
         raise FormatError(f"{path}: image is {str(name)[:40]!r}, expected the name of a picture")
@@ -146,28 +155,27 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
     inside = image.is_relative_to(folder)
     if not (inside and image.is_file()):
         what = "is missing" if inside else "lies outside the folder of the yaml"
-        beside = name.replace("\\", "/").rsplit("/", 1)[-1]
+        beside = name.replace("\\", "/").rpartition("/")[2]
         if beside != name and (folder / beside).is_file():
             what += f"; say image: {beside}, which lies beside it"
         raise FormatError(f"{path}: image {name[:80]!r} {what}")
     return image
 
 
-def _classify(
-    pixels: Pixels, mode: str, negate: bool, low: float, high: float
-) -> npt.NDArray[np.int8]:
-    """Return map_server's value of each pixel: a look-up in a table over the sum of the
-    channels.
-    """
+def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) -> Int8s:
+    """Return map_server's value of each pixel, as in `RosMap`."""
     values, white = pixels
-    alpha = values[:, :, 3] if values.shape[2] == 4 else None
-    colours = values if mode == "trinary" else values[:, :, :3]
-    channels = colours.shape[2]
+    colours = values if mode == "trinary" else values[:, :, :3]  # all but alpha
     total = colours.sum(axis=2, dtype=np.uint32)
-    shade = np.arange(channels * white + 1) / (channels * white)
+    # a table of the value for each sum of channels: a picture has far more pixels than sums
+    most = colours.shape[2] * white
+    shade = np.arange(most + 1) / most
     if mode == "raw":
-        table = np.rint(shade * 255)
-        table[table > 100] = -1
+        percent = np.rint(shade * 255)
+        table = percent.copy()
+        table[percent < 100 * low] = 0
+        table[percent > 100 * high] = 100
+        table[percent > 100] = -1
     else:
         occupied = shade if negate else 1 - shade
         table = np.full(len(shade), -1.0)
@@ -175,39 +183,39 @@ def _classify(
             table = np.clip(np.rint((occupied - low) / (high - low) * 100), 0, 100)
         table[occupied < low] = 0
         table[occupied > high] = 100
-    cells = table.astype(np.int8)[total]
-    if mode == "scale" and alpha is not None:
-        cells[alpha < white] = -1
-    return cells if mode != "raw" else _threshold(cells, low, high)
+    cells: Int8s = table.astype(np.int8)[total]
+    if mode == "scale" and values.shape[2] == 4:
+        is_opaque = values[:, :, 3] == white
+        cells[~is_opaque] = -1
+    return cells
 
 
-def _threshold(cells: npt.NDArray[np.int8], low: float, high: float) -> npt.NDArray[np.int8]:
-    """Say which raw values are free and occupied: the thresholds in percent. The others stay."""
-    known = cells >= 0
-    out = cells.copy()
-    out[known & (cells < 100 * low)] = 0
-    out[known & (cells > 100 * high)] = 100
-    return out
-
-
-def to_grid(cells: npt.NDArray[np.int8], unknown: str | None, what: str) -> npt.NDArray[np.uint8]:
+def to_grid(cells: Int8s, unknown: str | None, what: str) -> Bytes:
     """Return cells as a grid, 0 free and 1 occupied.
 
     Args:
         cells: as in `RosMap`.
-        unknown: "occupied" or "free": what cells are that are neither. None allows no such cells.
+        unknown: "occupied" or "free": what all other cells become; None allows no others.
         what: named in errors.
 
     Raises:
         FormatError: such cells, and ``unknown`` does not say.
     """
-    between = (cells != 0) & (cells != 100)
+    between = _unknown(cells)
     if unknown is None and between.any():
         raise FormatError(
             f"{what}: {between.mean():.1%} of its cells are unknown: say --ros.unknown occupied "
             "or --ros.unknown free"
         )
-    return np.asarray((cells == 100) | (between & (unknown == "occupied")), np.uint8)
+    occupied = cells == 100
+    if unknown == "occupied":
+        occupied |= between
+    return np.asarray(occupied, np.uint8)
+
+
+def _unknown(cells: Int8s) -> Flags:
+    """Return which cells are neither free nor occupied."""
+    return np.isin(cells, (0, 100), invert=True)
 
 
 def read(
@@ -227,7 +235,7 @@ def read(
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
-            shares.append(float(((one.cells != 0) & (one.cells != 100)).mean()))
+            shares.append(float(_unknown(one.cells).mean()))
             found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
     if any(shares):
         share = sum(shares) / len(shares)
@@ -238,8 +246,7 @@ def read(
 def write(
     target: Path, root: Root, progress: bool, *, image: Literal["pgm", "png", "bmp"] = "pgm"
 ) -> list[str]:
-    """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, pixels as map_saver
-    writes them.
+    """Write each map as ``<split>/map<i>.yaml`` and ``<split>/map<i>.<image>``, as map_saver does.
 
     Args:
         target: folder.
@@ -253,7 +260,8 @@ def write(
     for labels in root.labels(progress=progress):
         maps = labels.maps
         for k, grid in enumerate(maps.occupancy):
-            folder, name = target / SPLITS[maps.split[k]], f"map{maps.index[k]}"
+            folder = target / SPLITS[maps.split[k]]
+            name = f"map{maps.index[k]}"
             folder.mkdir(parents=True, exist_ok=True)
             pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
             if image == "pgm":

@@ -21,6 +21,7 @@ from mapdata.shards.manifest import (
     MOST_SHARDS,
     Entry,
     Manifest,
+    Span,
     entry_of,
     is_shard_name,
     load_shard,
@@ -31,12 +32,9 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import file_hash, folder_of
-from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
+from mapdata.shards.shard import Header, Origin, Shard, ShardError, StrPath, shard_image, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 from mapdata.spec import check_count, check_seed
-
-Limits = Set[tuple[int, int]]
-"""(start, stop) of some shards."""
 
 _MERGE_EVERY = 2.0
 """Least seconds between two writes of the manifest while shards are made."""
@@ -52,7 +50,7 @@ _FEW = 4 * CORES
 
 
 def build(
-    root: str | os.PathLike[str],
+    root: StrPath,
     spec: MapGenerator,
     *,
     maps: int = 10_000,
@@ -73,7 +71,7 @@ def build(
         spec: the distribution of maps.
         maps: how many maps the dataset shall have.
         seed: 64-bit seed.
-        shard_size: maps a shard.
+        shard_size: maps per shard.
         workers: threads (the kernels hold no GIL); default all cores.
         executor: builds the shards instead of threads; anything with ``submit``. When one of its
             workers dies and breaks it, as in a process pool, threads of this process go on.
@@ -186,13 +184,13 @@ def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _make(root: Path, damaged: Limits, header: Header) -> Entry:
+def _make(root: Path, damaged: Set[Span], header: Header) -> Entry:
     """Make a shard, anew if it is damaged: a function of the module, since processes pickle it."""
     return make_shard(root, header, anew=(header.start, header.stop) in damaged)
 
 
 def _made(
-    pool: Executor, root: Path, todo: Sequence[Header], damaged: Limits, most: int
+    pool: Executor, root: Path, todo: Sequence[Header], damaged: Set[Span], most: int
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
     make = partial(_make, root, damaged)
@@ -210,9 +208,7 @@ def _made(
                 yield entry
 
 
-def _prepare(
-    root: Path, wanted: Manifest, mine: Limits
-) -> tuple[dict[tuple[int, int], Entry], Limits]:
+def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, Entry], Set[Span]]:
     """Make sure that the root is of the wanted dataset; make it if it is missing.
 
     Returns:

@@ -101,7 +101,11 @@ def _write(
     bfs: _Arrays,
     astar: _Arrays,
 ) -> None:
-    """Write the record of every map; ``words`` is ``records`` as int32."""
+    """Write the record of every map.
+
+    ``words`` is ``records`` as int32; ``header`` is (N, 5): index (low and high half), split,
+    passage width and rooms.
+    """
     bfs_moves, bfs_offsets, bfs_iterations, bfs_costs = bfs
     astar_moves, astar_offsets, astar_iterations, astar_costs = astar
     for m in range(len(header)):

@@ -23,6 +23,7 @@ from mapdata.shards.manifest import (
     DatasetNotFoundError,
     Entry,
     Manifest,
+    Span,
     counts_of,
     is_shard_name,
     limits_of,
@@ -41,7 +42,7 @@ from mapdata.shards.root import (
     places,
     read_file,
 )
-from mapdata.shards.shard import Header, ShardError, decode, write_file
+from mapdata.shards.shard import Header, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 
 
@@ -81,7 +82,7 @@ class Inspection:
 
 
 def verify(root: Places, *, progress: bool = False) -> list[str]:
-    """Return what is wrong with a dataset, a line each; an empty list if nothing is.
+    """Return what is wrong with a dataset, one line per fault; an empty list if nothing is.
 
     Every file is hashed before HDF5 opens it, then checked, and its content hash is computed again.
 
@@ -99,7 +100,7 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
-    """Make again what `verify` finds damaged or missing; return what is still wrong, a line each.
+    """Make again what `verify` finds damaged or missing; return the faults that are left.
 
     Imported maps have no recipe, so their shards cannot be made again.
 
@@ -119,7 +120,7 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
     return [str(fault) for fault in left]
 
 
-def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspection:
+def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
     """Check every file of the dataset of one folder or URL.
 
     Raises:
@@ -136,9 +137,7 @@ def inspect(place: str | os.PathLike[str], *, progress: bool = False) -> Inspect
     if text != json.dumps(json.loads(text), indent=1) + "\n":
         what = "damaged (its text is not as it was written)"
         faults.append(Corruption(f"{place}/{MANIFEST}", what))
-    if manifest.spec is None:
-        faults += _check_provenance(place)
-    faults += _check_shards(place, manifest, True, progress)
+    faults += _check_files(place, manifest, True, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -157,9 +156,7 @@ def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
         return Inspection(place, None, tuple(faults))
-    if manifest.spec is None:
-        faults += _check_provenance(place)
-    faults += _check_shards(place, manifest, False, progress)
+    faults += _check_files(place, manifest, False, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -214,8 +211,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     return left
 
 
-def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
-    """Check the shards that a manifest lists, and name those that it should list.
+def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
+    """Check the shards that a manifest lists, name those that it should list, check an import.
 
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
@@ -226,7 +223,7 @@ def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) 
         if header is None:
             header = _partial(entry, planned.values())
         tasks.append((entry, header))
-    faults = []
+    faults = _check_provenance(place) if manifest.spec is None else []
     with (
         bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
         threads() as pool,
@@ -236,7 +233,7 @@ def _check_shards(place: str, manifest: Manifest, listed: bool, progress: bool) 
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for limits, header in planned.items():
+    for limits, header in planned.items():  # what no entry took out
         path = f"{place}/{shard_name(*limits)}"
         if listed:
             what = "missing (the build did not finish)"
@@ -269,8 +266,8 @@ def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
     return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
 
 
-def _shard_size(root: Path, limits: Sequence[tuple[int, int]]) -> int | None:
-    """Return the maps a shard of a dataset with shards of these limits, or None if none fits."""
+def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
+    """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
     # What a damaged manifest still says comes first: a shard that is alone may be a partial one.
     if (root / MANIFEST).exists():

@@ -125,8 +125,8 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
 def _introduction(of: DatasetStatistics) -> str:
     what = "rooms" if of.rooms_known else "seed points"
     sources = [
-        "imported maps, labelled" if spec is None else f"{spec.description}, made"
-        for spec in _specs(of)
+        f"{manifest.spec.description}, made" if manifest.spec else "imported maps, labelled"
+        for manifest in of.root.manifests
     ]
     made = "; ".join(dict.fromkeys(sources))  # places often have one source: once is enough
     text = (
@@ -166,12 +166,12 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
         size = sum(entry.bytes for entry in manifest.shards)
         facts["size on disk"] = f"{size / 1e6:,.1f} MB" if size >= 1e6 else f"{size / 1e3:,.0f} kB"
         facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
-    presets = [name for name, spec in PRESETS.items() if spec == manifest.spec]
-    facts["preset"] = presets[0] if presets else ""
-    facts["seed"] = "" if manifest.seed is None else str(manifest.seed)
-    facts["identity"] = manifest.identity or "none: imported maps are what their content hash says"
-    facts["content hash"] = manifest.content_hash
-    return facts
+    return facts | {
+        "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
+        "seed": "" if manifest.seed is None else str(manifest.seed),
+        "identity": manifest.identity or "none: imported maps are what their content hash says",
+        "content hash": manifest.content_hash,
+    }
 
 
 def _rebuild(name: str, manifest: Manifest) -> Section:
@@ -267,13 +267,12 @@ def _distributions(of: DatasetStatistics) -> Section:
 def _duplicates(of: DatasetStatistics) -> Section:
     exact, symmetric = of.repeats
     same = f"the same up to {of.symmetries} symmetries"
-    rows: list[tuple[str, ...]] = [("maps that are there already", "exactly the same", same)]
+    rows = [("maps that are there already", "exactly the same", same)]
     for name in SPLITS:
-        counts = (exact.inside[name], symmetric.inside[name])
-        rows.append((f"inside {name}", *(f"{count:,}" for count in counts)))
+        rows.append((f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}"))
     for a, b in exact.across:
-        counts = (exact.across[a, b], symmetric.across[a, b])
-        rows.append((f"of {b}, also in {a}", *(f"{count:,}" for count in counts)))
+        counts = (f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}")
+        rows.append((f"of {b}, also in {a}", *counts))
     return Section("Duplicates", _verdict(exact, symmetric), table=tuple(rows))
 
 
@@ -308,12 +307,9 @@ def _use(of: DatasetStatistics, copied: bool) -> Section:
 
 def _whom_to_cite(of: DatasetStatistics) -> str:
     imported = f"Cite the source of the maps. {Generator.citation}"
-    texts = [imported if spec is None else spec.citation for spec in _specs(of)]
+    specs = [manifest.spec for manifest in of.root.manifests]
+    texts = [imported if spec is None else spec.citation for spec in specs]
     return " ".join(dict.fromkeys(texts))  # each once
-
-
-def _specs(of: DatasetStatistics) -> list[Generator | None]:
-    return [manifest.spec for manifest in of.root.manifests]
 
 
 def movement_text(movement: Movement) -> str:

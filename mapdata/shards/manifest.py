@@ -25,7 +25,6 @@ if sys.platform != "win32":
     import fcntl
 
 from mapdata._version import __version__
-from mapdata.arrays import Flags, Ints
 from mapdata.generators.generator import Generator
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine, content_hash
@@ -51,6 +50,9 @@ MOST_SHARDS = 10**7
 
 MOST_BYTES = 2**28
 """Largest manifest that is read: room for some 300,000 shards."""
+
+Span = tuple[int, int]
+"""(start, stop) of the maps of a shard."""
 
 _A_DAY = 86_400
 """Seconds after which a temporary file of another machine counts as left behind."""
@@ -116,7 +118,7 @@ class Manifest(Origin):
 
     Attributes:
         maps: how many maps the dataset shall have.
-        shard_size: maps a shard.
+        shard_size: maps per shard.
         shards: finished shards in the order of their maps.
     """
 
@@ -135,7 +137,7 @@ class Manifest(Origin):
         return sum(entry.stop - entry.start for entry in self.shards) == self.maps
 
     @property
-    def plan(self) -> list[tuple[int, int]]:
+    def plan(self) -> list[Span]:
         """(start, stop) of every shard that the dataset shall have."""
         starts = range(0, self.maps, self.shard_size)
         return [(start, min(start + self.shard_size, self.maps)) for start in starts]
@@ -279,9 +281,8 @@ def parse_manifest(text: str, path: str) -> Manifest:
         raise
     except (
         ValueError,
-        KeyError,
+        LookupError,
         TypeError,
-        IndexError,
         AttributeError,
         RecursionError,
         ArithmeticError,
@@ -395,7 +396,7 @@ def sweep(root: Path, manifest: Manifest) -> None:
                 path.unlink(missing_ok=True)
 
 
-def limits_of(path: Path) -> tuple[int, int]:
+def limits_of(path: Path) -> Span:
     """Return (start, stop) of the maps of a shard file, as its name states them."""
     _, start, stop = path.stem.split("-")
     return int(start), int(stop)
@@ -455,26 +456,21 @@ def counts_of(labels: Labels) -> dict[str, Any]:
         "all_connected": int(labels.all_connected.sum()),
         "most_rooms": int(maps.rooms.max(initial=0)),
     }
-    segment_moves = np.diff(labels.astar.offsets)
-    pair_moves = labels.astar.costs.sum(axis=1)  # straight and diagonal ones
-    has_path = labels.astar.costs[:, 0] >= 0
-    pairs = np.diff(maps.pair_offsets)
-    for code, split in enumerate(SPLITS):
-        inside = maps.split == code
-        counts[split] = {
-            "maps": int(inside.sum()),
-            **_problems("route", np.repeat(inside, passages), labels.reachable, segment_moves),
-            **_problems("rooms", np.repeat(inside, pairs), has_path, pair_moves),
-        }
-    return counts
-
-
-def _problems(name: str, inside: Flags, has_path: Flags, moves: Ints) -> dict[str, int]:
-    """Return the numbers of problems with and without a path of one kind and split."""
-    return {
-        name: int((inside & has_path & (moves > 0)).sum()),
-        f"{name}_unsolvable": int((inside & ~has_path).sum()),
+    costs = labels.astar.costs  # straight and diagonal moves of each pair, -1 without a path
+    # of each kind: its problems per map; for each problem, whether it has a path, and its moves
+    kinds = {
+        "route": (passages, labels.reachable, np.diff(labels.astar.offsets)),
+        "rooms": (np.diff(maps.pair_offsets), costs[:, 0] >= 0, costs.sum(axis=1)),
     }
+    for code, split in enumerate(SPLITS):
+        is_in_split = maps.split == code
+        row = {"maps": int(is_in_split.sum())}
+        for name, (problems, has_path, moves) in kinds.items():
+            inside = np.repeat(is_in_split, problems)
+            row[name] = int((inside & has_path & (moves > 0)).sum())
+            row[f"{name}_unsolvable"] = int((inside & ~has_path).sum())
+        counts[split] = row
+    return counts
 
 
 def provenance_text(origin: dict[str, Any]) -> str:

@@ -29,11 +29,13 @@ from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import Root, read_attribute, read_dataset, read_root
 from mapdata.shards.shard import (
     FIELDS,
+    SEARCHES,
     Array,
     Field,
     Header,
     Shard,
     ShardError,
+    StrPath,
     bits_of,
     check_version,
     decode,
@@ -41,7 +43,7 @@ from mapdata.shards.shard import (
 from mapdata.spec import Movement
 
 
-def read_shard(path: str | os.PathLike[str]) -> Labels:
+def read_shard(path: StrPath) -> Labels:
     """Return all maps of a shard file with their labels.
 
     Raises:
@@ -54,9 +56,7 @@ def read_shard(path: str | os.PathLike[str]) -> Labels:
     return decode(shard)
 
 
-def open_shard(
-    path: str | os.PathLike[str], size: int | None = None, sha256: str | None = None
-) -> Shard:
+def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None) -> Shard:
     """Check a shard file and map it.
 
     Args:
@@ -268,7 +268,7 @@ def _checked_arrays(root: Root, data: Bytes, header: Header) -> dict[str, Array]
 
 
 def head(shard: Shard, maps: int) -> Shard:
-    """Return the first maps of a shard as a shard, which keeps the content hash and path of all."""
+    """Return a shard of the first maps of another one, still with the content hash of all."""
     arrays = dict(shard.arrays)
     for name in ("room_offsets", "pair_offsets"):
         arrays[name] = arrays[name][: maps + 1]
@@ -301,7 +301,7 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
         "directions": (segments, 2),
         "astar_diagonal": (pairs if header.movement.connectivity == 8 else 0,),
     }
-    for search in ("bfs", "astar"):
+    for search in SEARCHES:
         bits = _last(arrays[f"{search}_offsets"]) * bits_of(header.movement)
         shapes |= {
             f"{search}_offsets": (segments + 1,),

@@ -23,11 +23,11 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.shard import Header, Shard, ShardError, decode, write_file
+from mapdata.shards.shard import Header, Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement
 
-Places = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+Places = StrPath | Sequence[StrPath]
 """What names a dataset: a folder, a URL, or several of them."""
 
 
@@ -196,7 +196,7 @@ def is_url(place: str) -> bool:
     return "://" in place
 
 
-def folder_of(place: str | os.PathLike[str]) -> Path:
+def folder_of(place: StrPath) -> Path:
     """Return a place to write to as a path.
 
     Raises:

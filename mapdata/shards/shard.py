@@ -13,7 +13,7 @@ import socket
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import h5py
 import numpy as np
@@ -30,6 +30,10 @@ from mapdata.shards.hdf5 import read_dataset, read_root
 from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json
 
 Array = npt.NDArray[Any]
+StrPath: TypeAlias = str | os.PathLike[str]
+
+SEARCHES = ("bfs", "astar")
+"""The searches whose results are stored, as names of datasets and columns begin."""
 
 
 class ShardError(ValueError):
@@ -55,6 +59,7 @@ class Field(NamedTuple):
 
 
 _CELL = "cells, (row, col), origin upper left"
+_OR_UNKNOWN = "a row a room; -1 unknown"
 _BITS = "bits: column c is bit c % 8 of byte c // 8 of its row"
 _LEGS = "1 horizontal, 0 vertical, -1 no passage"
 _PAIRS = (
@@ -91,14 +96,7 @@ FIELDS = (
     Field("room_offsets", "<i8", 1, "first room of each map", "rooms", "N + 1 offsets"),
     Field("pair_offsets", "<i8", 1, "first pair of rooms of each map", "pairs", _PAIR_OFFSETS),
     Field("seeds", "<i2", 2, "seed point of each room", _CELL, "a row a room"),
-    Field(
-        "sizes",
-        "<i2",
-        2,
-        "rows and columns of each room as drawn",
-        "cells",
-        "a row a room; -1 unknown",
-    ),
+    Field("sizes", "<i2", 2, "rows and columns of each room as drawn", "cells", _OR_UNKNOWN),
     Field("directions", "i1", 2, "legs at A and B of each passage", "code", _LEGS),
     *_search_fields("bfs", "breadth-first search"),
     *_search_fields("astar", "A*"),

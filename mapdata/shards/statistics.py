@@ -8,20 +8,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
+from mapdata.shards.shard import SEARCHES, Array
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
-"""How many cells are unpacked to a byte each at once: memory stays flat however large a shard."""
+"""Cells that are unpacked at once, to a byte each: memory stays flat for shards of any size."""
 
 _DIGEST = 16
 """Bytes of the hash of a map: among 10**9 different maps two collide with probability 1e-21."""
@@ -133,7 +132,7 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
     rooms_known = bool(table.pop("rooms_known").any())
     exact = table.pop("exact")
     symmetric = table.pop("symmetric")
-    iterations = {search: table.pop(search) for search in ("bfs", "astar")}
+    iterations = {search: table.pop(search) for search in SEARCHES}
     return DatasetStatistics(
         root=opened,
         iterations=iterations,
@@ -164,7 +163,7 @@ def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
     return edges, counts.astype(np.int64)
 
 
-def _columns(labels: Labels, hashes: bool) -> dict[str, npt.NDArray[Any]]:
+def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     """Return what a shard adds to each array of a `DatasetStatistics`."""
     maps = labels.maps
     movement = maps.movement
@@ -251,8 +250,8 @@ def _images(grids: Bytes) -> Iterator[Bytes]:
 def _digest(grids: Bytes) -> Bytes:
     """Return (N, 16) uint8, a hash of each grid."""
     packed = np.ascontiguousarray(np.packbits(grids, axis=2)).reshape(len(grids), -1)
-    found = b"".join(hashlib.blake2b(row, digest_size=_DIGEST).digest() for row in packed)  # type: ignore[arg-type]
-    return np.frombuffer(found, np.uint8).reshape(len(grids), _DIGEST)
+    digests = [hashlib.blake2b(row.data, digest_size=_DIGEST).digest() for row in packed]
+    return np.frombuffer(b"".join(digests), np.uint8).reshape(len(grids), _DIGEST)
 
 
 def _repeats(digests: Bytes, split: Bytes) -> Repeats:

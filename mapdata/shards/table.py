@@ -1,4 +1,4 @@
-"""One row a map: all items of the paper, for tables, the paper's CSV and the Hugging Face Hub."""
+"""One row per map: all items of the paper, for tables, the paper's CSV and the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import numpy as np
 
 from mapdata.arrays import Ints
 from mapdata.search.labels import Labels
-from mapdata.shards.shard import Shard, decode
+from mapdata.shards.shard import SEARCHES, Shard, decode
 from mapdata.spec import SPLITS
-
-SEARCHES = ("bfs", "astar")
 
 
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
@@ -19,7 +17,7 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
 
     The names are those of the lists in sections 3 and 4 of arXiv 2110.13242, with underscores;
     ``bfs`` or ``astar`` stands before what a search found. A path is the whole route, the cell
-    where two segments meet once; iterations are one number a segment.
+    where two segments meet once; iterations are one number per segment.
     """
     maps = labels.maps
     rooms = int(maps.rooms[k])

@@ -49,7 +49,8 @@ def seed_points() -> dict[str, dict[str, bytes]]:
         b'0,a,2,"[0, 2]","[0, 3]","[1, 1]","[2, 2]","[1, 0]","[5]"\n'
     )
     planning = io.BytesIO()
-    goal, actions = np.zeros((1, 1, 3, 4)), np.zeros((1, 8, 1, 3, 4))
+    goal = np.zeros((1, 1, 3, 4))
+    actions = np.zeros((1, 8, 1, 3, 4))
     goal[0, 0, 0, 0] = 1
     np.savez_compressed(planning, 1.0 - GRID[None], goal, actions, goal)
     return {

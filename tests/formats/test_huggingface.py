@@ -35,7 +35,8 @@ def test_the_real_library_opens_it(
         for row in found[name]:
             batch = labels[row["item"] // 16]
             k, seen = row["item"] % 16, seen + 1
-            maps, n = batch.maps, int(batch.maps.rooms[k])
+            maps = batch.maps
+            n = int(batch.maps.rooms[k])
             assert SPLITS[maps.split[k]] == split
             assert row["label"] == f"map{row['item']}"
             assert np.array_equal(row["map"], maps.occupancy[k])

@@ -29,9 +29,7 @@ def grids(folder: Path, **options: object) -> list[list[list[int]]]:
 
 
 def test_pictures_of_all_kinds(tmp_path: Path) -> None:
-    """PNG of 1, 8, 16 bits, palette, alpha, BMP, JPEG, PGM: dark is occupied, transparent is
-    not.
-    """
+    """Every kind of picture: dark is occupied, what is transparent is free."""
     grey = Image.fromarray(DARK)
     for k, mode in enumerate(("1", "L", "RGB", "RGBA", "P", "LA")):
         grey.convert(mode, dither=Image.Dither.NONE).save(tmp_path / f"{k}.png")
@@ -63,9 +61,7 @@ def test_threshold_and_inversion(tmp_path: Path) -> None:
 
 
 def test_resize_and_crop(tmp_path: Path) -> None:
-    """Resizing averages the brightness of the cells; cropping takes the middle; what is too small
-    is left out.
-    """
+    """Resizing averages brightness; cropping takes the middle; what is too small is left out."""
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "a.png")
     assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()]
     assert grids(tmp_path, size=(2, 4), fit="crop") == [
@@ -77,9 +73,7 @@ def test_resize_and_crop(tmp_path: Path) -> None:
 
 
 def test_arrays(tmp_path: Path) -> None:
-    """.npy and .npz, one grid or a stack; bool, whole numbers, probabilities, Fortran order: 1 is
-    occupied.
-    """
+    """Arrays of any number type and order, one grid or a stack: 1 is occupied."""
     stack = np.stack([GRID, 1 - GRID])
     np.save(tmp_path / "a.npy", stack)
     np.save(tmp_path / "b.npy", np.asfortranarray(GRID.astype(bool)))
@@ -92,9 +86,7 @@ def test_arrays(tmp_path: Path) -> None:
 
 
 def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
-    """train, validation and test folders are kept; map2 comes before map10; hidden and linked
-    folders are not read.
-    """
+    """Folders say splits; map2 comes before map10; hidden and linked folders are not read."""
     for k, folder in enumerate(("Train", "validation", "test/deep", ".hidden")):
         (tmp_path / folder).mkdir(parents=True)
         for name in ("map10.png", "map2.PNG"):
@@ -169,9 +161,7 @@ def hostile(folder: Path) -> dict[str, str]:
 
 
 def test_hostile_files_are_left_out(tmp_path: Path) -> None:
-    """Bombs, lies, stubs and pickles among good ones: each is named with its reason, the good ones
-    are read.
-    """
+    """Bad files among good ones: each is named with its reason, the good ones are read."""
     cases = hostile(tmp_path)
     Image.fromarray(DARK).save(tmp_path / "good.png")
     found = read(tmp_path, Limits(unpacked=2**25))
@@ -202,9 +192,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
 def test_bombs_take_no_memory(tmp_path: Path) -> None:
-    """Pictures of 88 and 400 megapixels and an archive of 128 MiB: refused in less than 50 MB
-    more.
-    """
+    """Bombs of 88 and 400 megapixels and of 128 MiB are refused in less than 50 MB more."""
     import subprocess
     import zipfile
 
@@ -235,9 +223,7 @@ def test_brightness_is_exact(tmp_path: Path) -> None:
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two sizes become two datasets; what was left out is told a line each; flags of other formats
-    are refused.
-    """
+    """Two sizes become two datasets; what is left out is listed; foreign flags are refused."""
     (tmp_path / "in").mkdir()
     Image.fromarray(DARK).save(tmp_path / "in" / "a.png")
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "in" / "b.png")
@@ -294,9 +280,7 @@ def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
 
 
 def test_stacks_with_a_channel(tmp_path: Path) -> None:
-    """(N, 1, H, W), as torch has it, is a stack; two channels are not; a limit counts the cells of
-    one map.
-    """
+    """A stack may be (N, 1, H, W), not with two channels; a limit counts the cells of one map."""
     np.savez(tmp_path / "a.npz", maps=np.stack([GRID, 1 - GRID])[:, None], labels=np.arange(2))
     assert grids(tmp_path) == [GRID.tolist(), (1 - GRID).tolist()]
     assert read(tmp_path, Limits(pixels=11)).maps == []

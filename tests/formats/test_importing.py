@@ -1,6 +1,4 @@
-"""Imported grids: seed points by the page of the format, one dataset a size, and a root that only
-goes on.
-"""
+"""Imported grids: drawn seed points, one dataset per size, and a root that only goes on."""
 
 from __future__ import annotations
 
@@ -21,7 +19,8 @@ from mapdata.shards import read_manifest
 from mapdata.spec import Movement
 
 Bytes = npt.NDArray[np.uint8]
-SPLIT, POINTS = 2, 5
+SPLIT = 2
+POINTS = 5
 
 
 def test_a_dataset_of_grids(tmp_path: Path) -> None:
@@ -63,9 +62,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
 
 
 def test_the_content_is_what_it_was(tmp_path: Path) -> None:
-    """A golden hash: draws, labels and layout of imported maps do not change from one version to
-    the next.
-    """
+    """A golden hash: draws, labels and layout are the same in every version."""
     rows, columns = np.indices((9, 33))
     grids = [np.asarray((rows * (k + 3) + columns * 5) % 7 == 0, np.uint8) for k in range(3)]
     (made,) = import_maps(
@@ -78,9 +75,7 @@ GOLDEN = "c59b4fc7739def46dd4178e26c9fb987247ed352c62f6c0f5206307f9ef168e7"
 
 
 def test_small_components_and_given_seeds(tmp_path: Path) -> None:
-    """Less cells than seeds: all of them; given seeds come first; grids without two connected cells
-    are left out.
-    """
+    """Given seed points come first; maps with fewer cells have fewer, or are left out."""
     two: Bytes = np.array([[0, 0, 1, 0]], np.uint8)
     source = collection(two, np.ones((1, 4), np.uint8), np.array([[0, 1, 0, 1]], np.uint8))
     source.maps.append(ForeignMap("given", two, seed_points=np.array([[0, 3]])))
@@ -113,9 +108,7 @@ def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path
 
 
 def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
-    """One dataset a size, and a resolution; one given resolution joins them; tiles bring all to one
-    size.
-    """
+    """One dataset per size and resolution; a given resolution or tiles join them."""
     source = collection(*random_grids(2, 8, 8), *random_grids(1, 16, 9))
     source.maps.append(ForeignMap("fine", random_grids(1, 8, 8)[0], resolution=0.05))
     made = import_maps(tmp_path / "a", source)
@@ -133,9 +126,7 @@ def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
 
 
 def test_the_same_import_goes_on(tmp_path: Path) -> None:
-    """A second time nothing changes; a lost shard or manifest is made again; another import is
-    refused.
-    """
+    """A second import changes nothing; what is lost is made again; another import is refused."""
     grids = random_grids(5)
     (made,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
     before = {
@@ -207,9 +198,7 @@ def test_numbers_of_the_source(tmp_path: Path) -> None:
 
 
 def test_maps_are_kept_as_bits() -> None:
-    """100,000 maps of 512 x 512 cells are 3.3 GB in memory, not 26; what is not a grid is
-    refused.
-    """
+    """100,000 maps of 512 x 512 cells take 3.3 GB, not 26; what is not a grid is refused."""
     grid = random_grids(1, 5, 13)[0]
     one = ForeignMap("x", grid)
     assert one.grid.tolist() == grid.tolist()

@@ -1,6 +1,4 @@
-"""MovingAI: files as they stand on the web, lengths against scipy, and everything that is wrong
-with a file.
-"""
+"""MovingAI: files as they are on the web, lengths against scipy, and every fault of a file."""
 
 from __future__ import annotations
 
@@ -67,9 +65,7 @@ def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
 
 
 def test_scen_forms(tmp_path: Path) -> None:
-    """Tabs, spaces, CRLF, the old form without header and sizes, names with spaces; x is the
-    column.
-    """
+    """Tabs, spaces, CRLF, the old form, names with spaces; x is the column."""
     new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2, 1e-4)
     path = tmp_path / "a.scen"
     path.write_bytes(b"version 1.0\r\n3\tdao/big cave.map\t6\t4\t1\t3\t5\t0\t12.0711\r\n\r\n")
@@ -117,11 +113,10 @@ def test_printed_lengths(printed: list[str], says: int, tmp_path: Path) -> None:
 
 
 def test_long_published_lengths() -> None:
-    """Lengths of 1,500 cells and 600 diagonals, counted with nine decimals of the root as the
-    benchmark does.
-    """
+    """Lengths of 1,500 cells and 600 diagonals, with the benchmark's nine decimals of the root."""
     for straight, diagonal in ((687, 600), (1, 1023), (1500, 1)):
-        exact, theirs = straight + diagonal * math.sqrt(2), straight + diagonal * 1.414213562
+        exact = straight + diagonal * math.sqrt(2)
+        theirs = straight + diagonal * 1.414213562
         assert agrees(Problem(0, "", None, (0, 0), (1, 1), f"{theirs:.8f}", 1, 1e-8), exact)
         for wrong in (-2e-6, 2e-8):
             assert not agrees(
@@ -166,9 +161,7 @@ def test_wrong_lengths(
 @SETTINGS
 @given(GRIDS, st.data())
 def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
-    """Every pair of a random map, printed in the three precisions of the web, agrees; a bit more
-    does not.
-    """
+    """Every pair of a random map agrees in the three precisions of the web; a bit more does not."""
     free = np.argwhere(grid == 0).tolist()
     if not free:
         return

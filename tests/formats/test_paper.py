@@ -1,6 +1,4 @@
-"""The paper's release: out and in again is the same content; other people's headers; what is wrong
-with it.
-"""
+"""The paper's release: out and in again is the same content; other headers; faults of files."""
 
 from __future__ import annotations
 
@@ -51,9 +49,7 @@ def release(root: Path, tmp_path: Path) -> Path:
 @settings(SETTINGS, max_examples=12)
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
 def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
-    """Any spec, movement and size: the content hash comes back, so every label does, and nothing
-    disagrees.
-    """
+    """For any spec the content hash comes back, so every label does, and nothing disagrees."""
     with tempfile.TemporaryDirectory() as folder:
         before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
         export(Path(folder, "a"), Path(folder, "b"), "paper")
@@ -66,9 +62,7 @@ def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
 
 
 def test_what_is_written(root: Path, release: Path) -> None:
-    """1-bit pictures, black where free; a line holds what the shard holds; the route's joints stand
-    once.
-    """
+    """1-bit pictures, black where free; a line holds what the shard holds; joints stand once."""
     rows = rows_of(release)
     labels = read_shard(root / read_manifest(root).shards[0].name)
     picture = Image.open(release / "images" / "map7.png")
@@ -82,19 +76,18 @@ def test_what_is_written(root: Path, release: Path) -> None:
     cells = list(
         zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True)
     )
-    assert len(cells) == sum(map(len, route)) - sum(
-        1 for one, other in pairwise(route) if len(one) and len(other)
-    )
-    assert all(abs(r - s) + abs(c - d) == 1 for (r, c), (s, d) in pairwise(cells)) or not all(
-        map(len, route)
-    )
+    joints = [1 for one, other in pairwise(route) if len(one) and len(other)]
+    assert len(cells) == sum(len(segment) for segment in route) - len(joints)
+    if all(len(segment) for segment in route):
+        # without a gap, each cell is beside the next one
+        assert all(abs(r - s) + abs(c - d) == 1 for (r, c), (s, d) in pairwise(cells))
 
 
 def test_joined() -> None:
-    """A joint stands once, that of two seed points on one cell too; after a missing segment the
-    next one begins.
-    """
-    one, other, stay = np.array([[0, 0], [0, 1]]), np.array([[0, 1], [1, 1]]), np.array([[0, 1]])
+    """A joint stands once, also of two seed points on one cell; a missing segment has none."""
+    one = np.array([[0, 0], [0, 1]])
+    other = np.array([[0, 1], [1, 1]])
+    stay = np.array([[0, 1]])
     none = np.empty((0, 2), np.int64)
     assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
     assert joined([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
@@ -120,9 +113,7 @@ PRINTED = {
 
 
 def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
-    """The paper's own words as headers, lists as numpy prints them, booleans as words, pictures as
-    RGB beside it.
-    """
+    """The paper's headers, lists as numpy prints them, words for booleans, pictures in RGB."""
     rows = rows_of(release)
     for row in rows:
         for name in ("seed_rows", "bfs_iterations"):
@@ -163,9 +154,7 @@ def test_disagreements_are_counted(
 
 
 def test_splits_and_rooms_are_optional(release: Path, tmp_path: Path) -> None:
-    """Without sizes, directions, splits and labels the maps still become a dataset; splits are
-    drawn.
-    """
+    """Maps without sizes, directions, splits and labels become a dataset; splits are drawn."""
     needed = ("item", "seed_rows", "seed_columns")
     write_rows(release, [{name: row[name] for name in needed} for row in rows_of(release)])
     (made,) = import_maps(tmp_path / "back", read_any(release))
@@ -283,9 +272,7 @@ def test_cells_never_crash(text: str) -> None:
 
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_tables_of_other_programs(separator: str, root: Path, release: Path) -> None:
-    """Semicolons or tabs, a byte order mark, CRLF, quotes everywhere, paths for names, JPEG or BMP
-    pictures.
-    """
+    """Semicolons or tabs, a byte order mark, CRLF, quotes, paths for names, JPEG or BMP."""
     rows = [{**row, "label": f"C:\\maps\\{row['label']}.bmp"} for row in rows_of(release)]
     with open(release / "maps.csv", "w", encoding="utf-8-sig", newline="") as file:
         writer = csv.DictWriter(

@@ -1,6 +1,4 @@
-"""planning-datasets: neural-astar's loader (its rule written down once more) reads what we write,
-and the other way.
-"""
+"""planning-datasets: neural-astar's loader, written down once more, reads what we write."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ MOVES = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class Loader:
-    """What the data set class of neural-astar (src/neural_astar/utils/data.py, 2023) does with a
-    file.
-    """
+    """What the dataset class of neural-astar (src/neural_astar/utils/data.py, 2023) does."""
 
     def __init__(self, path: Path, split: str) -> None:
         """Open one split; every array becomes float32."""
@@ -44,9 +40,7 @@ class Loader:
     def item(
         self, k: int, interval: int, random: np.random.Generator
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return map, start, goal and path of map k, with a start from one of the three percentile
-        intervals.
-        """
+        """Return map, start, goal and path of map k; the start is from one of three intervals."""
         values = self.distances[k].ravel()
         inside = values[values > values.min()]
         bounds = np.percentile(inside, 100.0 * (1 - np.array([0.55, 0.70, 0.85, 1.0])))
@@ -69,12 +63,11 @@ class Loader:
 
 
 def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
-    """Every map of every split, with starts from every interval: the path has as many cells as its
-    distance says.
-    """
+    """Starts of every interval on every map: a path has as many cells as its distance says."""
     export(root, tmp_path / "maps.npz", "planning-datasets")
     assert recognise(tmp_path / "maps.npz") == "planning-datasets"
-    random, total = np.random.default_rng(0), 0
+    random = np.random.default_rng(0)
+    total = 0
     for split in ("train", "valid", "test"):
         loader = Loader(tmp_path / "maps.npz", split)
         assert loader.maps.shape[1:] == (20, 70)
@@ -140,9 +133,7 @@ def test_maps_without_starts_are_left_out() -> None:
 
 
 def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDArray[np.generic]]:
-    """Return the arrays of a file as planning-datasets writes them: float64, all free, goal upper
-    left.
-    """
+    """Return the arrays of a file as published: float64, all free, goal upper left."""
     arrays: dict[str, npt.NDArray[np.generic]] = {}
     for code in range(3):
         goals = np.zeros((count, 1, rows, columns))
@@ -156,9 +147,7 @@ def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDAr
 
 
 def test_files_in_the_wild(tmp_path: Path) -> None:
-    """float64 as published, 1 is free; a wrong distance is counted, a bad goal left out; one split
-    alone will do.
-    """
+    """float64 as published; wrong distances are counted, bad goals left out; one split will do."""
     arrays = sound()
     arrays["arr_0"][0, 3, 3] = 0
     arrays["arr_3"][0, 0, 3, 3] = -16
@@ -302,9 +291,7 @@ def test_hostile_archives(tmp_path: Path) -> None:
 
 
 def test_a_lying_directory(tmp_path: Path) -> None:
-    """The directory of the archive says fewer bytes than there are: no more than it says is
-    unpacked.
-    """
+    """An archive that states fewer bytes than it has: no more than it states is unpacked."""
     path = npz(tmp_path / "a.npz", arr_0=npy((2**24,), bytes(2**24)))
     data = path.read_bytes()
     size = (2**24 + 128).to_bytes(4, "little")

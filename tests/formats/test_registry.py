@@ -1,6 +1,4 @@
-"""The registry: recognising, refusing, and an export that appears whole or not at all;
-docs/formats.md runs.
-"""
+"""The registry: recognising, refusing, exports that appear whole; docs/formats.md runs."""
 
 from __future__ import annotations
 
@@ -109,9 +107,7 @@ def test_what_cannot_be_exported(
 
 
 def test_recognising(root: Path, tmp_path: Path) -> None:
-    """Each format that can be both written and read is recognised again; nothing and nonsense are
-    refused.
-    """
+    """Formats that are written and read are recognised again; nothing and nonsense are refused."""
     for kind in sorted(set(functions("write")) & set(functions("read"))):
         target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
         export(root, target, kind)
@@ -135,9 +131,7 @@ def test_recognising(root: Path, tmp_path: Path) -> None:
 
 
 def test_pictures_beside_another_table(tmp_path: Path) -> None:
-    """Beside map0.png, as in the authors' release, its polarity is the other: the user says what it
-    is.
-    """
+    """Beside map0.png, as in the authors' release, polarity is the other: the user says which."""
     Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "a.png")
     (tmp_path / "data.csv").write_text("name,rows\na,4\n")
     assert recognise(tmp_path) == "images"

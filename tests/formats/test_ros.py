@@ -1,6 +1,4 @@
-"""ROS maps: the servers' own rule pixel by pixel, pictures as they exist, and what is wrong with a
-yaml.
-"""
+"""ROS maps: the servers' own rule pixel by pixel, pictures as they exist, faults of a yaml."""
 
 from __future__ import annotations
 
@@ -116,7 +114,8 @@ def slow(
 )
 def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: float) -> None:
     """The table agrees with the servers' rule on any pixels and thresholds."""
-    low, high = min(one, other), max(one, other) + 0.01
+    low = min(one, other)
+    high = max(one, other) + 0.01
     cells = _classify(Pixels(values, 255), mode, negate and mode != "raw", low, high)
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
@@ -125,9 +124,7 @@ def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: 
 
 
 def test_negate_and_thresholds(tmp_path: Path) -> None:
-    """Negate turns black and white round; thresholds are strict; YAML 1.1 reads 5e-2 as text, we as
-    a number.
-    """
+    """Negate swaps black and white; thresholds are strict; the text 5e-2 is a number."""
     assert read_map(write(tmp_path, negate="1")).cells.tolist() == [[100, 100, 0], [100, 100, 100]]
     assert read_map(write(tmp_path, negate="true")).cells.tolist() == [
         [100, 100, 0],

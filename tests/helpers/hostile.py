@@ -1,8 +1,9 @@
-"""Writes shards that are wrong in one way each: what `mapdata.shards.reader.open_shard` must
-refuse.
+"""Hostile shards, each a sound one with one fault, which `mapdata.shards.open_shard` must refuse.
 
-Nothing here imports mapdata, since a hostile file comes from elsewhere. Each file is a sound shard
-but for one fault: in a dataset, in a root attribute, or in the bytes of the file.
+Nothing here imports mapdata, since a hostile file comes from elsewhere. The fault is in a dataset,
+in a root attribute, or in the bytes of the file. Each is a function, or a line, that is named after
+what is wrong; all of a kind are in one dict, by these names: `ELSEWHERE`, `DATASETS`, `ATTRIBUTES`,
+`BYTES`. The sound shard is 8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ class Contents(NamedTuple):
 def read_contents(path: Path) -> Contents:
     """Read a sound shard."""
     with h5py.File(path, "r") as file:
-        return Contents(
-            dict(file.attrs), {name: file[name][()] for name in file}, path.read_bytes()
-        )
+        attributes = dict(file.attrs)
+        arrays = {name: file[name][()] for name in file}
+    return Contents(attributes, arrays, path.read_bytes())
 
 
 Member: TypeAlias = Callable[[h5py.File, str, Array, Path], None]
@@ -45,15 +46,16 @@ def write(
     members: Mapping[str, Member] = {},
     attributes: Mapping[str, Any] = {},
 ) -> None:
-    """Write a shard whose named members and attributes are replaced; an attribute of None is left
-    out.
-    """
+    """Write a shard with other members and attributes; an attribute of None is left out."""
     with h5py.File(
         path, "w", libver=("v110", "v110"), alignment_threshold=1, alignment_interval=64
     ) as file:
         _write_attributes(file, sound, attributes)
         for name, array in sound.arrays.items():
-            members.get(name, _plain)(file, name, array, outside)
+            if name in members:
+                members[name](file, name, array, outside)
+            else:
+                file.create_dataset(name, data=array)
 
 
 class VariableText(str):
@@ -63,103 +65,198 @@ class VariableText(str):
 
 
 def _write_attributes(file: h5py.File, sound: Contents, attributes: Mapping[str, Any] = {}) -> None:
-    fixed = isinstance(
-        sound.attributes["format"], bytes
-    )  # text of fixed length, as the sound shard has it
-    for name, value in (sound.attributes | dict(attributes)).items():
-        if fixed and isinstance(value, (str, bytes)) and not isinstance(value, VariableText):
+    # h5py reads text of fixed length as bytes: then other text is written so, too
+    is_fixed = isinstance(sound.attributes["format"], bytes)
+    for name, value in {**sound.attributes, **attributes}.items():
+        if value is None:
+            continue
+        if isinstance(value, VariableText):
+            file.attrs[name] = str.__str__(value)
+        elif is_fixed and isinstance(value, (str, bytes)):
             data = value.encode() if isinstance(value, str) else value
-            file.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
-        elif value is not None:
-            file.attrs[name] = str.__str__(value) if isinstance(value, VariableText) else value
-
-
-def _plain(file: h5py.File, name: str, array: Array, _: Path) -> None:
-    file.create_dataset(name, data=array)
+            kind = h5py.string_dtype("utf-8", max(len(data), 1))
+            file.attrs.create(name, data, dtype=kind)
+        else:
+            file.attrs[name] = value
 
 
 # --- datasets that lie elsewhere ----------------------------------------------------------------
 
-
-def _external_storage(file: h5py.File, name: str, array: Array, outside: Path) -> None:
-    file.create_dataset(
-        name, array.shape, array.dtype, external=[(str(outside), 0, h5py.h5f.UNLIMITED)]
-    )
+ELSEWHERE: dict[str, Member] = {}
+"""Members that read as sound data from the file outside, which a reader must not even open."""
 
 
-def _external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
+def elsewhere(member: Member) -> Member:
+    """Add a member to `ELSEWHERE`."""
+    ELSEWHERE[_name_of(member)] = member
+    return member
+
+
+def _name_of(function: Callable[..., object]) -> str:
+    return function.__name__.replace("_", "-")
+
+
+@elsewhere
+def external_storage(file: h5py.File, name: str, array: Array, outside: Path) -> None:
+    """A dataset of this file whose data are the bytes of another one."""
+    place = (str(outside), 0, h5py.h5f.UNLIMITED)
+    file.create_dataset(name, array.shape, array.dtype, external=[place])
+
+
+@elsewhere
+def external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
+    """A link to the dataset of the same name in another file."""
     file[name] = h5py.ExternalLink(str(outside), f"/{name}")
 
 
-def _soft_link_to_external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
+@elsewhere
+def soft_link_to_external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
+    """A link inside this file, whose way leads through another file."""
     file["door"] = h5py.ExternalLink(str(outside), "/")
     file[name] = h5py.SoftLink(f"/door/{name}")
 
 
-def _virtual(file: h5py.File, name: str, array: Array, outside: Path) -> None:
+@elsewhere
+def virtual(file: h5py.File, name: str, array: Array, outside: Path) -> None:
+    """A virtual dataset, which HDF5 puts together from those of another file."""
     layout = h5py.VirtualLayout(array.shape, array.dtype)
     layout[...] = h5py.VirtualSource(str(outside), name, array.shape)
     file.create_virtual_dataset(name, layout)
 
 
-ELSEWHERE: dict[str, Member] = {
-    "external-storage": _external_storage,
-    "external-link": _external_link,
-    "soft-link-to-external-link": _soft_link_to_external_link,
-    "virtual": _virtual,
-}
-"""Members that read as sound data from the file outside, which the guard must not even open."""
-
-
 # --- datasets that are not plain ----------------------------------------------------------------
 
 
-def _soft_link(file: h5py.File, name: str, array: Array, _: Path) -> None:
+class DatasetFault(NamedTuple):
+    """A fault of one dataset.
+
+    Attributes:
+        dataset: which dataset.
+        says: what the message must say after the dataset's name, as a regular expression.
+        member: writes the hostile dataset.
+        blamed: the dataset that the message names where it is not the hostile one.
+    """
+
+    dataset: str
+    says: str
+    member: Member
+    blamed: str = ""
+
+
+DATASETS: dict[str, DatasetFault] = {}
+"""Faults of one dataset."""
+
+PLAIN = "not plain contiguous data"
+GROW = "does not hold offsets"
+
+
+Writer: TypeAlias = Callable[[h5py.File, str, Array], None]
+"""Writes one dataset: (file, name, sound values)."""
+
+
+def stored(dataset: str, says: str) -> Callable[[Writer], Writer]:
+    """Add a fault of how a dataset is stored: a function that writes the sound values otherwise."""
+
+    def register(write_dataset: Writer) -> Writer:
+        def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
+            write_dataset(file, name, array)
+
+        DATASETS[_name_of(write_dataset)] = DatasetFault(dataset, says, member)
+        return write_dataset
+
+    return register
+
+
+@stored("maps", "is a link")
+def soft_link(file: h5py.File, name: str, array: Array) -> None:
+    """A link to sound data in this very file."""
     file["hidden"] = array
     file[name] = h5py.SoftLink("/hidden")
 
 
-def _dangling_soft_link(file: h5py.File, name: str, _: Array, __: Path) -> None:
+@stored("maps", "is a link|is missing")
+def dangling_soft_link(file: h5py.File, name: str, _: Array) -> None:
+    """A link to nothing."""
     file[name] = h5py.SoftLink("/nowhere")
 
 
-def _soft_link_loop(file: h5py.File, name: str, _: Array, __: Path) -> None:
+@stored("maps", "is a link|is missing")
+def soft_link_loop(file: h5py.File, name: str, _: Array) -> None:
+    """Two links to one another, which a reader may follow for ever."""
     file["loop"] = h5py.SoftLink(f"/{name}")
     file[name] = h5py.SoftLink("/loop")
 
 
-def _virtual_of_itself(file: h5py.File, name: str, array: Array, _: Path) -> None:
+@stored("maps", PLAIN)
+def virtual_of_itself(file: h5py.File, name: str, array: Array) -> None:
+    """A virtual dataset whose data are its own."""
     layout = h5py.VirtualLayout(array.shape, array.dtype)
     layout[...] = h5py.VirtualSource(".", name, array.shape)
     file.create_virtual_dataset(name, layout)
 
 
-def _group(file: h5py.File, name: str, _: Array, __: Path) -> None:
+@stored("maps", "is not a dataset")
+def group(file: h5py.File, name: str, _: Array) -> None:
+    """A group."""
     file.create_group(name)
 
 
-def _root_again(file: h5py.File, name: str, _: Array, __: Path) -> None:
+@stored("maps", "is not a dataset")
+def root_again(file: h5py.File, name: str, _: Array) -> None:
+    """The root group under another name, so that the file holds itself."""
     file[name] = file["/"]
 
 
-def _named_type(file: h5py.File, name: str, array: Array, _: Path) -> None:
+@stored("maps", "is not a dataset")
+def named_type(file: h5py.File, name: str, array: Array) -> None:
+    """A type without data."""
     file[name] = array.dtype
 
 
-def _missing(_: h5py.File, __: str, ___: Array, ____: Path) -> None:
-    pass
+@stored("astar_diagonal", "is missing")
+def missing(_: h5py.File, __: str, ___: Array) -> None:
+    """Nothing."""
 
 
-def _stored(**storage: object) -> Member:
-    """Return a member of sound values stored otherwise."""
-
-    def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
-        file.create_dataset(name, data=array, **storage)
-
-    return member
+@stored("maps", PLAIN)
+def chunked(file: h5py.File, name: str, array: Array) -> None:
+    """Data in chunks, anywhere in the file."""
+    file.create_dataset(name, data=array, chunks=True)
 
 
-def _compact(file: h5py.File, name: str, array: Array, _: Path) -> None:
+@stored("maps", PLAIN)
+def gzip(file: h5py.File, name: str, array: Array) -> None:
+    """Data that only zlib can unpack."""
+    file.create_dataset(name, data=array, compression="gzip")
+
+
+@stored("bfs_moves", PLAIN)
+def lzf(file: h5py.File, name: str, array: Array) -> None:
+    """Data that only LZF can unpack."""
+    file.create_dataset(name, data=array, compression="lzf")
+
+
+@stored("seeds", PLAIN)
+def shuffle(file: h5py.File, name: str, array: Array) -> None:
+    """Bytes in another order."""
+    file.create_dataset(name, data=array, shuffle=True)
+
+
+@stored("maps", PLAIN)
+def fletcher32(file: h5py.File, name: str, array: Array) -> None:
+    """Data with checksums between them."""
+    file.create_dataset(name, data=array, fletcher32=True)
+
+
+@stored("seeds", PLAIN)
+def scale_offset(file: h5py.File, name: str, array: Array) -> None:
+    """Numbers of fewer bits than their type has."""
+    file.create_dataset(name, data=array, scaleoffset=0)
+
+
+@stored("split", PLAIN)
+def compact(file: h5py.File, name: str, array: Array) -> None:
+    """Data inside the header of the dataset."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_layout(h5py.h5d.COMPACT)
     kind = h5py.h5t.py_create(array.dtype)
@@ -168,221 +265,354 @@ def _compact(file: h5py.File, name: str, array: Array, _: Path) -> None:
     dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, array)
 
 
-def _never_written(file: h5py.File, name: str, array: Array, _: Path) -> None:
+@stored("maps", "reaches outside the file")
+def never_written(file: h5py.File, name: str, array: Array) -> None:
+    """A dataset that was declared, and has no place in the file."""
     file.create_dataset(name, array.shape, array.dtype)
 
 
-def _huge(**storage: object) -> Member:
-    """Return a member that declares 10**9 rows and holds none."""
-
-    def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
-        file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype, **storage)
-
-    return member
+@stored("maps", "reaches outside the file")
+def huge(file: h5py.File, name: str, array: Array) -> None:
+    """A billion maps, and no data."""
+    file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype)
 
 
-def _scalar(file: h5py.File, name: str, array: Array, _: Path) -> None:
+@stored("maps", PLAIN)
+def huge_chunked(file: h5py.File, name: str, array: Array) -> None:
+    """A billion maps, and no chunk of them."""
+    file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype, chunks=True)
+
+
+@stored("maps", PLAIN)
+def huge_gzip(file: h5py.File, name: str, array: Array) -> None:
+    """A billion maps, which compress to nothing: a bomb."""
+    file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype, compression="gzip")
+
+
+@stored("split", "has 0 dimensions")
+def scalar(file: h5py.File, name: str, array: Array) -> None:
+    """One number instead of an array."""
     file[name] = array.flat[0]
 
 
-def _null(file: h5py.File, name: str, array: Array, _: Path) -> None:
+@stored("split", "has 0 dimensions")
+def null(file: h5py.File, name: str, array: Array) -> None:
+    """A type without any value."""
     file[name] = h5py.Empty(array.dtype)
 
 
-def _typed(dtype: npt.DTypeLike) -> Member:
-    """Return a member of the sound shape and another type."""
+@stored("bfs_offsets", "not of type <i8")
+def reference(file: h5py.File, name: str, array: Array) -> None:
+    """References to objects of the file."""
+    dataset = file.create_dataset(name, array.shape, h5py.ref_dtype)
+    dataset[0] = h5py.Reference()
+
+
+@stored("bfs_moves", "not of type u1")
+def vlen(file: h5py.File, name: str, array: Array) -> None:
+    """Arrays of variable length, whose values lie in HDF5's heap."""
+    dataset = file.create_dataset(name, array.shape, h5py.vlen_dtype("u1"))
+    dataset[0] = np.zeros(4, np.uint8)
+
+
+@stored("bfs_moves", "not of type u1")
+def vlen_string(file: h5py.File, name: str, array: Array) -> None:
+    """Strings of variable length, whose letters lie in HDF5's heap."""
+    dataset = file.create_dataset(name, array.shape, h5py.string_dtype())
+    dataset[0] = "moves"
+
+
+# --- datasets of other types --------------------------------------------------------------------
+
+
+def typed(name: str, dataset: str, expected: str, dtype: npt.DTypeLike) -> None:
+    """Add a fault: a dataset of the sound shape, all zeros, whose type is not the expected one."""
 
     def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
         file.create_dataset(name, data=np.zeros(array.shape, dtype))
 
-    return member
+    DATASETS[name] = DatasetFault(dataset, f"not of type {expected}", member)
 
 
-def _ragged(dtype: object, value: object) -> Member:
-    """Return a member of a type whose values lie in HDF5's heap."""
-
-    def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
-        dataset = file.create_dataset(name, array.shape, dtype)
-        dataset[(0,) * array.ndim] = value
-
-    return member
-
-
-def _changed(change: Callable[[Array], Array]) -> Member:
-    """Return a member of other values."""
-
-    def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
-        file.create_dataset(name, data=change(array.copy()).astype(array.dtype))
-
-    return member
+typed("float", "maps", "u1", "f4")
+typed("float-of-equal-size", "bfs_offsets", "<i8", "f8")
+typed("big-endian", "seeds", "<i2", ">i2")
+typed("big-endian-offsets", "astar_offsets", "<i8", ">i8")
+typed("bool", "maps", "u1", "?")
+typed("signed", "split", "u1", "i1")
+typed("unsigned", "directions", "i1", "u1")
+typed("wide", "bfs_iterations", "<i4", "<i8")
+typed("narrow", "room_offsets", "<i8", "<i4")
+typed("compound", "seeds", "<i2", [("row", "<i2"), ("col", "<i2")])
+typed("complex", "bfs_offsets", "<i8", "c8")
+typed("fixed-string", "maps", "u1", "S1")
+typed("opaque", "maps", "u1", h5py.opaque_dtype("V1"))
+typed("enumeration", "split", "u1", h5py.enum_dtype({"train": 0}, "u1"))
 
 
-def _ends(*values: int) -> Callable[[Array], Array]:
-    """Return a change that puts ``values`` into the middle of offsets, whose first and last entries
-    stay.
-    """
+# --- datasets of other values -------------------------------------------------------------------
 
-    def change(array: Array) -> Array:
-        array[1 : 1 + len(values)] = values
-        return array
-
-    return change
+Change: TypeAlias = Callable[[Array], Array]
+"""Returns hostile values; its argument is a copy of the sound ones."""
 
 
-def _at(place: int, value: int) -> Callable[[Array], Array]:
-    def change(array: Array) -> Array:
-        array[place] = value
-        return array
+def valued(dataset: str, says: str, blamed: str = "") -> Callable[[Change], Change]:
+    """Add a fault of a dataset's values."""
 
-    return change
+    def register(change: Change) -> Change:
+        def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
+            file.create_dataset(name, data=change(array.copy()))
 
+        DATASETS[_name_of(change)] = DatasetFault(dataset, says, member, blamed)
+        return change
 
-def _one_later(array: Array) -> Array:
-    return _at(1, array[1] + 1)(array)
-
-
-WRAPPING = (2**62, 2**63 - 1, -(2**63), -(2**62), 0)
-"""Offsets that leave the data, and whose differences are not negative, since those of int64 wrap
-round.
-"""
-
-PLAIN = "not plain contiguous data"
-GROW = "does not hold offsets"
+    return register
 
 
-class DatasetFault(NamedTuple):
-    """What is wrong with which dataset, and what the message must say after its name (a regular
-    expression).
-    """
-
-    dataset: str
-    says: str
-    member: Member
-    blamed: str = ""
-    """The dataset that the message names, where it is not the one that was changed."""
+@valued("maps", "has 1 dimensions")
+def flat(array: Array) -> Array:
+    """All values in one row."""
+    return array.ravel()
 
 
-DATASETS: dict[str, DatasetFault] = {
-    "soft-link": DatasetFault("maps", "is a link", _soft_link),
-    "dangling-soft-link": DatasetFault("maps", "is a link|is missing", _dangling_soft_link),
-    "soft-link-loop": DatasetFault("maps", "is a link|is missing", _soft_link_loop),
-    "virtual-of-itself": DatasetFault("maps", PLAIN, _virtual_of_itself),
-    "group": DatasetFault("maps", "is not a dataset", _group),
-    "root-again": DatasetFault("maps", "is not a dataset", _root_again),
-    "named-type": DatasetFault("maps", "is not a dataset", _named_type),
-    "missing": DatasetFault("astar_diagonal", "is missing", _missing),
-    "chunked": DatasetFault("maps", PLAIN, _stored(chunks=True)),
-    "gzip": DatasetFault("maps", PLAIN, _stored(compression="gzip")),
-    "lzf": DatasetFault("bfs_moves", PLAIN, _stored(compression="lzf")),
-    "shuffle": DatasetFault("seeds", PLAIN, _stored(shuffle=True)),
-    "fletcher32": DatasetFault("maps", PLAIN, _stored(fletcher32=True)),
-    "scale-offset": DatasetFault("seeds", PLAIN, _stored(scaleoffset=0)),
-    "compact": DatasetFault("split", PLAIN, _compact),
-    "never-written": DatasetFault("maps", "reaches outside the file", _never_written),
-    "huge": DatasetFault("maps", "reaches outside the file", _huge()),
-    "huge-chunked": DatasetFault("maps", PLAIN, _huge(chunks=True)),
-    "huge-gzip": DatasetFault("maps", PLAIN, _huge(compression="gzip")),
-    "float": DatasetFault("maps", "not of type u1", _typed("f4")),
-    "float-of-equal-size": DatasetFault("bfs_offsets", "not of type <i8", _typed("f8")),
-    "big-endian": DatasetFault("seeds", "not of type <i2", _typed(">i2")),
-    "big-endian-offsets": DatasetFault("astar_offsets", "not of type <i8", _typed(">i8")),
-    "bool": DatasetFault("maps", "not of type u1", _typed("?")),
-    "signed": DatasetFault("split", "not of type u1", _typed("i1")),
-    "unsigned": DatasetFault("directions", "not of type i1", _typed("u1")),
-    "wide": DatasetFault("bfs_iterations", "not of type <i4", _typed("<i8")),
-    "narrow": DatasetFault("room_offsets", "not of type <i8", _typed("<i4")),
-    "compound": DatasetFault("seeds", "not of type <i2", _typed([("row", "<i2"), ("col", "<i2")])),
-    "complex": DatasetFault("bfs_offsets", "not of type <i8", _typed("c8")),
-    "fixed-string": DatasetFault("maps", "not of type u1", _typed("S1")),
-    "opaque": DatasetFault("maps", "not of type u1", _typed(h5py.opaque_dtype("V1"))),
-    "enumeration": DatasetFault(
-        "split", "not of type u1", _typed(h5py.enum_dtype({"train": 0}, "u1"))
-    ),
-    "reference": DatasetFault(
-        "bfs_offsets", "not of type <i8", _ragged(h5py.ref_dtype, h5py.Reference())
-    ),
-    "vlen": DatasetFault(
-        "bfs_moves", "not of type u1", _ragged(h5py.vlen_dtype("u1"), np.zeros(4, np.uint8))
-    ),
-    "vlen-string": DatasetFault(
-        "bfs_moves", "not of type u1", _ragged(h5py.string_dtype(), "moves")
-    ),
-    "flat": DatasetFault("maps", "has 1 dimensions", _changed(np.ravel)),
-    "deep": DatasetFault("seeds", "has 3 dimensions", _changed(lambda array: array[None])),
-    "scalar": DatasetFault("split", "has 0 dimensions", _scalar),
-    "null": DatasetFault("split", "has 0 dimensions", _null),
-    "a-map-more": DatasetFault(
-        "maps", "has shape", _changed(lambda array: np.concatenate((array, array[:1])))
-    ),
-    "a-row-less": DatasetFault("maps", "has shape", _changed(lambda array: array[:, 1:])),
-    "a-byte-less": DatasetFault("maps", "has shape", _changed(lambda array: array[:, :, 1:])),
-    "no-maps": DatasetFault("maps", "has shape", _changed(lambda array: array[:0])),
-    "a-split-less": DatasetFault("split", "has shape", _changed(lambda array: array[1:])),
-    "a-seed-less": DatasetFault("seeds", "has shape", _changed(lambda array: array[1:])),
-    "seeds-of-three": DatasetFault(
-        "seeds", "has shape", _changed(lambda array: np.repeat(array, 2, axis=1)[:, :3])
-    ),
-    "a-size-more": DatasetFault(
-        "sizes", "has shape", _changed(lambda array: np.concatenate((array, array)))
-    ),
-    "a-direction-less": DatasetFault("directions", "has shape", _changed(lambda array: array[1:])),
-    "an-iteration-less": DatasetFault(
-        "astar_iterations", "has shape", _changed(lambda array: array[1:])
-    ),
-    "a-cost-less": DatasetFault("astar_straight", "has shape", _changed(lambda array: array[1:])),
-    "a-move-less": DatasetFault("bfs_moves", "has shape", _changed(lambda array: array[1:])),
-    "diagonals-of-none": DatasetFault(
-        "astar_diagonal", "has shape", _changed(lambda array: np.zeros(len(array) + 1))
-    ),
-    "no-offsets": DatasetFault("bfs_offsets", "has shape", _changed(lambda array: array[:0])),
-    "no-rooms": DatasetFault("room_offsets", "has shape", _changed(lambda array: array[:0])),
-    "offsets-not-from-0": DatasetFault("bfs_offsets", GROW, _changed(_at(0, 1))),
-    "negative-offsets": DatasetFault("bfs_offsets", GROW, _changed(_at(0, -1))),
-    "decreasing-offsets": DatasetFault("astar_offsets", GROW, _changed(_ends(40, 30))),
-    "offsets-beyond-the-end": DatasetFault("astar_offsets", GROW, _changed(_at(1, 2**40))),
-    "wrapping-offsets": DatasetFault("astar_offsets", GROW, _changed(_ends(*WRAPPING))),
-    "last-offset-beyond": DatasetFault("bfs_moves", "has shape", _changed(lambda array: array[:0])),
-    "last-offset-huge": DatasetFault(
-        "bfs_offsets", "has shape", _changed(_at(-1, 2**62)), "bfs_moves"
-    ),
-    "last-offset-negative": DatasetFault(
-        "bfs_offsets", "has shape", _changed(_at(-1, -1)), "bfs_moves"
-    ),
-    "rooms-not-from-0": DatasetFault("room_offsets", GROW, _changed(_at(0, 1))),
-    "rooms-decreasing": DatasetFault("room_offsets", GROW, _changed(_ends(2, 1))),
-    "rooms-of-none": DatasetFault("room_offsets", "disagree", _changed(_at(1, 0))),
-    "rooms-moved": DatasetFault("room_offsets", "disagree", _changed(_one_later)),
-    "pairs-decreasing": DatasetFault("pair_offsets", GROW, _changed(_ends(5, 1))),
-    "pairs-moved": DatasetFault("pair_offsets", "disagree", _changed(_one_later)),
-    "seed-row-negative": DatasetFault("seeds", "cells outside the map", _changed(_at(-1, -1))),
-    "seed-beyond": DatasetFault("seeds", "cells outside the map", _changed(_at(0, 32767))),
-    "seeds-transposed": DatasetFault(
-        "seeds", "cells outside the map", _changed(lambda array: array[:, ::-1])
-    ),
-}
-"""Faults of one dataset; the message must name it. The shard is 8-connected and has 3 maps of 20 x
-70 cells.
-"""
+@valued("seeds", "has 3 dimensions")
+def deep(array: Array) -> Array:
+    """One axis more."""
+    return array[None]
+
+
+@valued("maps", "has shape")
+def a_map_more(array: Array) -> Array:
+    """A map more than the header says."""
+    return np.concatenate((array, array[:1]))
+
+
+@valued("maps", "has shape")
+def a_row_less(array: Array) -> Array:
+    """Maps without their first row."""
+    return array[:, 1:]
+
+
+@valued("maps", "has shape")
+def a_byte_less(array: Array) -> Array:
+    """Rows without their first byte."""
+    return array[:, :, 1:]
+
+
+@valued("maps", "has shape")
+def no_maps(array: Array) -> Array:
+    """No maps at all."""
+    return array[:0]
+
+
+@valued("split", "has shape")
+def a_split_less(array: Array) -> Array:
+    """A map without a split."""
+    return array[1:]
+
+
+@valued("seeds", "has shape")
+def a_seed_less(array: Array) -> Array:
+    """A room without a seed point."""
+    return array[1:]
+
+
+@valued("seeds", "has shape")
+def seeds_of_three(array: Array) -> Array:
+    """Seed points of three coordinates."""
+    return np.repeat(array, 2, axis=1)[:, :3]
+
+
+@valued("sizes", "has shape")
+def a_size_more(array: Array) -> Array:
+    """Each size twice."""
+    return np.concatenate((array, array))
+
+
+@valued("directions", "has shape")
+def a_direction_less(array: Array) -> Array:
+    """A passage without directions."""
+    return array[1:]
+
+
+@valued("astar_iterations", "has shape")
+def an_iteration_less(array: Array) -> Array:
+    """A segment without iterations."""
+    return array[1:]
+
+
+@valued("astar_straight", "has shape")
+def a_cost_less(array: Array) -> Array:
+    """A pair without a cost."""
+    return array[1:]
+
+
+@valued("bfs_moves", "has shape")
+def a_move_less(array: Array) -> Array:
+    """Fewer moves than the offsets promise."""
+    return array[1:]
+
+
+@valued("astar_diagonal", "has shape")
+def diagonals_of_none(array: Array) -> Array:
+    """A cost of a pair that does not exist."""
+    return np.zeros(len(array) + 1, array.dtype)
+
+
+@valued("bfs_offsets", "has shape")
+def no_offsets(array: Array) -> Array:
+    """No offsets, so no last one either."""
+    return array[:0]
+
+
+@valued("room_offsets", "has shape")
+def no_rooms(array: Array) -> Array:
+    """No offsets of rooms, so no number of rooms."""
+    return array[:0]
+
+
+@valued("bfs_moves", "has shape")
+def last_offset_beyond(array: Array) -> Array:
+    """No moves, though the offsets promise some."""
+    return array[:0]
+
+
+@valued("seeds", "cells outside the map")
+def seeds_transposed(array: Array) -> Array:
+    """Columns for rows: the map is wider than high."""
+    return array[:, ::-1]
+
+
+@valued("bfs_offsets", GROW)
+def offsets_not_from_0(array: Array) -> Array:
+    """Moves before the first segment."""
+    array[0] = 1
+    return array
+
+
+@valued("bfs_offsets", GROW)
+def negative_offsets(array: Array) -> Array:
+    """A segment that begins before the data."""
+    array[0] = -1
+    return array
+
+
+@valued("astar_offsets", GROW)
+def decreasing_offsets(array: Array) -> Array:
+    """A segment that ends before it begins."""
+    array[1:3] = (40, 30)
+    return array
+
+
+@valued("astar_offsets", GROW)
+def offsets_beyond_the_end(array: Array) -> Array:
+    """A segment that ends far behind the data."""
+    array[1] = 2**40
+    return array
+
+
+@valued("astar_offsets", GROW)
+def wrapping_offsets(array: Array) -> Array:
+    """Offsets outside the data, whose differences are not negative, since int64 wraps round."""
+    array[1:6] = (2**62, 2**63 - 1, -(2**63), -(2**62), 0)
+    return array
+
+
+@valued("bfs_offsets", "has shape", blamed="bfs_moves")
+def last_offset_huge(array: Array) -> Array:
+    """More moves than any file holds; the message names the moves."""
+    array[-1] = 2**62
+    return array
+
+
+@valued("bfs_offsets", "has shape", blamed="bfs_moves")
+def last_offset_negative(array: Array) -> Array:
+    """A negative number of moves; the message names the moves."""
+    array[-1] = -1
+    return array
+
+
+@valued("room_offsets", GROW)
+def rooms_not_from_0(array: Array) -> Array:
+    """A room before the first map."""
+    array[0] = 1
+    return array
+
+
+@valued("room_offsets", GROW)
+def rooms_decreasing(array: Array) -> Array:
+    """A map whose rooms end before they begin."""
+    array[1:3] = (2, 1)
+    return array
+
+
+@valued("room_offsets", "disagree")
+def rooms_of_none(array: Array) -> Array:
+    """A map without rooms."""
+    array[1] = 0
+    return array
+
+
+@valued("room_offsets", "disagree")
+def rooms_moved(array: Array) -> Array:
+    """A room of the second map counted to the first."""
+    array[1] += 1
+    return array
+
+
+@valued("pair_offsets", GROW)
+def pairs_decreasing(array: Array) -> Array:
+    """A map whose pairs end before they begin."""
+    array[1:3] = (5, 1)
+    return array
+
+
+@valued("pair_offsets", "disagree")
+def pairs_moved(array: Array) -> Array:
+    """A pair of the second map counted to the first."""
+    array[1] += 1
+    return array
+
+
+@valued("seeds", "cells outside the map")
+def seed_row_negative(array: Array) -> Array:
+    """A seed point above the map."""
+    array[-1] = -1
+    return array
+
+
+@valued("seeds", "cells outside the map")
+def seed_beyond(array: Array) -> Array:
+    """A seed point far below the map."""
+    array[0] = 32767
+    return array
 
 
 # --- root attributes ----------------------------------------------------------------------------
 
 
 class AttributeFault(NamedTuple):
-    """Other values of some attributes (None: missing), and what the message must say (a regular
-    expression).
+    """A fault of root attributes.
+
+    Attributes:
+        says: what the message must say, as a regular expression.
+        values: the hostile attributes by name; None is missing.
     """
 
     says: str
     values: dict[str, Any]
 
 
-def _text(length: int) -> str:
-    return '"' + "x" * length + '"'
+ATTRIBUTES: dict[str, AttributeFault] = {}
+"""Faults of the root attributes."""
+
+
+def attribute(fault: str, says: str, **values: Any) -> None:
+    """Add a fault of root attributes."""
+    ATTRIBUTES[fault] = AttributeFault(says, values)
 
 
 REQUIRED = (
-    "format",
     "format_version",
     "identity",
     "content_hash",
@@ -394,115 +624,161 @@ REQUIRED = (
     "movement",
     "resolution",
 )
-"""Root attributes without which a file is no shard."""
+"""Root attributes without which a file is no shard; and ``format``."""
 
+# what is said of an attribute of another type or shape, or whose text cannot be read
 ODD = "not a sound shard|attribute"
-"""What is said of an attribute of another type or shape, or whose text cannot be read."""
 
+attribute("no-format", "format", format=None)
+for required in REQUIRED:
+    attribute(f"no-{required}", f"attribute.*'{required}'", **{required: None})
+
+
+# the format and its version
+attribute("another-format", "not a mapdata shard", format="mapdata2")
+attribute("format-a-number", "not a mapdata shard|attribute", format=1)
+attribute("format-a-list", "not a mapdata shard|attribute", format=["mapdata", "mapdata"])
+attribute("format-empty", "not a mapdata shard|attribute", format=h5py.Empty("S1"))
+attribute("newer-version", r"format version 3, this mapdata [\d.]+ reads 1 and 2", format_version=3)
+attribute("version-2", "format version 2, but its spec is of version 1", format_version=2)
+attribute("much-newer-version", "format version 4294967296, .* reads 1", format_version=2**32)
+attribute("version-0", "format version 0, .* reads 1", format_version=0)
+attribute("version-a-text", ODD, format_version="one")
+attribute("version-a-list", ODD, format_version=[1, 1])
+attribute("version-nan", ODD, format_version=np.nan)
+attribute("version-infinite", ODD, format_version=np.inf)
+attribute("version-empty", ODD, format_version=h5py.Empty("i8"))
+
+# the range of maps
+attribute("start-negative", "maps -3 to 0", start=-3, stop=0)
+attribute("stop-before-start", "maps 3 to 0", start=3, stop=0)
+attribute("stop-beyond", "has shape", stop=4)
+attribute("stop-short", "has shape", stop=2)
+attribute("stop-huge", "has shape", stop=2**63 - 1)
+attribute("start-a-text", ODD, start="zero")
+attribute("start-infinite", ODD, start=-np.inf)
+attribute("stop-a-table", ODD, stop=np.zeros((2, 2)))
+
+# the size of a map
+attribute("size-of-one", ODD, map_size=[20])
+attribute("size-of-three", ODD, map_size=[20, 70, 1])
+attribute("size-a-number", ODD, map_size=20)
+attribute("size-a-text", f"{ODD}|has shape", map_size="99")
+attribute("size-0", "0 x 70 cells|map_size", map_size=[0, 70])
+attribute("size-negative", "20 x -70 cells|map_size", map_size=[20, -70])
+attribute("size-transposed", "has shape|map_size", map_size=[70, 20])
+attribute("size-beyond", "has shape|map_size", map_size=[20, 129])
+attribute("size-huge", "has shape|map_size", map_size=[2**62, 2**62])
+
+# the movement
 MOVES_8 = '{"connectivity":8,"corner_cutting":false,"diagonal_cost":1.4142135623730951}'
+attribute("movement-no-json", ODD, movement="4")
+attribute("movement-half-json", ODD, movement=MOVES_8[:-1])
+attribute("movement-a-list", ODD, movement="[4]")
+attribute("movement-a-number", ODD, movement=4)
+attribute("movement-of-6", "connectivity", movement=MOVES_8.replace("8", "6"))
+attribute("movement-unknown", "speed", movement='{"speed":1}')
+attribute("movement-deep", ODD, movement="[" * 100_000)
+attribute("another-movement", "has shape|movement", movement=MOVES_8.replace("8", "4", 1))
 
-ATTRIBUTES: dict[str, AttributeFault] = {
-    **{
-        f"no-{name}": AttributeFault(
-            "format" if name == "format" else f"attribute.*'{name}'", {name: None}
-        )
-        for name in REQUIRED
-    },
-    "another-format": AttributeFault("not a mapdata shard", {"format": "mapdata2"}),
-    "format-a-number": AttributeFault("not a mapdata shard|attribute", {"format": 1}),
-    "format-a-list": AttributeFault(
-        "not a mapdata shard|attribute", {"format": ["mapdata", "mapdata"]}
-    ),
-    "format-empty": AttributeFault("not a mapdata shard|attribute", {"format": h5py.Empty("S1")}),
-    "newer-version": AttributeFault(
-        r"format version 3, this mapdata [\d.]+ reads 1 and 2", {"format_version": 3}
-    ),
-    "version-2": AttributeFault(
-        "format version 2, but its spec is of version 1", {"format_version": 2}
-    ),
-    "much-newer-version": AttributeFault(
-        r"format version 4294967296, .* reads 1", {"format_version": 2**32}
-    ),
-    "version-0": AttributeFault(r"format version 0, .* reads 1", {"format_version": 0}),
-    "version-a-text": AttributeFault(ODD, {"format_version": "one"}),
-    "version-a-list": AttributeFault(ODD, {"format_version": [1, 1]}),
-    "version-nan": AttributeFault(ODD, {"format_version": np.nan}),
-    "version-infinite": AttributeFault(ODD, {"format_version": np.inf}),
-    "version-empty": AttributeFault(ODD, {"format_version": h5py.Empty("i8")}),
-    "start-negative": AttributeFault("maps -3 to 0", {"start": -3, "stop": 0}),
-    "stop-before-start": AttributeFault("maps 3 to 0", {"start": 3, "stop": 0}),
-    "stop-beyond": AttributeFault("has shape", {"stop": 4}),
-    "stop-short": AttributeFault("has shape", {"stop": 2}),
-    "stop-huge": AttributeFault("has shape", {"stop": 2**63 - 1}),
-    "start-a-text": AttributeFault(ODD, {"start": "zero"}),
-    "start-infinite": AttributeFault(ODD, {"start": -np.inf}),
-    "stop-a-table": AttributeFault(ODD, {"stop": np.zeros((2, 2))}),
-    "size-of-one": AttributeFault(ODD, {"map_size": [20]}),
-    "size-of-three": AttributeFault(ODD, {"map_size": [20, 70, 1]}),
-    "size-a-number": AttributeFault(ODD, {"map_size": 20}),
-    "size-a-text": AttributeFault(f"{ODD}|has shape", {"map_size": "99"}),
-    "size-0": AttributeFault("0 x 70 cells|map_size", {"map_size": [0, 70]}),
-    "size-negative": AttributeFault("20 x -70 cells|map_size", {"map_size": [20, -70]}),
-    "size-transposed": AttributeFault("has shape|map_size", {"map_size": [70, 20]}),
-    "size-beyond": AttributeFault("has shape|map_size", {"map_size": [20, 129]}),
-    "size-huge": AttributeFault("has shape|map_size", {"map_size": [2**62, 2**62]}),
-    "movement-no-json": AttributeFault(ODD, {"movement": "4"}),
-    "movement-half-json": AttributeFault(ODD, {"movement": MOVES_8[:-1]}),
-    "movement-a-list": AttributeFault(ODD, {"movement": "[4]"}),
-    "movement-a-number": AttributeFault(ODD, {"movement": 4}),
-    "movement-of-6": AttributeFault("connectivity", {"movement": MOVES_8.replace("8", "6")}),
-    "movement-unknown": AttributeFault("speed", {"movement": '{"speed":1}'}),
-    "movement-deep": AttributeFault(ODD, {"movement": "[" * 100_000}),
-    "another-movement": AttributeFault(
-        "has shape|movement", {"movement": MOVES_8.replace("8", "4", 1)}
-    ),
-    "spec-no-json": AttributeFault("not JSON", {"spec": "paper"}),
-    "spec-a-list": AttributeFault("expected an object", {"spec": "[]"}),
-    "spec-a-number": AttributeFault(ODD, {"spec": 7}),
-    "spec-many": AttributeFault(ODD, {"spec": ["{}", "{}"]}),
-    "spec-unknown": AttributeFault("unknown wings", {"spec": '{"wings":2}'}),
-    "spec-huge": AttributeFault("an attribute .* over 64 KiB", {"spec": _text(10**6)}),
-    "spec-deep": AttributeFault(ODD, {"spec": "[" * 100_000}),
-    "spec-nan": AttributeFault("resolution", {"spec": '{"resolution":NaN}'}),
-    "spec-overflow": AttributeFault(ODD, {"spec": '{"resolution":1' + "0" * 400 + "}"}),
-    "another-spec": AttributeFault("identity", {"spec": "{}"}),
-    "another-seed": AttributeFault("identity", {"seed": "4"}),
-    "no-seed-at-all": AttributeFault("identity", {"seed": ""}),
-    "seed-a-word": AttributeFault(ODD, {"seed": "three"}),
-    "seed-negative": AttributeFault("seed: got -3", {"seed": "-3"}),
-    "seed-long": AttributeFault(ODD, {"seed": "9" * 10_000}),
-    "another-identity": AttributeFault("identity", {"identity": "0" * 64}),
-    "identity-a-number": AttributeFault("identity", {"identity": 5}),
-    "resolution-a-text": AttributeFault(ODD, {"resolution": "fine"}),
-    "resolution-a-list": AttributeFault(ODD, {"resolution": [0.1, 0.1]}),
-    "size-not-the-specs": AttributeFault("map_size", {"map_size": [20, 69]}),
-    "movement-not-the-specs": AttributeFault(
-        "movement", {"movement": MOVES_8.replace("false", "true")}
-    ),
-    "resolution-not-the-specs": AttributeFault("resolution", {"resolution": 0.2}),
-    "resolution-nan": AttributeFault("resolution", {"resolution": np.nan}),
-    "content-hash-a-number": AttributeFault("content_hash", {"content_hash": 5}),
-}
-"""Faults of the root attributes. The shard is that of `DATASETS`, maps 0 to 3 of seed 3."""
+# the spec
+attribute("spec-no-json", "not JSON", spec="paper")
+attribute("spec-a-list", "expected an object", spec="[]")
+attribute("spec-a-number", ODD, spec=7)
+attribute("spec-many", ODD, spec=["{}", "{}"])
+attribute("spec-unknown", "unknown wings", spec='{"wings":2}')
+attribute("spec-huge", "an attribute .* over 64 KiB", spec='"' + "x" * 10**6 + '"')
+attribute("spec-deep", ODD, spec="[" * 100_000)
+attribute("spec-nan", "resolution", spec='{"resolution":NaN}')
+attribute("spec-overflow", ODD, spec='{"resolution":1' + "0" * 400 + "}")
+attribute("another-spec", "identity", spec="{}")
+
+# the seed and the identity
+attribute("another-seed", "identity", seed="4")
+attribute("no-seed-at-all", "identity", seed="")
+attribute("seed-a-word", ODD, seed="three")
+attribute("seed-negative", "seed: got -3", seed="-3")
+attribute("seed-long", ODD, seed="9" * 10_000)
+attribute("another-identity", "identity", identity="0" * 64)
+attribute("identity-a-number", "identity", identity=5)
+
+# resolution, and what the spec says too
+attribute("resolution-a-text", ODD, resolution="fine")
+attribute("resolution-a-list", ODD, resolution=[0.1, 0.1])
+attribute("size-not-the-specs", "map_size", map_size=[20, 69])
+attribute("movement-not-the-specs", "movement", movement=MOVES_8.replace("false", "true"))
+attribute("resolution-not-the-specs", "resolution", resolution=0.2)
+attribute("resolution-nan", "resolution", resolution=np.nan)
+attribute("content-hash-a-number", "content_hash", content_hash=5)
 
 
 # --- bytes --------------------------------------------------------------------------------------
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
-BYTES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
-    "empty": ("empty file", lambda _: b""),
-    "one-byte": ("not a sound shard", lambda _: b"\x89"),
-    "text": ("not a sound shard", lambda _: b"item,label,seed rows\n0,map0,3\n" * 500),
-    "zeros": ("not a sound shard", lambda image: bytes(len(image))),
-    "signature-only": ("not a sound shard", lambda image: SIGNATURE + bytes(len(image) - 8)),
-    "header-only": ("not a sound shard", lambda image: image[:48] + bytes(len(image) - 48)),
-    "picture": ("not a sound shard", lambda image: b"\x89PNG\r\n\x1a\n" + image[8:]),
-    "first-half-twice": ("not a", lambda image: image[: len(image) // 2] * 2),
-}
-"""Files that are no HDF5, or half of one: (what the message must say, how the sound bytes are
-changed).
-"""
+Rewrite: TypeAlias = Callable[[bytes], bytes]
+"""Returns the bytes of a hostile file; its argument is those of the sound one."""
+
+BYTES: dict[str, tuple[str, Rewrite]] = {}
+"""Files that are no HDF5, or half of one: what the message must say, and what makes the bytes."""
+
+
+def rewritten(says: str) -> Callable[[Rewrite], Rewrite]:
+    """Add a fault of the bytes."""
+
+    def register(rewrite: Rewrite) -> Rewrite:
+        BYTES[_name_of(rewrite)] = (says, rewrite)
+        return rewrite
+
+    return register
+
+
+@rewritten("empty file")
+def empty(_: bytes) -> bytes:
+    """Nothing."""
+    return b""
+
+
+@rewritten("not a sound shard")
+def one_byte(_: bytes) -> bytes:
+    """The first byte of the signature."""
+    return b"\x89"
+
+
+@rewritten("not a sound shard")
+def text(_: bytes) -> bytes:
+    """A CSV."""
+    return b"item,label,seed rows\n0,map0,3\n" * 500
+
+
+@rewritten("not a sound shard")
+def zeros(image: bytes) -> bytes:
+    """As long as the sound file, and empty."""
+    return bytes(len(image))
+
+
+@rewritten("not a sound shard")
+def signature_only(image: bytes) -> bytes:
+    """The signature of HDF5, then nothing but zeros."""
+    return SIGNATURE + bytes(len(image) - 8)
+
+
+@rewritten("not a sound shard")
+def header_only(image: bytes) -> bytes:
+    """The superblock of HDF5, then nothing but zeros."""
+    return image[:48] + bytes(len(image) - 48)
+
+
+@rewritten("not a sound shard")
+def picture(image: bytes) -> bytes:
+    """The signature of a PNG before sound data."""
+    return b"\x89PNG\r\n\x1a\n" + image[8:]
+
+
+@rewritten("not a")
+def first_half_twice(image: bytes) -> bytes:
+    """A file of the right length, without its second half."""
+    return image[: len(image) // 2] * 2
 
 
 def write_beyond_the_end(path: Path, sound: Contents) -> None:

@@ -1,6 +1,4 @@
-"""Building: one content hash whatever the way, going on, extending, refusing, crashes, many
-builders, verifying.
-"""
+"""Building: one content hash whatever the way; going on, extending, refusing, crashes."""
 
 from __future__ import annotations
 
@@ -146,9 +144,7 @@ def test_golden_hashes(spec: MapSpec, seed: int, maps: int, name: str, content: 
 def test_shard_size_and_workers_do_not_matter(
     shard_size: int, workers: int, root: Path, truth: str
 ) -> None:
-    """The content hash is that of the maps themselves; files lie where they should, and all is
-    well.
-    """
+    """The content hash is that of the maps themselves, and files lie where they should."""
     manifest = make(root, shard_size=shard_size, workers=workers)
     assert manifest.content_hash == truth
     assert manifest.complete
@@ -197,9 +193,7 @@ def test_any_executor_gives_the_same(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str) -> None:
-    """Shards that other hands made, in random order and twice, become the dataset without being
-    made again.
-    """
+    """Shards that others made, in random order and twice, are adopted and not made again."""
     planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
     todo = [*headers(planned)] * 2
@@ -218,7 +212,8 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
 def test_a_second_run_makes_nothing(root: Path) -> None:
     """A finished dataset is left as it is, file by file."""
     first = make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     assert make(root, workers=2) == first
     assert stamps(root) == before
     assert (root / MANIFEST).read_bytes() == text
@@ -234,9 +229,7 @@ def test_a_second_run_makes_nothing(root: Path) -> None:
     ],
 )
 def test_only_what_is_missing_is_made_again(how: str, root: Path, truth: str) -> None:
-    """A shard that is gone or has another size than the manifest says is made again, and no other
-    one.
-    """
+    """A shard that is gone or of another size is made again, and no other one."""
     make(root)
     before = stamps(root)
     name = shard_name(4, 8)
@@ -257,7 +250,8 @@ def test_only_what_is_missing_is_made_again(how: str, root: Path, truth: str) ->
 def test_a_finished_shard_that_missed_the_manifest_is_adopted(root: Path) -> None:
     """A crash between a shard and the manifest costs nothing."""
     whole = make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).write_text(
         replace(whole, shards=whole.shards[1:2]).to_json(), encoding="utf-8"
     )
@@ -299,7 +293,8 @@ def test_damaged_shards_are_made_again(root: Path, part: tuple[int, int]) -> Non
 def test_a_lost_manifest_is_made_again(root: Path) -> None:
     """It is derived from the shards, which are left as they are."""
     make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).unlink()
     make(root)
     assert stamps(root) == before
@@ -317,9 +312,7 @@ def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
 
 
 def test_more_maps_extend(root: Path, tmp_path: Path) -> None:
-    """Whole shards stay as they are, a partial last one becomes whole, and the result is what one
-    build gives.
-    """
+    """Whole shards stay, a partial last one becomes whole, the result is that of one build."""
     make(root, maps=6)
     before = stamps(root)
     extended = make(root, maps=MAPS)
@@ -370,7 +363,8 @@ def test_another_dataset_under_the_root_is_refused(
 ) -> None:
     """The message names what the root holds and what was asked for; nothing changes."""
     make(root)
-    before, text = stamps(root), (root / MANIFEST).read_bytes()
+    before = stamps(root)
+    text = (root / MANIFEST).read_bytes()
     with pytest.raises(ValueError, match=re.escape(str(root))) as caught:
         build(root, **(KNOWN | arguments))
     assert [word for word in says if word not in str(caught.value)] == []
@@ -502,7 +496,8 @@ class FailsAfter(InTheCaller):
 
     def __init__(self, tasks: int, error: BaseException) -> None:
         """Fail with ``error``."""
-        self.left, self.error = tasks, error
+        self.left = tasks
+        self.error = error
 
     def submit(self, function: Task, /, *arguments: object, **options: object) -> Future[Any]:
         """Run ``function`` now, or fail."""
@@ -510,7 +505,8 @@ class FailsAfter(InTheCaller):
         if self.left < 0:
             if not isinstance(self.error, Exception):
                 raise self.error
-            function, arguments = self.fail, ()
+            function = self.fail
+            arguments = ()
         return super().submit(function, *arguments, **options)
 
     def fail(self) -> None:

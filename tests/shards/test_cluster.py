@@ -1,6 +1,4 @@
-"""Dask: a real cluster of processes over TCP, whose workers are killed and join while a build
-runs.
-"""
+"""Dask: a real cluster of processes, whose workers are killed and join while a build runs."""
 
 from __future__ import annotations
 
@@ -16,7 +14,8 @@ from mapdata import build, verify
 from mapdata.shards import read_manifest
 from mapdata.shards.cluster import executor_of
 
-MAPS, SHARD = 400, 5
+MAPS = 400
+SHARD = 5
 RECIPE = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": MAPS})
 
 LOSSES = """
@@ -87,9 +86,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
-    """Three of its workers are killed and one joins while it builds: nothing is lost, the files are
-    the same.
-    """
+    """Three workers are killed and one joins: nothing is lost, the files are the same."""
     pytest.importorskip("distributed")
     script = tmp_path / "losses.py"
     script.write_text(LOSSES, encoding="utf-8")

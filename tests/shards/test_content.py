@@ -1,10 +1,9 @@
-"""The content hash: equal to plain Python, blind to batches and padding, and sensitive to every
-value.
-"""
+"""The content hash: equal to plain Python's, the same for all batches, another for any value."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -42,24 +41,14 @@ SPECS = {
 def reference_record(labels: Labels, place: int) -> bytes:
     """Return the record of docs/format.md for one map of a batch, value by value."""
     maps = labels.maps
-    n, index = int(maps.rooms[place]), int(maps.index[place])
+    n = int(maps.rooms[place])
+    index = int(maps.index[place])
     height, width = maps.occupancy.shape[1:]
-    words = [
-        height,
-        width,
-        index % 2**32,
-        index // 2**32,
-        maps.split[place],
-        maps.passage_width[place],
-        n,
-    ]
-    words += [
-        value
-        for table in (maps.seed_points, maps.sizes)
-        for row in table[place, :n]
-        for value in row
-    ]
-    words += [value for row in maps.directions[place, : n - 1] for value in row]
+    words = [height, width, index % 2**32, index // 2**32]
+    words += [maps.split[place], maps.passage_width[place], n]
+    words += maps.seed_points[place, :n].ravel().tolist()
+    words += maps.sizes[place, :n].ravel().tolist()
+    words += maps.directions[place, : n - 1].ravel().tolist()
     moves = b""
     for search in (labels.bfs, labels.astar):
         for segment in range(*maps.segment_offsets[place : place + 2]):
@@ -68,20 +57,22 @@ def reference_record(labels: Labels, place: int) -> bytes:
             moves += search.moves[first:last].tobytes()
         for pair in range(*maps.pair_offsets[place : place + 2]):
             words += search.costs[pair].tolist()
-    bits = np.zeros((height, -(-width // 64) * 64), np.uint8)
+    words_a_row = math.ceil(width / 64)
+    bits = np.zeros((height, words_a_row * 64), np.uint8)
     bits[:, :width] = maps.occupancy[place]
     record = b"".join(struct.pack("<I", int(word) % 2**32) for word in words)
-    record += np.packbits(bits, axis=1, bitorder="little").tobytes() + moves
-    return record + bytes(-len(record) % 4)
+    record += np.packbits(bits, axis=1, bitorder="little").tobytes()
+    record += moves
+    return record + bytes(-len(record) % 4)  # zeros up to a whole number of words
 
 
 def reference_hash(labels: Labels) -> str:
     """Return the sum of the hashes of all records."""
-    digests = [
-        hashlib.sha256(reference_record(labels, place)).digest()
-        for place in range(len(labels.maps))
-    ]
-    return f"{sum(int.from_bytes(digest, 'big') for digest in digests) % 2**256:064x}"
+    total = 0
+    for place in range(len(labels.maps)):
+        digest = hashlib.sha256(reference_record(labels, place)).digest()
+        total += int.from_bytes(digest, "big")
+    return f"{total % 2**256:064x}"
 
 
 def labelled(spec: MapSpec, seed: int, *indices: int) -> Labels:
@@ -95,9 +86,7 @@ def labelled(spec: MapSpec, seed: int, *indices: int) -> Labels:
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.lists(NUMBERS, min_size=1, max_size=4))
 def test_any_maps_equal_the_reference(spec: MapSpec, seed: int, indices: list[int]) -> None:
-    """The hash is that of the records of docs/format.md, for all movements, sizes and indices
-    beyond 32 bits.
-    """
+    """The hash is that of the records of docs/format.md, also for indices beyond 32 bits."""
     labels = labelled(spec, seed, *indices)
     assert content_hash(labels) == reference_hash(labels)
 
@@ -154,13 +143,19 @@ def test_sums_wrap_and_keep_their_zeros() -> None:
 # --- what it depends on -------------------------------------------------------------------------
 
 
+Change = Callable[[Labels], Labels]
+
+
 def _first(table: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a copy whose first value has its lowest bit flipped."""
     changed = table.copy()
     changed.flat[0] ^= 1
     return changed
 
 
-def _in_maps(name: str) -> Callable[[Labels], Labels]:
+def _in_maps(name: str) -> Change:
+    """Return a change of one array of the maps."""
+
     def change(labels: Labels) -> Labels:
         values: dict[str, Any] = {name: _first(getattr(labels.maps, name))}
         return replace(labels, maps=replace(labels.maps, **values))
@@ -168,15 +163,20 @@ def _in_maps(name: str) -> Callable[[Labels], Labels]:
     return change
 
 
-def _in_planner(search: str, name: str) -> Callable[[Labels], Labels]:
+def _in_search(search: str, name: str) -> Change:
+    """Return a change of one array of what a search found."""
+
     def change(labels: Labels) -> Labels:
-        table = getattr(labels, search)
-        return replace(labels, **{search: replace(table, **{name: _first(getattr(table, name))})})
+        found = getattr(labels, search)
+        changed = replace(found, **{name: _first(getattr(found, name))})
+        return replace(labels, **{search: changed})
 
     return change
 
 
-def _offset(place: int, by: int) -> Callable[[Labels], Labels]:
+def _offset(place: int, by: int) -> Change:
+    """Return a change of one offset of the moves of BFS."""
+
     def change(labels: Labels) -> Labels:
         offsets = labels.bfs.offsets.copy()
         offsets[place] += by
@@ -185,37 +185,30 @@ def _offset(place: int, by: int) -> Callable[[Labels], Labels]:
     return change
 
 
-CHANGES = {
-    **{
-        name: _in_maps(name)
-        for name in (
-            "index",
-            "packed",
-            "passage_width",
-            "seed_points",
-            "sizes",
-            "directions",
-            "split",
-        )
-    },
-    **{
-        f"{search} {name}": _in_planner(search, name)
-        for search in ("bfs", "astar")
-        for name in ("moves", "iterations", "costs")
-    },
+def _more_columns(labels: Labels) -> Labels:
+    return replace(labels, maps=replace(labels.maps, columns=labels.maps.columns + 1))
+
+
+def _swapped(labels: Labels) -> Labels:
+    return Labels(labels.maps, labels.astar, labels.bfs)
+
+
+CHANGES: dict[str, Change] = {
+    "columns": _more_columns,
+    "planners swapped": _swapped,
     "a move to the next segment": _offset(1, 1),
-    **{
-        f"{count} moves less": _offset(-1, -count) for count in (1, 2, 3)
-    },  # every length of the zeros at the end
-    "columns": lambda labels: replace(
-        labels, maps=replace(labels.maps, columns=labels.maps.columns + 1)
-    ),
-    "planners swapped": lambda labels: Labels(labels.maps, labels.astar, labels.bfs),
 }
+for array in ("index", "packed", "passage_width", "seed_points", "sizes", "directions", "split"):
+    CHANGES[array] = _in_maps(array)
+for search in ("bfs", "astar"):
+    for array in ("moves", "iterations", "costs"):
+        CHANGES[f"{search} {array}"] = _in_search(search, array)
+for count in (1, 2, 3):  # every length of the zeros at the end of a record
+    CHANGES[f"{count} moves less"] = _offset(-1, -count)
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_every_value_counts(change: Callable[[Labels], Labels]) -> None:
+def test_every_value_counts(change: Change) -> None:
     """One bit of any table changes the hash, to that of the changed records."""
     labels = labelled(SPECS["4"], 3, 3, 4)
     changed = change(labels)
@@ -223,9 +216,7 @@ def test_every_value_counts(change: Callable[[Labels], Labels]) -> None:
 
 
 def test_maps_with_swapped_numbers_are_other_maps() -> None:
-    """The number of a map is part of its record, so that the same grids under other numbers hash
-    otherwise.
-    """
+    """The number of a map is part of its record: the same grids in another order hash otherwise."""
     labels = labelled(SPECS["4"], 3, 3, 4)
     swapped = replace(labels, maps=replace(labels.maps, index=labels.maps.index[::-1].copy()))
     assert content_hash(swapped) != content_hash(labels)

@@ -91,9 +91,7 @@ def test_verify_finds_swapped_shards(copied: Path) -> None:
 
 
 def test_verify_finds_a_shard_that_a_fitting_manifest_swaps(copied: Path) -> None:
-    """A manifest whose sizes and hashes fit swapped files is refused by what the shards say of
-    themselves.
-    """
+    """A manifest made to fit swapped files is refused by what the shards say of themselves."""
     one, other = (copied / shard_name(*limits) for limits in ((0, 4), (4, 8)))
     one.rename(copied / "aside")
     other.rename(one)
@@ -124,9 +122,7 @@ def test_verify_finds_a_missing_shard(copied: Path) -> None:
 
 
 def test_verify_finds_other_labels(copied: Path) -> None:
-    """A shard rewritten with its file hash and the manifest's made to fit still has its content
-    hash against it.
-    """
+    """A shard whose file hashes are made to fit still has its content hash against it."""
     path = copied / shard_name(4, 8)
     image = bytearray(path.read_bytes())
     with h5py.File(path, "r") as file:
@@ -157,7 +153,8 @@ def test_verify_lives_with_other_library_versions(
 
 def test_verify_changes_nothing(finished: Path) -> None:
     """It reads."""
-    before, text = stamps(finished), (finished / MANIFEST).read_bytes()
+    before = stamps(finished)
+    text = (finished / MANIFEST).read_bytes()
     assert verify(finished) == []
     assert (stamps(finished), (finished / MANIFEST).read_bytes()) == (before, text)
 
@@ -207,9 +204,7 @@ def images(root: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_repair_mends_whatever_happened(seed: int, finished: Path, copied: Path) -> None:
-    """Files flipped, cut, deleted and swapped at random: each is named, each is as it was, and no
-    other is touched.
-    """
+    """Files flipped, cut, deleted and swapped: each is named and repaired, no other is touched."""
     random = Random(seed)
     files = random.sample(names(MAPS, SIZE), random.randint(1, 3))
     shards = [name for name in files if name != MANIFEST]
@@ -250,9 +245,7 @@ def test_repair_of_the_manifest_alone(gone: bool, finished: Path, copied: Path) 
 
 
 def test_a_small_dataset_keeps_its_shard_size(root: Path) -> None:
-    """A dataset smaller than one shard can be extended after its manifest was damaged and
-    mended.
-    """
+    """A dataset smaller than one shard can be extended after its manifest was repaired."""
     make(root, maps=3, shard_size=4)
     text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).write_bytes(text[:-20])
@@ -272,9 +265,7 @@ def test_repair_finishes_what_a_build_did_not(finished: Path, copied: Path) -> N
 
 
 def test_nothing_says_what_a_dataset_was(copied: Path) -> None:
-    """Without a manifest and a shard that can be read there is no recipe: it says what to do, and
-    touches nothing.
-    """
+    """Without a manifest and a readable shard there is no recipe: the message says what to do."""
     for name in names(MAPS, SIZE):
         (copied / name).write_bytes(b"\0" * 100)
     before = images(copied)
@@ -286,9 +277,7 @@ def test_nothing_says_what_a_dataset_was(copied: Path) -> None:
 
 
 def test_what_the_manifest_said_is_not_forgotten(finished: Path, copied: Path) -> None:
-    """A shard that comes out with another content than a sound manifest says is an error, not a
-    repair.
-    """
+    """A shard made again with another content than the manifest says is an error, not a repair."""
     lie = restated(
         (copied / MANIFEST).read_text(encoding="utf-8"),
         lambda values: (
@@ -316,9 +305,7 @@ def imported(tmp_path: Path) -> Path:
 
 
 def test_every_file_of_imported_maps_is_checked(imported: Path) -> None:
-    """One bit at many random places, where the maps came from included: that file is named, and no
-    other.
-    """
+    """One bit at many random places: that file is named, and no other."""
     random = Random(4)
     for name in (
         MANIFEST,
@@ -344,7 +331,8 @@ def test_imported_maps_cannot_be_made_again(
     until they are back.
     """
     path = imported / shard_name(3, 6)
-    image, text = path.read_bytes(), (imported / MANIFEST).read_bytes()
+    image = path.read_bytes()
+    text = (imported / MANIFEST).read_bytes()
     path.write_bytes(flipped(path, "maps"))
     (imported / MANIFEST).write_bytes(text[:-9])
     with pytest.raises(SystemExit, match="1"):

@@ -1,6 +1,4 @@
-"""The card: its numbers are the data's, its command makes the same data again, and text from files
-stays text.
-"""
+"""The card: its numbers are the data's, its command makes them again, text stays text."""
 
 from __future__ import annotations
 
@@ -73,7 +71,8 @@ def test_numbers_are_those_of_the_data(tmp_path: Path) -> None:
             solvable[1],
             every[1] - solvable[1],
         ]
-    frame, shares = MapDataset(root, split=None).table(), table(text, "Shares")
+    frame = MapDataset(root, split=None).table()
+    shares = table(text, "Shares")
     for name, column in (("drawn passages", "connected"), ("reachable segments", "reachable")):
         flags = [flag for row in frame[column] for flag in row]
         assert shares[name][1] == f"{np.mean(flags):.1%} ({sum(flags):,} of {len(flags):,})"
@@ -181,9 +180,7 @@ def test_command_writes_the_card_beside_the_data(
 
 
 def test_the_card_of_a_copy_says_where_its_splits_lie(tmp_path: Path) -> None:
-    """Front matter for `datasets`, what its columns mean behind the facts, and nothing about
-    shards.
-    """
+    """Front matter for `datasets`, what columns mean behind the facts, nothing about shards."""
     root = build_small(tmp_path / "d", maps=5)
     columns = Section("Columns", table=(("column", "meaning"), ("map", "1 occupied, 0 free")))
     text = card(root, files={"train": "data/train-*.parquet"}, extra=[columns])

@@ -273,9 +273,7 @@ def test_a_builder_killed_at_every_step(counts: str, tmp_path: Path) -> None:
 @FORKS
 @pytest.mark.parametrize("lock", ["locked", "unlocked"])
 def test_four_builders_make_one_dataset(lock: str, tmp_path: Path) -> None:
-    """Four processes on one root at once: one result, file by file that of one builder; also where
-    locks do nothing.
-    """
+    """Four processes on one root: the result, file by file, is that of one; also without locks."""
     assert run_script(TOGETHER, tmp_path, lock) == "one result\n"
 
 
@@ -436,9 +434,7 @@ def test_the_same_command_goes_on(tmp_path: Path) -> None:
 @SLOW
 @pytest.mark.slow
 def test_ten_thousand_shards(tmp_path: Path) -> None:
-    """Shards cost no more each when there are many, and a dataset of them is opened in a twentieth
-    of that.
-    """
+    """Shards cost no more each when there are many; opening them takes a twentieth of that."""
     costs = []
     for shards in (1000, 10_000):
         began = time.process_time()

@@ -1,7 +1,6 @@
-"""docs/format.md holds: shards are read here with h5py and numpy by following that page, and its
-tables are complete.
+"""docs/format.md holds: a reader made from that page alone reads shards, and its tables are complete.
 
-mapdata builds the datasets and says what they should hold; nothing of it reads them.
+mapdata builds the datasets and says what they should hold; h5py and numpy read them.
 """
 
 from __future__ import annotations
@@ -29,7 +28,9 @@ Array: TypeAlias = npt.NDArray[Any]
 Row: TypeAlias = list[str]
 
 PAGE = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
-SEED, MAPS, SHARD_SIZE = 2**63 + 5, 11, 4
+SEED = 2**63 + 5
+MAPS = 11
+SHARD_SIZE = 4
 SPEC = MapSpec(
     (20, 70),
     (2, 6),
@@ -68,9 +69,7 @@ STEPS = [(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)]
 
 
 class Planner(NamedTuple):
-    """What one planner found on one map: codes and iterations a segment, straight and diagonal
-    moves a pair.
-    """
+    """What one search found on a map: moves and iterations by segment, numbers of moves by pair."""
 
     moves: list[list[int]]
     iterations: list[int]
@@ -96,69 +95,95 @@ def read(path: Path) -> tuple[dict[str, Any], list[Map]]:
     """Read a shard: its root attributes and its maps."""
     with h5py.File(path, "r") as file:
         attributes: dict[str, Any] = dict(file.attrs)
-        attributes |= {
-            name: value.decode() for name, value in attributes.items() if isinstance(value, bytes)
-        }
         data = {name: file[name][()] for name in file}
+    for name, value in attributes.items():
+        if isinstance(value, bytes):
+            attributes[name] = value.decode()
+    count = attributes["stop"] - attributes["start"]
+    return attributes, [map_of(attributes, data, m) for m in range(count)]
+
+
+def map_of(attributes: dict[str, Any], data: dict[str, Array], m: int) -> Map:
+    """Return the map that is the m-th of its shard."""
     _, width = attributes["map_size"].tolist()
+    # "column c is bit c % 8 of byte c // 8"
+    packed = data["maps"][m]
+    columns = np.arange(width)
+    occupancy = packed[:, columns // 8] >> (columns % 8).astype(np.uint8) & 1
+    first, last = data["room_offsets"][m : m + 2].tolist()
+    # each map before this one has a passage less than it has rooms
+    passages = range(first - m, last - m - 1)
+    return Map(
+        number=int(attributes["start"]) + m,
+        occupancy=occupancy,
+        bits=packed.tobytes(),
+        split=int(data["split"][m]),
+        passage_width=int(data["passage_width"][m]),
+        seed_points=data["seeds"][first:last].tolist(),
+        sizes=data["sizes"][first:last].tolist(),
+        directions=[data["directions"][q].tolist() for q in passages],
+        planners={
+            name: planner_of(attributes, data, name, m, passages) for name in ("bfs", "astar")
+        },
+    )
+
+
+def planner_of(
+    attributes: dict[str, Any], data: dict[str, Array], name: str, m: int, segments: range
+) -> Planner:
+    """Return what the search of this name found on the m-th map of a shard."""
     bits = 2 if json.loads(attributes["movement"])["connectivity"] == 4 else 4
-    maps = []
-    for m, number in enumerate(range(attributes["start"], attributes["stop"])):
-        first, last = data["room_offsets"][m : m + 2].tolist()
-        passages = slice(first - m, last - m - 1)
-        packed = data["maps"][m]
-        columns = np.arange(width)
-        planners = {}
-        for name in ("bfs", "astar"):
-            offsets = data[f"{name}_offsets"].tolist()
-            pairs = slice(*data["pair_offsets"][m : m + 2].tolist())
-            straight = data[f"{name}_straight"][pairs].tolist()
-            diagonal = data["astar_diagonal"][pairs].tolist() if name == "astar" else []
-            moves = [
-                [
-                    int(data[f"{name}_moves"][k * bits // 8]) >> k * bits % 8 & 2**bits - 1
-                    for k in range(begin, end)
-                ]
-                for begin, end in zip(
-                    offsets[passages], offsets[passages.start + 1 : passages.stop + 1], strict=True
-                )
-            ]
-            iterations = data[f"{name}_iterations"][passages].tolist()
-            planners[name] = Planner(moves, iterations, straight, diagonal or [0] * len(straight))
-        maps.append(
-            Map(
-                number=number,
-                occupancy=packed[:, columns // 8] >> (columns % 8).astype(np.uint8) & 1,
-                bits=packed.tobytes(),
-                split=int(data["split"][m]),
-                passage_width=int(data["passage_width"][m]),
-                seed_points=data["seeds"][first:last].tolist(),
-                sizes=data["sizes"][first:last].tolist(),
-                directions=data["directions"][passages].tolist(),
-                planners=planners,
-            )
-        )
-    return attributes, maps
+    offsets = data[f"{name}_offsets"].tolist()
+    codes = data[f"{name}_moves"]
+    moves = []
+    for q in segments:
+        moves.append([move_at(codes, k, bits) for k in range(offsets[q], offsets[q + 1])])
+    first, last = data["pair_offsets"][m : m + 2].tolist()
+    straight = data[f"{name}_straight"][first:last].tolist()
+    diagonal = [0] * len(straight)
+    if name == "astar" and bits == 4:
+        diagonal = data["astar_diagonal"][first:last].tolist()
+    iterations = [int(data[f"{name}_iterations"][q]) for q in segments]
+    return Planner(moves, iterations, straight, diagonal)
+
+
+def move_at(codes: Array, k: int, bits: int) -> int:
+    """Return move k of packed ones, the first in the lowest bits of a byte."""
+    octet = int(codes[k * bits // 8])
+    return (octet >> (k * bits % 8)) & ((1 << bits) - 1)
 
 
 def path_of(one: Map, search: str, q: int) -> list[list[int]]:
     """Return the cells of segment q."""
-    n = len(one.seed_points)
-    if one.planners["astar"].straight[q * (2 * n - q - 1) // 2] == -1:
+    if one.planners["astar"].straight[pair_of(one, q)] == -1:
         return []
-    cells = [one.seed_points[q]]
+    row, column = one.seed_points[q]
+    cells = [[row, column]]
     for move in one.planners[search].moves[q]:
-        cells.append([cells[-1][0] + STEPS[move][0], cells[-1][1] + STEPS[move][1]])
+        down, right = STEPS[move]
+        row += down
+        column += right
+        cells.append([row, column])
     return cells
+
+
+def pair_of(one: Map, q: int) -> int:
+    """Return the place of the pair (q, q + 1) among the pairs i < j in row-major order."""
+    pairs = list(combinations(range(len(one.seed_points)), 2))
+    return pairs.index((q, q + 1))
 
 
 def matrix_of(one: Map, search: str, diagonal_cost: float) -> Array:
     """Return the connection matrix."""
-    found, n = one.planners[search], len(one.seed_points)
+    found = one.planners[search]
+    n = len(one.seed_points)
     matrix = np.zeros((n, n))
     for pair, (i, j) in enumerate(combinations(range(n), 2)):
-        straight, diagonal = found.straight[pair], found.diagonal[pair]
-        matrix[i, j] = matrix[j, i] = -1 if straight == -1 else straight + diagonal * diagonal_cost
+        cost = found.straight[pair] + found.diagonal[pair] * diagonal_cost
+        if found.straight[pair] == -1:
+            cost = -1
+        matrix[i, j] = cost
+        matrix[j, i] = cost
     return matrix
 
 
@@ -251,9 +276,7 @@ def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def test_the_page_reads_every_map(dataset: Dataset) -> None:
-    """Maps, rooms, passages, splits, paths, iterations and matrices are those that mapdata
-    generates and labels.
-    """
+    """Maps, rooms, splits, paths, iterations and matrices are those that mapdata makes."""
     found = [one for path in dataset.shards for one in read(path)[1]]
     labels = dataset.labels
     maps = labels.maps
@@ -275,14 +298,12 @@ def test_the_page_reads_every_map(dataset: Dataset) -> None:
 
 
 def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
-    """Moves lead from the seed of room q to that of room q + 1 over free cells, and their number is
-    the pair's cost.
-    """
+    """Moves lead from seed point to seed point over free cells; their number is the pair's cost."""
     for one in (one for path in dataset.shards for one in read(path)[1]):
         n = len(one.seed_points)
         for search, found in one.planners.items():
             for q in range(n - 1):
-                pair = q * (2 * n - q - 1) // 2
+                pair = pair_of(one, q)
                 cells = path_of(one, search, q)
                 assert (cells == []) == (found.straight[pair] == -1)
                 assert len(found.moves[q]) == max(0, found.straight[pair] + found.diagonal[pair])
@@ -291,46 +312,45 @@ def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
                     assert not any(one.occupancy[row, column] for row, column in cells)
 
 
+def draw(word: int, limits: Sequence[int]) -> int:
+    """Return the integer inside limits, both included, that a random word of 32 bits stands for."""
+    lower, upper = limits
+    return lower + (word * (upper - lower + 1) // 2**32)
+
+
+def split_of(word: int, fractions: Sequence[float]) -> int:
+    """Return the split that a random word stands for."""
+    train, validation, _ = fractions
+    if word < threshold(train):
+        return 0
+    return 1 if word < threshold(train + validation) else 2
+
+
 def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
-    """Split, rooms, passage width, seeds, sizes and directions follow from the spec in the file and
-    its seed.
-    """
+    """Splits, rooms and passages follow from the spec in the file and its seed."""
     for path in dataset.shards:
         attributes, maps = read(path)
-        spec, seed = json.loads(attributes["spec"]), int(attributes["seed"])
+        spec = json.loads(attributes["spec"])
+        seed = int(attributes["seed"])
         assert seed == SEED
-
-        def draw(word: int, limits: Sequence[int]) -> int:
-            return limits[0] + (word * (limits[1] - limits[0] + 1) // 2**32)
-
+        height, width = spec["map_size"]
+        limits = [(0, height - 1), (0, width - 1), spec["room_rows"], spec["room_columns"]]
         for one in maps:
-            train, validation, _ = spec["splits"]
-            (word, *_) = reference.block(seed, one.number, 0, 2, 0)
-            code = (
-                0 if word < threshold(train) else 1 if word < threshold(train + validation) else 2
-            )
-            assert one.split == code
-            rooms, width, *_ = reference.block(seed, one.number, 0, 0, 0)
+            word, *_ = reference.block(seed, one.number, 0, 2, 0)
+            assert one.split == split_of(word, spec["splits"])
+            rooms, passage_width, *_ = reference.block(seed, one.number, 0, 0, 0)
             assert len(one.seed_points) == draw(rooms, spec["rooms"])
-            assert one.passage_width == draw(width, spec["passage_width"])
+            assert one.passage_width == draw(passage_width, spec["passage_width"])
             for q, (seed_point, size) in enumerate(zip(one.seed_points, one.sizes, strict=True)):
                 words = reference.block(seed, one.number, 0, 0, 1 + 2 * q)
-                height, columns = spec["map_size"]
-                limits = [
-                    (0, height - 1),
-                    (0, columns - 1),
-                    spec["room_rows"],
-                    spec["room_columns"],
-                ]
-                assert [*seed_point, *size] == [
-                    draw(word, limit) for word, limit in zip(words, limits, strict=True)
-                ]
+                drawn = [draw(word, limit) for word, limit in zip(words, limits, strict=True)]
+                assert [*seed_point, *size] == drawn
             for q, direction in enumerate(one.directions):
                 skip, first, *_ = reference.block(seed, one.number, 0, 0, 2 + 2 * q)
-                drawn = [1, 0] if draw(first, (0, 1)) else [0, 1]
-                assert direction == (
-                    [-1, -1] if skip < threshold(spec["skip_probability"]) else drawn
-                )
+                if skip < threshold(spec["skip_probability"]):
+                    assert direction == [-1, -1]
+                else:
+                    assert direction == ([1, 0] if draw(first, (0, 1)) else [0, 1])
 
 
 def test_the_split_draw_gives_the_fractions() -> None:
@@ -342,9 +362,7 @@ def test_the_split_draw_gives_the_fractions() -> None:
 
 
 def test_hashes_are_those_of_the_page(dataset: Dataset) -> None:
-    """Content hash of a shard and of the whole, file hash, identity and the manifest's own hash can
-    be made by hand.
-    """
+    """All hashes and the identity can be made by hand."""
     manifest = json.loads((dataset.root / "manifest.json").read_text(encoding="utf-8"))
     every = []
     for path, entry in zip(dataset.shards, manifest["shards"], strict=True):
@@ -381,9 +399,7 @@ HDF5_TYPES = {"int64": "<i8", "int64[2]": "<i8", "float64": "<f8"}
 
 
 def test_the_tables_list_every_dataset_and_attribute(dataset: Dataset) -> None:
-    """The page names exactly the datasets and root attributes of each shard, in the file's order,
-    with their types.
-    """
+    """The page names exactly the datasets and root attributes of each shard, with their types."""
     for path in dataset.shards:
         with h5py.File(path, "r") as file:
             assert sorted(file) == sorted(names("dataset"))
@@ -409,16 +425,17 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
     """Each dataset has the shape that its row of the table states."""
     for path in dataset.shards:
         with h5py.File(path, "r") as file:
-            start, stop, (height, width) = (
-                file.attrs["start"],
-                file.attrs["stop"],
-                file.attrs["map_size"],
-            )
+            height, width = file.attrs["map_size"]
             connectivity = dataset.spec.movement.connectivity
-            maps, rooms, pairs = stop - start, file["room_offsets"][-1], file["pair_offsets"][-1]
+            bits = 2 if connectivity == 4 else 4
+            maps = file.attrs["stop"] - file.attrs["start"]
+            rooms = file["room_offsets"][-1]
+            pairs = file["pair_offsets"][-1]
             segments = rooms - maps
             for name, _, shape, _ in table("dataset"):
-                moves = file[f"{name.split('_')[0]}_offsets"][-1] if name.endswith("_moves") else 0
+                moves = 0
+                if name.endswith("_moves"):
+                    moves = file[name.replace("_moves", "_offsets")][-1]
                 sides = {
                     "N": maps,
                     "N + 1": maps + 1,
@@ -428,7 +445,7 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
                     "2": 2,
                     "S": segments,
                     "S + 1": segments + 1,
-                    "(M b + 7) // 8": (moves * (2 if connectivity == 4 else 4) + 7) // 8,
+                    "(M b + 7) // 8": (moves * bits + 7) // 8,
                     "P": pairs,
                     "P), or (0": pairs if connectivity == 8 else 0,
                 }
@@ -442,9 +459,7 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
 
 
 def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
-    """The page names exactly the keys of manifest.json, in its order, of its shards, counts, spec
-    and movement.
-    """
+    """The page names exactly the keys of manifest.json and of all in it, in its order."""
     content = (dataset.root / "manifest.json").read_text(encoding="utf-8")
     manifest = json.loads(content)
     assert content == json.dumps(manifest, indent=1) + "\n"
@@ -452,16 +467,15 @@ def test_the_tables_list_every_key_of_the_manifest(dataset: Dataset) -> None:
     assert sorted(manifest["spec"]) == sorted(names("spec"))
     assert sorted(manifest["spec"]["movement"]) == sorted(names("movement"))
     for number, entry in enumerate(manifest["shards"]):
-        start, stop = number * SHARD_SIZE, min((number + 1) * SHARD_SIZE, MAPS)
+        start = number * SHARD_SIZE
+        stop = min((number + 1) * SHARD_SIZE, MAPS)
         assert list(entry) == names("key of a shard")
         assert (entry["start"], entry["stop"]) == (start, stop)
         assert entry["name"] == f"maps-{start:012d}-{stop:012d}.h5" == dataset.shards[number].name
         splits = names("count")[names("count").index("train") : names("count").index("maps")]
         assert splits == ["train", "val", "test"]
-        outer, inner = (
-            names("count")[: names("count").index("maps")],
-            names("count")[names("count").index("maps") :],
-        )
+        outer = names("count")[: names("count").index("maps")]
+        inner = names("count")[names("count").index("maps") :]
         assert list(entry["counts"]) == outer
         assert all(list(entry["counts"][split]) == inner for split in splits)
 
@@ -477,7 +491,8 @@ def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
             for one in maps:
                 if one.split != code:
                     continue
-                found, n = one.planners["astar"], len(one.seed_points)
+                found = one.planners["astar"]
+                n = len(one.seed_points)
                 ways = [s + d for s, d in zip(found.straight, found.diagonal, strict=True)]
                 costs["rooms"] += ways
                 costs["route"] += [ways[q * (2 * n - q - 1) // 2] for q in range(n - 1)]
@@ -499,9 +514,7 @@ def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
 
 
 def test_files_keep_the_rules_of_the_page(dataset: Dataset) -> None:
-    """Superblock 3, no user block, hard links only, contiguous, no filter, aligned, spare bits
-    clear.
-    """
+    """Superblock 3, no user block, hard links, contiguous, no filter, aligned, spare bits clear."""
     for path in dataset.shards:
         assert path.read_bytes()[:9] == b"\x89HDF\r\n\x1a\n\x03"
         with h5py.File(path, "r") as file:
@@ -544,7 +557,8 @@ def test_values_to_check_against(tmp_path: Path) -> None:
     manifest = build(tmp_path / "maps", spec, maps=10, seed=0, shard_size=10, workers=1)
     maps = read(tmp_path / "maps" / manifest.shards[0].name)[1]
     first = maps[0]
-    bfs, astar = first.planners["bfs"], first.planners["astar"]
+    bfs = first.planners["bfs"]
+    astar = first.planners["astar"]
     stated = [
         " ".join(f"{word:08x}" for word in reference.philox4x32((0, 0, 0, 0), (0, 0))),
         spec.to_json().replace(',"passage', ', "passage').replace(',"skip', ', "skip'),

@@ -1,6 +1,4 @@
-"""Hostile files to every loader: each is refused by name, within 200 MB and bounded work, and
-nothing in it is run.
-"""
+"""Hostile files to every loader: refused by name, in bounded memory and time, nothing in them run."""
 
 from __future__ import annotations
 
@@ -14,6 +12,7 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,8 @@ from helpers.builds import SOUND_SEED, SOUND_SPEC
 from torch import nn
 
 from mapdata import build
-from mapdata.shards import MANIFEST, Manifest, read_manifest
+from mapdata.shards import MANIFEST, read_manifest
+from mapdata.spec import SPLITS
 from models.common import load_model
 from models.path_predictor import PathPredictor
 
@@ -67,25 +67,20 @@ def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
 def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     """Write manifests that are deep, long, endless, or claim what no memory holds."""
     manifest = read_manifest(sound)
-    entry = manifest.shards[0]
-    rows = {name: {**entry.counts[name], "route": 10**14} for name in ("train", "val", "test")}
-    problems = Manifest(
-        **{
-            **vars(manifest),
-            "shards": (
-                type(entry)(**{**vars(entry), "bytes": 10**15, "counts": entry.counts | rows}),
-            ),
-        }
-    )
-    rooms = type(entry)(**{**vars(entry), "counts": {**entry.counts, "most_rooms": 10**9}})
+    (entry,) = manifest.shards
+    counts = {
+        **entry.counts,
+        **{split: {**entry.counts[split], "route": 10**14} for split in SPLITS},
+    }
+    problems = replace(entry, bytes=10**15, counts=counts)
+    rooms = replace(entry, counts={**entry.counts, "most_rooms": 10**9})
+    imported = replace(manifest, spec=None, seed=None, shards=(rooms,))
     texts = {
         "deep": "[" * 10**6,
         "empty-lists": "[" + "[]," * 10**6 + "[]]",
         "digits": '{"format":' + "9" * 10**6 + "}",
-        "problems": problems.to_json(),
-        "rooms": Manifest(
-            **{**vars(manifest), "spec": None, "seed": None, "shards": (rooms,)}
-        ).to_json(),
+        "problems": replace(manifest, shards=(problems,)).to_json(),
+        "rooms": imported.to_json(),
     }
     for name, text in texts.items():
         (folder / name).mkdir()
@@ -106,9 +101,7 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
 
 
 def zeros(path: Path, *, size: int, stated: int, claimed: int) -> None:
-    """Write an .npz of so many zeros; its directory states another size, and the array's header
-    claims a third.
-    """
+    """Write an .npz of ``size`` zeros, whose directory and whose array's header say otherwise."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("maps.npy", "w", force_zip64=True) as member:
             member.write(wild.npy((claimed // 4096, 64, 64), b""))
@@ -122,13 +115,10 @@ def text_chunk(size: int) -> bytes:
     good = wild.png(3, 4, depth=8)
     data = b"Comment\0\0" + zlib.compress(bytes(size), 9)
     chunk = b"zTXt" + data
-    return (
-        good[:33]
-        + struct.pack(">I", len(data))
-        + chunk
-        + struct.pack(">I", zlib.crc32(chunk))
-        + good[33:]
-    )
+    length = struct.pack(">I", len(data))
+    checksum = struct.pack(">I", zlib.crc32(chunk))
+    end_of_header = 33  # signature and IHDR
+    return good[:end_of_header] + length + chunk + checksum + good[end_of_header:]
 
 
 YAML = (
@@ -145,6 +135,10 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
     )
     touch = f"!!python/object/apply:os.mkdir ['{folder / 'hacked'}']"
     pickled = pickle.dumps(Bomb(folder / "hacked"))
+    # each line holds the one before it twice: 2**60 texts, were they written out
+    aliases = "a: &a [x,x]\nb0: &b0 [*a, x]\n"
+    for k in range(1, 60):
+        aliases += f"b{k}: &b{k} [*b{k - 1}, x]\n"
     files: dict[str, bytes] = {
         "a.png": wild.png(9400, 9400),
         "b.png": wild.png(30000, 30000),
@@ -155,10 +149,7 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
         "g.pgm": b"P2 4000 4000 255\n",
         "h.yaml": YAML.format(image=touch).encode(),
         "i.yaml": YAML.format(image="/etc/passwd").encode(),
-        "j.yaml": (
-            "a: &a [x,x]\n"
-            + "".join(f"b{k}: &b{k} [*{'a' if k == 0 else f'b{k - 1}'}, x]\n" for k in range(60))
-        ).encode(),
+        "j.yaml": aliases.encode(),
         "k.map": b"type octile\nheight 99999\nwidth 99999\nmap\n",
         "l.scen": b"version 1\n0\tnone.map\t4\t3\t0\t0\t3\t2\t1e999\n",
         "m.csv": (table + '0,a,2,"[' + "9" * 10**6 + ']","[1]","[1]","[1]","[1]"\n').encode(),
@@ -217,7 +208,8 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
     model = PathPredictor(4, widths=(8, 8, 8), passes=1)
     model.save(folder / "sound.pt")
     sound = torch.load(folder / "sound.pt", weights_only=True)
-    plain, weights = sound["arguments"], sound["weights"]
+    plain = sound["arguments"]
+    weights = sound["weights"]
     first = next(iter(weights))
     tar = io.BytesIO()
     tarfile.open(fileobj=tar, mode="w").close()
@@ -254,9 +246,7 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
 
 @LINUX
 def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
-    """In a process of their own: the loader's own error, on one line, little memory, bounded work,
-    no code run.
-    """
+    """In a process of their own: the loader's own error on one line, little memory, no code run."""
     wanted = []
     for cases in (shard_cases, manifest_cases, format_cases, model_cases):
         folder = tmp_path / cases.__name__
@@ -266,10 +256,10 @@ def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
     done = run_helper("refusals", *arguments)
     assert done.returncode == 0, done.stderr
     found = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [(loader, path, name) for loader, path, name, _ in found] == [
-        (loader, str(path), name) for loader, path, name in wanted
-    ]
-    assert max(found, key=lambda each: each[3])[3] < MOST, max(found, key=lambda each: each[3])
+    errors = [(loader, Path(path), name) for loader, path, name, _ in found]
+    assert errors == wanted
+    *_, most = greediest = max(found, key=lambda each: each[3])
+    assert most < MOST, greediest
     assert list(tmp_path.glob("*/hacked")) == []
 
 

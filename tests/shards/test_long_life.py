@@ -1,6 +1,4 @@
-"""Long life: what was written stays readable, what is newer is refused by name, and loading takes
-no more memory.
-"""
+"""Long life: old files stay readable, newer ones are refused by name, memory does not grow."""
 
 from __future__ import annotations
 
@@ -56,10 +54,9 @@ def samples_hash(root: Path) -> str:
 
 @pytest.mark.parametrize("name", HASHES)
 def test_kept_datasets_read_to_the_same_hash(name: str) -> None:
-    """Written by the version that brought the format: content, bytes and samples are what they
-    were.
-    """
-    root, (content, samples) = KEPT / name, HASHES[name]
+    """Written by the version that brought the format: content, bytes and samples are the same."""
+    root = KEPT / name
+    (content, samples) = HASHES[name]
     manifest = read_manifest(root)
     assert manifest.content_hash == content
     found = []
@@ -141,9 +138,7 @@ print(*held)
 @pytest.mark.skipif(sys.platform != "linux", reason="RssAnon is Linux's")
 @pytest.mark.filterwarnings("ignore")
 def test_epochs_of_loading_take_no_more_memory(tmp_path: Path) -> None:
-    """After the first epoch, which compiles and opens everything, three more take at most a
-    hundredth more.
-    """
+    """After the first epoch, which compiles and opens all, three more take at most 1 % more."""
     build(tmp_path / "maps", MapSpec.preset("dungeon"), maps=1500, seed=1, shard_size=100)
     command = [sys.executable, "-W", "ignore", "-c", MEMORY, str(tmp_path / "maps")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -1,6 +1,4 @@
-"""The manifest: text and back, sums and plans, what is refused, merging, sweeping, and reading a
-shard's entry.
-"""
+"""The manifest: text and back, sums and plans, refusals, merging, sweeping, entries."""
 
 from __future__ import annotations
 
@@ -115,9 +113,7 @@ def test_recipe(built: Path) -> None:
 @SETTINGS
 @given(st.integers(1, 200), st.integers(1, 70), st.integers(0, 200))
 def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
-    """The plan covers every map once, in order; sums are over finished shards; complete means all
-    of them.
-    """
+    """The plan covers every map once, in order; sums are over finished shards."""
     manifest = manifest_of(SPEC, 0, maps, shard_size, done)
     assert [i for start, stop in manifest.plan for i in range(start, stop)] == list(range(maps))
     assert all(stop - start == shard_size for start, stop in manifest.plan[:-1])
@@ -135,9 +131,7 @@ def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
     ("start", "stop"), [(0, 1), (1000, 2000), (10**12 - 1, 10**12), (10**15, 10**15 + 7)]
 )
 def test_shard_names(start: int, stop: int) -> None:
-    """Names have twelve digits or more, sort like their maps up to there, and are known as
-    names.
-    """
+    """Names have at least twelve digits, sort like their maps, and are known as names."""
     name = shard_name(start, stop)
     assert is_shard_name(name)
     assert [int(part) for part in re.findall(r"\d+", name[:-3])] == [start, stop]
@@ -193,9 +187,7 @@ def test_other_names_are_never_opened(name: str, built: Path) -> None:
     ],
 )
 def test_other_texts_are_refused(text: str, says: str, tmp_path: Path) -> None:
-    """A file that is no manifest, a damaged one, or one of another version: the file and the fault
-    are named.
-    """
+    """No manifest, a damaged one, or another version: file and fault are named."""
     (tmp_path / MANIFEST).write_text(text, encoding="utf-8")
     with pytest.raises(ShardError, match=says) as caught:
         read_manifest(tmp_path)
@@ -211,7 +203,9 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
 
 def test_a_flipped_bit_changes_no_value(built: Path) -> None:
     """Any flipped bit is refused, or lies in white space and changes no value."""
-    text, manifest, random = (built / MANIFEST).read_bytes(), read_manifest(built), Random(1)
+    text = (built / MANIFEST).read_bytes()
+    manifest = read_manifest(built)
+    random = Random(1)
     refused = 0
     for _ in range(600):
         damaged = bytearray(text)
@@ -262,9 +256,7 @@ UNCHECKED: dict[str, Callable[[dict[str, Any]], object]] = {
 def test_values_that_cannot_be_are_refused(
     lie: Callable[[dict[str, Any]], object], built: Path
 ) -> None:
-    """Values of other types, their hash made to fit, are refused on reading and not met later as a
-    TypeError.
-    """
+    """Values of other types, their hash made to fit, are refused on reading, not met later."""
     text = restated((built / MANIFEST).read_text(encoding="utf-8"), lie)
     with pytest.raises(ShardError, match=r"^text: "):
         parse_manifest(text, "text")
@@ -299,7 +291,8 @@ def test_the_error_crosses_processes(tmp_path: Path) -> None:
 def test_merge_is_a_union(tmp_path: Path) -> None:
     """What two builders finished stands in the manifest of both, in the order of the maps."""
     whole = manifest_of(SPEC, 1, 10, 4, done=3)
-    first, second = replace(whole, shards=whole.shards[2:]), replace(whole, shards=whole.shards[:1])
+    first = replace(whole, shards=whole.shards[2:])
+    second = replace(whole, shards=whole.shards[:1])
     assert merge(tmp_path, first) == first == read_manifest(tmp_path)
     assert merge(tmp_path, second).shards == (whole.shards[0], whole.shards[2])
     assert merge(tmp_path, whole) == whole == read_manifest(tmp_path)
@@ -308,10 +301,9 @@ def test_merge_is_a_union(tmp_path: Path) -> None:
 
 
 def test_merge_keeps_the_larger_dataset(tmp_path: Path) -> None:
-    """A builder of fewer maps does not shrink what another one extends, nor bring back its partial
-    shard.
-    """
-    small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
+    """A builder of fewer maps does not shrink what another extends, nor list its partial shard."""
+    small = manifest_of(SPEC, 1, 6, 4, done=2)
+    large = manifest_of(SPEC, 1, 10, 4, done=2)
     for first, second in ((small, large), (large, small)):
         merge(tmp_path, first)
         union = merge(tmp_path, second)
@@ -322,7 +314,8 @@ def test_merge_keeps_the_larger_dataset(tmp_path: Path) -> None:
 
 def test_merge_removes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
     """The partial shard of a builder of fewer maps goes when the manifest no longer lists it."""
-    small, large = manifest_of(SPEC, 1, 6, 4, done=2), manifest_of(SPEC, 1, 10, 4, done=2)
+    small = manifest_of(SPEC, 1, 6, 4, done=2)
+    large = manifest_of(SPEC, 1, 10, 4, done=2)
     for entry in (*small.shards, *large.shards):
         (tmp_path / entry.name).touch()
     merge(tmp_path, large)
@@ -346,9 +339,7 @@ def test_merge_refuses_another_dataset(other: Manifest, tmp_path: Path) -> None:
 
 
 def test_merge_can_do_without_waiting(tmp_path: Path) -> None:
-    """While another builder merges, one that does not wait leaves the manifest as it is; a closed
-    file frees it.
-    """
+    """One that does not wait leaves the manifest to the other builder until that is done."""
     whole = manifest_of(SPEC, 1, 10, 4, done=3)
     merge(tmp_path, replace(whole, shards=()))
     with open(tmp_path / LOCK, "ab") as other:
@@ -411,9 +402,7 @@ def swept(root: Path, name: str) -> bool:
 def test_sweep(
     host: str, temporary: str, goes: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Temporaries of dead builders of this host go; those of living ones, of other hosts, and other
-    files stay.
-    """
+    """Temporaries of this host's dead builders go; those of living ones and other hosts stay."""
     monkeypatch.setattr("socket.gethostname", lambda: host)
     assert swept(tmp_path, temporary) == goes
 
@@ -431,9 +420,7 @@ def test_sweep_takes_what_is_a_day_old(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
-    """A partial shard whose successor is listed, left by a builder that died just then; nothing
-    else.
-    """
+    """A partial shard that a listed one replaces goes, as after a builder that died; no other."""
     stay = [(0, 4), (4, 8), (8, 10), (8, 12), (12, 13)]
     for limits in (*stay, (4, 6), (4, 7)):
         (tmp_path / shard_name(*limits)).touch()

@@ -1,6 +1,4 @@
-"""A dataset is a folder, a URL or several; one at a URL, over a real HTTP server, is fetched once
-and checked.
-"""
+"""A dataset is a folder, a URL or several; one at a URL is fetched once and checked."""
 
 from __future__ import annotations
 
@@ -71,7 +69,9 @@ class Server:
 
     def __init__(self, folder: Path, url: str, fetched: list[str]) -> None:
         """Keep what a test needs."""
-        self.folder, self.url, self.fetched = folder, url, fetched
+        self.folder = folder
+        self.url = url
+        self.fetched = fetched
 
 
 @pytest.fixture
@@ -108,9 +108,7 @@ def test_a_dataset_at_a_url_is_the_dataset(server: Server) -> None:
 
 
 def test_what_is_cached_is_not_fetched_again(server: Server) -> None:
-    """Only the manifest is, so that a dataset that grew is seen; a slash at the end changes
-    nothing.
-    """
+    """Only the manifest is, so that a grown dataset is seen; a slash at the end is ignored."""
     first = MapDataset(server.url)[:]
     count = len(server.fetched)
     again = MapDataset(server.url + "/")
@@ -134,9 +132,7 @@ def test_workers_read_the_cache(server: Server) -> None:
 
 
 def test_damaged_files_are_refused(server: Server, tmp_path: Path) -> None:
-    """What does not have the manifest's hash is never mapped nor kept; once it is repaired, it is
-    fetched.
-    """
+    """What does not have the manifest's hash is never kept; once repaired, it is fetched."""
     entry = read_manifest(server.folder).shards[0]
     shard = server.folder / entry.name
     sound = shard.read_bytes()
@@ -219,7 +215,8 @@ def occupancy(labels: Iterator[Labels]) -> list[bytes]:
 
 def test_a_root_is_its_maps(server: Server) -> None:
     """Folder and URL hold the same maps, a shard at a time; one map is found without the others."""
-    here, there = Root.open(server.folder), Root.open(server.url)
+    here = Root.open(server.folder)
+    there = Root.open(server.url)
     assert (here.map_size, here.movement, here.maps) == ((20, 20), Movement(), 60)
     assert len(here.shards) == len(here.manifests[0].shards)
     assert (str(here), str(there)) == (str(server.folder), server.url)
@@ -279,7 +276,8 @@ def test_statistics_card_report_and_figures(server: Server, tmp_path: Path) -> N
     assert report(server.url) == report(server.folder)
     other = samples.build_small(tmp_path / "other", maps=10)
     both = (server.url, other)
-    of, parts = dataset_statistics(both), [dataset_statistics(place) for place in both]
+    of = dataset_statistics(both)
+    parts = [dataset_statistics(place) for place in both]
     assert len(of) == 70
     for name in ("rooms", "free", "split", "hardness", "lengths"):
         np.testing.assert_array_equal(
@@ -314,9 +312,7 @@ def test_imported_maps_at_a_url_say_where_they_come_from(server: Server) -> None
 
 
 def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
-    """Each file that is damaged or missing is named by its URL; several are looked at one after
-    another.
-    """
+    """Each damaged or missing file is named by its URL; several are checked one after another."""
     assert verify(server.url) == verify([server.url, server.folder]) == []
     first, second, *_ = (entry.name for entry in read_manifest(server.folder).shards)
     (server.folder / first).write_bytes(b"damaged")

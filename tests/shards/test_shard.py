@@ -1,6 +1,4 @@
-"""Shards: a round trip changes nothing, the bytes are one, faults of disk and files are named, and
-nothing escapes.
-"""
+"""Shards: round trips change nothing, bytes are one, faults are named, nothing escapes."""
 
 from __future__ import annotations
 
@@ -60,9 +58,7 @@ def header_of(spec: MapSpec, seed: int, start: int, stop: int, *, imported: bool
 
 
 def assert_same_labels(found: Labels, expected: Labels) -> None:
-    """Compare all values and types; padding of rooms may end where the largest map of the shard
-    does.
-    """
+    """Compare all values and types; padding may end with the largest map of the shard."""
     most = int(expected.maps.rooms.max(initial=2))
     for name in ("movement", "columns"):
         assert getattr(found.maps, name) == getattr(expected.maps, name)
@@ -77,13 +73,15 @@ def assert_same_labels(found: Labels, expected: Labels) -> None:
         "directions",
         "split",
     ):
-        value, truth = getattr(found.maps, name), getattr(expected.maps, name)
+        value = getattr(found.maps, name)
+        truth = getattr(expected.maps, name)
         if name in ("seed_points", "sizes", "directions"):
             truth = truth[:, : most - (name == "directions")]
         np.testing.assert_array_equal(value, truth, err_msg=name, strict=True)
     for search in ("bfs", "astar"):
         for name in ("moves", "offsets", "iterations", "costs"):
-            value, truth = getattr(found.of(search), name), getattr(expected.of(search), name)
+            value = getattr(found.of(search), name)
+            truth = getattr(expected.of(search), name)
             np.testing.assert_array_equal(value, truth, err_msg=f"{search} {name}", strict=True)
 
 
@@ -110,9 +108,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 4), st.booleans())
 def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
-    """What is written is read back equal, types included, for all movements and sizes, with and
-    without a recipe.
-    """
+    """What is written is read back equal, for all movements and sizes, imported or not."""
     header = header_of(spec, seed, start, start + count, imported=imported)
     labels = label(generate(spec, seed, range(start, start + count)))
     image, content = shard_image(labels, header)
@@ -143,9 +139,7 @@ def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
 @SETTINGS
 @given(st.lists(st.integers(0, 7), max_size=40), st.sampled_from(MOVEMENTS))
 def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
-    """Move k stands in the bits from k * bits on, spare bits are 0, and unpacking undoes
-    packing.
-    """
+    """Move k is in the bits from k * bits on, spare bits are 0; unpacking undoes packing."""
     moves = np.array([code % movement.connectivity for code in codes], np.uint8)
     bits = bits_of(movement)
     packed = pack_moves(moves, bits)
@@ -159,7 +153,8 @@ def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
 
 def test_the_image_is_deterministic(sound: Sound) -> None:
     """The same labels give the same bytes, also when threads make many images at once."""
-    header, image = header_of(SPEC, SEED, 0, 3), sound.contents.image
+    header = header_of(SPEC, SEED, 0, 3)
+    image = sound.contents.image
     assert shard_image(label(generate(SPEC, SEED, range(3))), header)[0] == image
     with ThreadPoolExecutor(4) as pool:
         images = list(pool.map(lambda _: shard_image(sound.labels, header)[0], range(16)))
@@ -257,7 +252,8 @@ def test_a_failed_write_leaves_nothing(
 
 def test_two_writers_of_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that writes the same name meanwhile takes nothing away, and neither file is torn."""
-    true_fsync, waiting = os.fsync, [b"other"]
+    true_fsync = os.fsync
+    waiting = [b"other"]
 
     def fsync(descriptor: int) -> None:
         true_fsync(descriptor)
@@ -357,7 +353,8 @@ class Opens:
     sees nothing.
     """
 
-    IN_OPEN, IN_NONBLOCK = 0x20, 0o4000
+    IN_OPEN = 0x20
+    IN_NONBLOCK = 0o4000
 
     def __init__(self, path: Path) -> None:
         """Watch ``path``."""
@@ -435,7 +432,8 @@ def test_text_of_variable_length_is_refused_unread(sound: Sound, tmp_path: Path)
 
 def test_truncation_is_refused(sound: Sound, tmp_path: Path) -> None:
     """Cut at every place: the header, the datasets, the last byte."""
-    image, path = sound.contents.image, tmp_path / "shard.h5"
+    image = sound.contents.image
+    path = tmp_path / "shard.h5"
     for length in [*range(1, len(image), len(image) // 60), len(image) - 1]:
         path.write_bytes(image[:length])
         refused(path, "not a sound shard")
@@ -479,7 +477,9 @@ def flip_bits(sound: Sound, path: Path, flips: list[tuple[int, int]]) -> int:
 
     Returns how often it was read. That data are the same is for the hashes to tell: `test_reader`.
     """
-    image, header, taken = sound.contents.image, header_of(SPEC, SEED, 0, 3), 0
+    image = sound.contents.image
+    header = header_of(SPEC, SEED, 0, 3)
+    taken = 0
     for place, bit in flips:
         damaged = bytearray(image)
         damaged[place] ^= 1 << bit

@@ -1,6 +1,4 @@
-"""Survey: what it counts equals slow counting, and repeated maps are found in all their symmetric
-images.
-"""
+"""Statistics equal slow counting; repeated maps are found in all their symmetric images."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from mapdata import Labels, MapDataset, MapSpec, Route, ShardError, generate
 from mapdata.arrays import Bytes
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.shards import DatasetStatistics, Root, dataset_statistics, read_manifest
-from mapdata.shards.statistics import histogram
+from mapdata.shards.statistics import Repeats, histogram
 from mapdata.spec import SPLITS
 
 
@@ -26,56 +24,53 @@ def all_labels(root: str) -> list[Labels]:
 
 
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
-def test_survey_counts_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None:
-    """Survey counts what a loop counts."""
+def test_statistics_count_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None:
+    """Every value of a map and of a segment is that of a loop over the labels."""
     root = build_small(tmp_path / "d", spec)
     of = dataset_statistics(root)
-    at = segment = 0
+    at = 0  # the map among all maps
+    first = 0  # its first segment among all segments
     for labels in all_labels(root):
-        for i in range(len(labels.maps)):
-            n = int(labels.maps.rooms[i])
-            assert (of.index[at], of.rooms[at], of.split[at]) == (
-                labels.maps.index[i],
-                n,
-                labels.maps.split[i],
-            )
-            assert of.free[at] == pytest.approx((labels.maps.occupancy[i] == 0).mean())
-            matrix = labels.matrix("astar", i)
-            assert of.all_connected[at] == (matrix >= 0).all()
-            skipped = not labels.maps.connected[i, : n - 1].all()
-            assert of.redundant[at] == ((matrix >= 0).all() and skipped)
+        maps = labels.maps
+        for i in range(len(maps)):
+            n = int(maps.rooms[i])
+            assert of.index[at] == maps.index[i]
+            assert of.rooms[at] == n
+            assert of.split[at] == maps.split[i]
+            assert of.free[at] == pytest.approx((maps.occupancy[i] == 0).mean())
+            all_connected = bool((labels.matrix("astar", i) >= 0).all())
+            assert of.all_connected[at] == all_connected
+            all_drawn = bool(maps.connected[i, : n - 1].all())
+            assert of.redundant[at] == (all_connected and not all_drawn)
+            segments = slice(first, first + n - 1)
             lengths = [len(path) for path in labels.route("astar", i)]
-            assert of.lengths[segment : segment + n - 1].tolist() == lengths
-            assert of.hardest[at] == pytest.approx(
-                max(0, of.hardness[segment : segment + n - 1].max())
-            )
+            assert of.lengths[segments].tolist() == lengths
+            assert of.hardest[at] == pytest.approx(max(0, of.hardness[segments].max()))
             for search in ("bfs", "astar"):
-                counts = of.iterations[search][segment : segment + n - 1]
+                counts = of.iterations[search][segments]
                 assert counts.tolist() == labels.iterations(search, i).tolist()
-            at, segment = at + 1, segment + n - 1
-    assert (
-        (len(of), len(of.lengths)) == (at, segment) == (60, of.root.manifests[0].total("segments"))
-    )
+            at += 1
+            first += n - 1
+    assert len(of) == at == 60
+    assert len(of.lengths) == first == of.root.manifests[0].total("segments")
     assert of.rooms_known
 
 
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
 def test_hardness_is_that_of_the_served_problems(tmp_path: Path, spec: MapSpec) -> None:
-    """Hardness is that of the served problems."""
+    """Hardness is that of the problems that `MapDataset` serves."""
     root = build_small(tmp_path / "d", spec)
-    of, served = (
-        dataset_statistics(root),
-        MapDataset(root, split=None, fields=("hardness",), problems=Route(unsolvable=True)),
-    )
+    of = dataset_statistics(root)
+    problems = Route(unsolvable=True)
+    served = MapDataset(root, split=None, fields=("hardness",), problems=problems)
     expected = np.array([float(served[k][0]) for k in range(len(served))])
-    np.testing.assert_allclose(
-        of.hardness[of.lengths != 1], expected, rtol=1e-6
-    )  # problems of length 0 are left out
+    # problems from a cell to itself are not served
+    np.testing.assert_allclose(of.hardness[of.lengths != 1], expected, rtol=1e-6)
     assert (of.hardness[of.lengths == 1] == 1).all()
 
 
 def test_distributions_leave_out_what_has_no_path(tmp_path: Path) -> None:
-    """Distributions leave out what has no path."""
+    """Lengths and hardness are those of segments with a path; the names are those of the card."""
     of = dataset_statistics(build_small(tmp_path / "d"))
     values = of.distributions()
     assert list(values) == [
@@ -89,26 +84,29 @@ def test_distributions_leave_out_what_has_no_path(tmp_path: Path) -> None:
     assert values["hardness of a segment"].min() == 1
 
 
-def slow_repeats(
-    grids: Bytes, split: Bytes, images: int
-) -> tuple[dict[str, int], dict[tuple[str, str], int]]:
-    """Compare all pairs of maps in all symmetric images."""
-
-    def same(a: Bytes, b: Bytes) -> bool:
+def are_same(a: Bytes, b: Bytes, *, symmetric: bool) -> bool:
+    """Return whether two grids are equal, or if ``symmetric``, equal after a turn or a flip."""
+    images = [b]
+    if symmetric:
         turned = [np.rot90(b, k) for k in range(4)]
-        every = [b] if images == 1 else [*turned, *(np.flip(one, 0) for one in turned)]
-        return any(a.shape == one.shape and (a == one).all() for one in every)
+        images = [*turned, *(np.flip(one, 0) for one in turned)]
+    return any(np.array_equal(a, image) for image in images)
 
-    of = [[grid for grid, code in zip(grids, split, strict=True) if code == k] for k in range(3)]
-    inside = {
-        SPLITS[k]: sum(any(same(a, b) for b in of[k][:j]) for j, a in enumerate(of[k]))
-        for k in range(3)
-    }
-    across = {
-        (SPLITS[a], SPLITS[b]): sum(any(same(one, other) for other in of[a]) for one in of[b])
-        for a, b in combinations(range(3), 2)
-    }
-    return inside, across
+
+def slow_repeats(grids: Bytes, split: Bytes, *, symmetric: bool) -> Repeats:
+    """Compare all pairs of maps."""
+
+    def is_in(grid: Bytes, others: list[Bytes]) -> bool:
+        return any(are_same(grid, other, symmetric=symmetric) for other in others)
+
+    of = {name: list(grids[split == code]) for code, name in enumerate(SPLITS)}
+    inside = {}
+    for name, own in of.items():
+        inside[name] = sum(is_in(grid, own[:k]) for k, grid in enumerate(own))
+    across = {}
+    for a, b in combinations(SPLITS, 2):
+        across[a, b] = sum(is_in(grid, of[a]) for grid in of[b])
+    return Repeats(inside, across)
 
 
 @pytest.mark.parametrize("size", [(4, 4), (3, 5), (9, 70)], ids=str)
@@ -116,12 +114,13 @@ def test_repeats_equal_those_of_all_pairs(tmp_path: Path, size: tuple[int, int])
     """Repeats equal those of all pairs."""
     rng = np.random.default_rng(0)
     grids = (rng.random((60, *size)) < 0.15).astype(np.uint8)
-    for k in range(0, 60, 6):  # a copy, a mirror image, a half turn, and a quarter turn of a square
+    is_square = size[0] == size[1]
+    for k in range(0, 60, 6):
         grids[k + 1] = grids[k]
-        grids[k + 2] = grids[k][::-1]
-        grids[k + 3] = grids[k][::-1, ::-1]
-        if size[0] == size[1]:
-            grids[k + 4] = grids[k].T[::-1]
+        grids[k + 2] = grids[k][::-1]  # a mirror image
+        grids[k + 3] = grids[k][::-1, ::-1]  # a half turn
+        if is_square:
+            grids[k + 4] = grids[k].T[::-1]  # a quarter turn
     split = rng.integers(0, 3, 60).astype(np.uint8)
     maps = [
         ForeignMap(str(k), grid, split=int(code))
@@ -129,36 +128,34 @@ def test_repeats_equal_those_of_all_pairs(tmp_path: Path, size: tuple[int, int])
     ]
     import_maps(tmp_path / "d", Collection(maps), seed_points=2, shard_size=25)
     of = dataset_statistics(tmp_path / "d", repeats=True)
-    assert of.symmetries == (8 if size[0] == size[1] else 4)
-    for found, images in zip(of.repeats, (1, 8), strict=True):
-        assert (found.inside, found.across) == slow_repeats(grids, split, images)
+    assert of.symmetries == (8 if is_square else 4)
+    for found, symmetric in zip(of.repeats, (False, True), strict=True):
+        expected = slow_repeats(grids, split, symmetric=symmetric)
+        assert found.inside == expected.inside
+        assert found.across == expected.across
     assert sum(of.repeats[1].inside.values()) > sum(of.repeats[0].inside.values()) > 0
     assert not of.rooms_known
 
 
 def test_generated_maps_repeat_only_where_they_are_tiny(tmp_path: Path) -> None:
-    """Generated maps repeat only where they are tiny."""
+    """Of maps of nine cells some repeat: as many as a set of them is smaller."""
     spec = MapSpec((3, 3), (2, 2), (1, 3), (1, 3), passage_width=(1, 1))
     of = dataset_statistics(build_small(tmp_path / "d", spec, maps=200), repeats=True)
     grids = generate(spec, 5, range(200)).occupancy
-    distinct = {
-        name: len({grid.tobytes() for grid in grids[of.split == k]})
-        for k, name in enumerate(SPLITS)
-    }
-    assert of.repeats[0].inside == {
-        name: int((of.split == k).sum()) - distinct[name] for k, name in enumerate(SPLITS)
-    }
+    for code, name in enumerate(SPLITS):
+        texts = [grid.tobytes() for grid in grids[of.split == code]]
+        assert of.repeats[0].inside[name] == len(texts) - len(set(texts))
 
 
 def test_repeats_are_counted_on_request_only(tmp_path: Path) -> None:
-    """Repeats are counted on request only."""
+    """Without ``repeats=True`` there is an error that names it."""
     of = dataset_statistics(build_small(tmp_path / "d", maps=3))
     with pytest.raises(ValueError, match="repeats=True"):
         _ = of.repeats
 
 
 def test_read_map_finds_the_shard(tmp_path: Path) -> None:
-    """Read map finds the shard."""
+    """`Root.map` finds the shard of a map, and refuses numbers that the dataset does not have."""
     root = build_small(tmp_path / "d")
     expected = generate(SPEC, 5, [37]).occupancy[0]
     labels, i = Root.open(root).map(37)
@@ -169,7 +166,7 @@ def test_read_map_finds_the_shard(tmp_path: Path) -> None:
 
 
 def test_a_missing_or_cut_shard_is_named(tmp_path: Path) -> None:
-    """A missing or cut shard is named."""
+    """The error names the shard, and says that it is missing where it is."""
     root = build_small(tmp_path / "d")
     path = Path(root) / read_manifest(Path(root)).shards[1].name
     path.write_bytes(path.read_bytes()[:-1])
@@ -186,15 +183,15 @@ def test_a_missing_or_cut_shard_is_named(tmp_path: Path) -> None:
     ids=["none", "one", "integers", "half", "shares", "many", "far"],
 )
 def test_histogram_counts_every_value(values: list[float]) -> None:
-    """Histogram counts every value."""
+    """No value lies outside the edges, and there are at most 31 bins."""
     edges, counts = histogram(np.array(values, np.float64))
     assert counts.sum() == len(values)
     assert len(edges) == len(counts) + 1 <= 32
     assert (np.diff(edges) > 0).all()
 
 
-def test_an_empty_survey_holds_nothing(tmp_path: Path) -> None:
-    """An empty survey holds nothing."""
+def test_a_dataset_without_shards_has_statistics(tmp_path: Path) -> None:
+    """All arrays are empty, and there are no repeats."""
     root = Path(build_small(tmp_path / "d", maps=3))
     manifest = read_manifest(root)
     (root / "manifest.json").write_text(replace(manifest, shards=()).to_json())

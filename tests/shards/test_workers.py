@@ -167,7 +167,8 @@ def test_parts(parts: int, tmp_path: Path) -> None:
     """In any order, more parts than shards included, the union is the whole; each part makes its
     own shards only.
     """
-    truth, root = make(tmp_path / "truth"), tmp_path / "maps"
+    truth = make(tmp_path / "truth")
+    root = tmp_path / "maps"
     made: Manifest | None = None
     for k in reversed(range(parts)):
         before = set() if made is None else {entry.start for entry in made.shards}
