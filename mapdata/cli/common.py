@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import os
+import re
 import shlex
 import sys
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NoReturn
+from inspect import Parameter
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
+
+from mapdata.options import Option, options_of
+from mapdata.spec import did_you_mean
 
 if TYPE_CHECKING:
     from mapdata.shards import Manifest
+
+
+_METAVARS = {int: "N", float: "X"}
 
 
 class DisagreeError(Exception):
@@ -56,25 +65,91 @@ def run(command: Callable[..., None], **values: object) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
         sys.exit(141)  # as a shell says it
     except (DisagreeError, ShardError) as error:
-        sys.exit(_complain(error, 1))
+        sys.exit(complain(error, 1))
     except KeyboardInterrupt:
-        code = _complain("stopped; run the same command again to go on", 130)
+        code = complain("stopped; run the same command again to go on", 130)
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
             sys.stdout.flush()
-            os._exit(
-                code
-            )  # a plain exit would wait for the shards under way, however long they take
+            # A plain exit would wait for the shards under way, however long they take.
+            os._exit(code)
         sys.exit(code)
     except (ValueError, OSError) as error:
-        sys.exit(_complain(error, 2))
+        sys.exit(complain(error, 2))
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
+    """A parser whose errors are one line, and whose flags cannot be abbreviated."""
+
+    def __init__(self, *, description: str | None = None, **how: Any) -> None:
+        """Keep the lines of description and examples as they are written."""
+        super().__init__(
+            description=inspect.cleandoc(description or ""),
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            **how,
+        )
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse an unknown flag by naming the nearest, before anything else is missed."""
+        given = sys.argv[1:] if args is None else list(args)
+        for text in given:
+            flag = text.partition("=")[0]
+            if flag == "--":  # what follows are names, whatever they begin with
+                break
+            if flag.startswith("--") and flag not in self._option_string_actions:
+                hint = did_you_mean(flag, self._option_string_actions)
+                self.error(f"unknown flag {flag}{hint}")
+        return super().parse_known_args(given, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
-        sys.exit(_complain(f"{message} ({self.prog} --help says more)", 2))
+        sys.exit(complain(f"{message} ({self.prog} --help says more)", 2))
+
+
+def parser_of(command: Callable[..., None], prog: str | None = None, **defaults: str) -> Parser:
+    """Return the parser of a function: its signature becomes arguments and flags, its docstring
+    their help.
+
+    Parameters without a default are positional, keyword-only ones are flags. ``defaults`` are those
+    of positional ones that may be left out.
+    """
+    text = (inspect.getdoc(command) or "").partition("\nArgs:\n")[0]
+    summary, _, examples = text.partition("\n\n")
+    parser = Parser(prog=prog, description=summary, epilog=examples.strip())
+    for name, option in options_of(command, Parameter.POSITIONAL_OR_KEYWORD).items():
+        how: dict[str, Any] = {}
+        if get_origin(option.kind) is list:
+            how = {"nargs": "+"}
+        elif name in defaults:
+            how = {"nargs": "?", "default": defaults[name]}
+        metavar = name.upper()
+        parser.add_argument(name, metavar=metavar, type=path_name, help=option.help, **how)
+    for name, option in options_of(command).items():
+        add_flag(parser, name, option, option.default)
+    return parser
+
+
+def add_flag(
+    parser: argparse._ActionsContainer, name: str, option: Option, default: object
+) -> None:
+    """Add the flag of a keyword-only parameter."""
+    flags = ["-o"] if name == "output" else []
+    flags.append(f"--{name.replace('_', '-')}")
+    metavar = _METAVARS.get(option.kind, name.rpartition(".")[2].upper())
+    how: dict[str, Any] = {"type": option.kind, "metavar": metavar}
+    if option.kind is bool:
+        how = {"action": "store_true"}
+    elif option.kind == Literal[True]:  # Literal[True] | str: its value may be left out
+        how = {"nargs": "?", "const": True, "metavar": "FILE"}
+    elif get_origin(option.kind) is Literal:
+        choices = get_args(option.kind)
+        how = {"type": type(choices[0]), "choices": choices}
+    elif get_origin(option.kind) is tuple:
+        how = {"type": _size, "metavar": "HxW"}
+    text = option.help.removesuffix(".").replace("%", "%%")
+    if option.default is not None and option.default is not False:
+        text += f" (default: {option.default})"
+    parser.add_argument(*flags, dest=name, default=default, help=text, **how)
 
 
 def path_name(text: str) -> str:
@@ -86,6 +161,14 @@ def path_name(text: str) -> str:
     return text
 
 
-def _complain(error: object, code: int) -> int:
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected ROWSxCOLUMNS as in 64x64")
+    return int(match[1]), int(match[2])
+
+
+def complain(error: object, code: int) -> int:
+    """Print an error as one line; return the exit code."""
     print(f"mapdata: {' '.join(str(error).split())}", file=sys.stderr)
     return code

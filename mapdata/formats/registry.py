@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
 import os
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType
-from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, empty_target, walk
+from mapdata.options import options_of
 from mapdata.shards.root import Places, Root
+from mapdata.spec import check_choice
 
 
 @dataclass(frozen=True)
@@ -43,20 +42,6 @@ class Format:
     target_ending: str = ""
 
 
-class Option(NamedTuple):
-    """A keyword-only parameter of a reader or writer.
-
-    Attributes:
-        kind: its type; of a union, the first.
-        default: its default.
-        help: what the docstring says of it.
-    """
-
-    kind: Any
-    default: object
-    help: str
-
-
 FORMATS: dict[str, Format] = {}
 """All formats by name. Where several know a file as theirs, the last one has it."""
 
@@ -76,22 +61,6 @@ def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
     return {
         name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what) is not None
     }
-
-
-def options_of(function: Callable[..., object]) -> dict[str, Option]:
-    """Return the keyword-only parameters of a function by name, with what its docstring's ``Args``
-    say.
-    """
-    documented = (inspect.getdoc(function) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
-    texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", documented, re.MULTILINE))
-    hints = get_type_hints(function)
-    options = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if parameter.kind is parameter.KEYWORD_ONLY:
-            hint = hints[name]
-            kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
-            options[name] = Option(kind, parameter.default, " ".join(texts.get(name, "").split()))
-    return options
 
 
 def recognise(source: str | os.PathLike[str]) -> str:
@@ -199,8 +168,7 @@ def _checked(
 ) -> Callable[..., Any]:
     """Return what reads or writes a format, after a look at its options."""
     known = functions(what)
-    if name not in known:
-        raise ValueError(f"format: got {name!r}, expected one of {', '.join(known)}")
+    check_choice("format", name, known)
     has = options_of(known[name])
     for key, value in options.items():
         if key not in has:
