@@ -43,3 +43,8 @@ def options_of(
             kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
             options[name] = Option(kind, parameter.default, " ".join(texts.get(name, "").split()))
     return options
+
+
+def summary_line(function: Callable[..., object]) -> str:
+    """Return the first line of a docstring."""
+    return (function.__doc__ or "").partition("\n")[0]

@@ -16,7 +16,8 @@ from typing import Literal
 
 from mapdata._version import __version__
 from mapdata.cli import convert
-from mapdata.cli.common import DisagreeError, Parser, complain, parser_of, run, summary
+from mapdata.cli.common import DisagreeError, Parser, complain, parser_of, run, run_parsed, summary
+from mapdata.options import summary_line
 from mapdata.spec import did_you_mean
 
 
@@ -262,24 +263,15 @@ def verb_parser(verb: str) -> Parser:
 
 def overview() -> str:
     """Return what ``mapdata`` and ``mapdata --help`` print: the verbs, a line each."""
-    lines = [
-        f"  {name:12}{(command.__doc__ or '').partition(chr(10))[0]}"
-        for name, command in VERBS.items()
-    ]
-    return "\n".join(
-        [
-            "usage: mapdata VERB ...",
-            "",
-            "Grid maps with shortest paths, to train path planners on.",
-            "",
-            *lines,
-            "",
-            "'mapdata VERB --help' shows its flags and examples, 'mapdata --version' the version.",
-        ]
+    verbs = "\n".join(f"  {name:12}{summary_line(verb)}" for name, verb in VERBS.items())
+    return (
+        "usage: mapdata VERB ...\n\n"
+        "Grid maps with shortest paths, to train path planners on.\n\n"
+        f"{verbs}\n\n"
+        "'mapdata VERB --help' shows its flags and examples, 'mapdata --version' the version."
     )
 
 
 def build_main(arguments: list[str] | None = None) -> None:
     """Run ``mapdata build`` with a default root: what ``scripts/build_shards.py`` is."""
-    parser = parser_of(build_command, root="data/maps")
-    run(build_command, **vars(parser.parse_args(arguments)))
+    run_parsed(build_command, arguments, root="data/maps")

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from mapdata.shards import Manifest
 
 
-_METAVARS = {int: "N", float: "X"}
-
-
 class DisagreeError(Exception):
     """The data are damaged or are not what they should be: exit code 1."""
 
@@ -78,16 +75,7 @@ def run(command: Callable[..., None], **values: object) -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, and whose flags cannot be abbreviated."""
-
-    def __init__(self, *, description: str | None = None, **how: Any) -> None:
-        """Keep the lines of description and examples as they are written."""
-        super().__init__(
-            description=inspect.cleandoc(description or ""),
-            allow_abbrev=False,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            **how,
-        )
+    """A parser whose errors are one line."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse an unknown flag by naming the nearest, before anything else is missed."""
@@ -106,7 +94,7 @@ class Parser(argparse.ArgumentParser):
         sys.exit(complain(f"{message} ({self.prog} --help says more)", 2))
 
 
-def parser_of(command: Callable[..., None], prog: str | None = None, **defaults: str) -> Parser:
+def parser_of(command: Callable[..., None], prog: str | None = None, **defaults: object) -> Parser:
     """Return the parser of a function: its signature becomes arguments and flags, its docstring
     their help.
 
@@ -115,15 +103,21 @@ def parser_of(command: Callable[..., None], prog: str | None = None, **defaults:
     """
     text = (inspect.getdoc(command) or "").partition("\nArgs:\n")[0]
     summary, _, examples = text.partition("\n\n")
-    parser = Parser(prog=prog, description=summary, epilog=examples.strip())
+    parser = Parser(
+        prog=prog,
+        description=summary,
+        epilog=examples.strip(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,  # the examples keep their lines
+        allow_abbrev=False,
+    )
     for name, option in options_of(command, Parameter.POSITIONAL_OR_KEYWORD).items():
-        how: dict[str, Any] = {}
-        if get_origin(option.kind) is list:
-            how = {"nargs": "+"}
-        elif name in defaults:
-            how = {"nargs": "?", "default": defaults[name]}
-        metavar = name.upper()
-        parser.add_argument(name, metavar=metavar, type=path_name, help=option.help, **how)
+        how: dict[str, Any] = {"metavar": name.upper(), "type": path_name, "help": option.help}
+        many = get_origin(option.kind) is list
+        if name in defaults:
+            how |= {"nargs": "*" if many else "?", "default": defaults[name]}
+        elif many:
+            how["nargs"] = "+"
+        parser.add_argument(name, **how)
     for name, option in options_of(command).items():
         add_flag(parser, name, option, option.default)
     return parser
@@ -135,12 +129,14 @@ def add_flag(
     """Add the flag of a keyword-only parameter."""
     flags = ["-o"] if name == "output" else []
     flags.append(f"--{name.replace('_', '-')}")
-    metavar = _METAVARS.get(option.kind, name.rpartition(".")[2].upper())
+    metavar = {int: "N", float: "X"}.get(option.kind, name.rpartition(".")[2].upper())
     how: dict[str, Any] = {"type": option.kind, "metavar": metavar}
     if option.kind is bool:
         how = {"action": "store_true"}
     elif option.kind == Literal[True]:  # Literal[True] | str: its value may be left out
-        how = {"nargs": "?", "const": True, "metavar": "FILE"}
+        how = {"nargs": "?", "const": True, "metavar": metavar}
+    elif get_origin(option.kind) is list:
+        how = {"nargs": "+", "type": get_args(option.kind)[0], "metavar": "N"}
     elif get_origin(option.kind) is Literal:
         choices = get_args(option.kind)
         how = {"type": type(choices[0]), "choices": choices}
@@ -166,6 +162,13 @@ def _size(text: str) -> tuple[int, int]:
     if match is None:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected ROWSxCOLUMNS as in 64x64")
     return int(match[1]), int(match[2])
+
+
+def run_parsed(
+    command: Callable[..., None], arguments: list[str] | None = None, **defaults: object
+) -> None:
+    """Be the command line of a script: `run` a function with the arguments that it was given."""
+    run(command, **vars(parser_of(command, None, **defaults).parse_args(arguments)))
 
 
 def complain(error: object, code: int) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 from mapdata.cli.common import DisagreeError, add_flag, summary
-from mapdata.options import options_of
+from mapdata.options import options_of, summary_line
 from mapdata.spec import Movement
 
 _OF_IMPORTS = ("seed_points", "seed", "tile", "resolution", "shard_size")
@@ -182,7 +182,6 @@ def _add_format_options(
             key: option for key, option in options_of(function).items() if key not in _OF_IMPORTS
         }
         if options:
-            summary = (function.__doc__ or "").partition("\n")[0].replace("``", "")
-            group = parser.add_argument_group(name, summary)
+            group = parser.add_argument_group(name, summary_line(function).replace("``", ""))
             for key, option in options.items():
                 add_flag(group, f"{name}.{key}", option, argparse.SUPPRESS)

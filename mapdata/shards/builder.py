@@ -8,13 +8,16 @@ import warnings
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing, nullcontext
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from mapdata.generators.generator import Generator as MapGenerator
 from mapdata.generators.generator import generate
-from mapdata.search.labels import label
+from mapdata.generators.maps import Maps
+from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.shards.manifest import (
     LOCK,
     MANIFEST,
@@ -32,13 +35,21 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import folder_of
 from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
-from mapdata.shards.workers import CORES, bar, finished, threads
+from mapdata.shards.workers import CORES, Advance, bar, finished, threads
 from mapdata.spec import check_count, check_seed
 
 _MERGE_EVERY = 2.0
 """Seconds between two writes of the manifest; more where one takes long, so that many shards cost
 no more each.
 """
+
+_CELLS_AT_ONCE = 2**21
+"""Cells that are labelled between two moves of the bar: 512 maps of 64 x 64. Pieces of 64 such maps
+would cost 7 % more time.
+"""
+
+_LEAST_AT_ONCE = 8
+"""Maps between two moves, however large they are: each piece needs new buffers."""
 
 _UNDER_WAY = 10_000
 """Most shards that an executor is given at once."""
@@ -127,10 +138,14 @@ def build(
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
     shards, wait = list(have.values()), True
     total, left = _count(mine), _count(todo)
+    most = _FEW if executor is None else _UNDER_WAY
     with (
         bar(progress, total, total - left) as advance,
         threads(workers) if executor is None else nullcontext(executor) as pool,
-        closing(_made(pool, root.absolute(), todo, torn, _UNDER_WAY if executor else _FEW)) as made,
+        # Threads move the bar themselves, within a shard; processes cannot reach it.
+        closing(
+            _made(pool, root.absolute(), todo, torn, most, None if executor else advance)
+        ) as made,
     ):
         due = time.monotonic() + _MERGE_EVERY
         try:
@@ -141,7 +156,8 @@ def build(
                         f"{root}"
                     )
                 shards.append(entry)
-                advance(entry.stop - entry.start)
+                if executor is not None:
+                    advance(entry.stop - entry.start)
                 if (began := time.monotonic()) > due:
                     merge(root, replace(wanted, shards=tuple(shards)), wait=False)
                     due = time.monotonic() + max(_MERGE_EVERY, 20 * (time.monotonic() - began))
@@ -159,30 +175,71 @@ def headers(manifest: Manifest) -> Iterator[Header]:
         yield Header(**manifest.origin(), start=start, stop=stop)
 
 
-def make_shard(root: Path, header: Header, *, anew: bool = False) -> Entry:
+def make_shard(
+    root: Path, header: Header, *, anew: bool = False, advance: Advance | None = None
+) -> Entry:
     """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case;
-    return its entry.
+    return its entry. ``advance`` is called with numbers of maps as they are done.
     """
     if not anew and (found := load_shard(root, header)):
+        if advance:
+            advance(header.stop - header.start)
         return found
     if header.spec is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
-    labels = label(generate(header.spec, header.seed, range(header.start, header.stop)))
+    maps = generate(header.spec, header.seed, range(header.start, header.stop))
+    labels = _label_in_pieces(maps, advance)
     image, content = shard_image(labels, header)
     path = root / shard_name(header.start, header.stop)
     write_file(path, image)
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _make(root: Path, torn: frozenset[tuple[int, int]], header: Header) -> Entry:
-    return make_shard(root, header, anew=(header.start, header.stop) in torn)
+def _label_in_pieces(maps: Maps, advance: Advance | None) -> Labels:
+    """Return what `label` does, which sees one map at a time; ``advance`` hears of every piece."""
+    rows = maps.packed.shape[1]
+    count = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (rows * maps.columns))
+    names = [field.name for field in fields(maps)[2:]]  # after movement and columns come arrays
+    pieces: list[Labels] = []
+    for start in range(0, len(maps), count):
+        cut = {name: getattr(maps, name)[start : start + count] for name in names}
+        pieces.append(label(replace(maps, **cut)))
+        if advance:
+            advance(len(pieces[-1].maps))
+    bfs = _join([piece.bfs for piece in pieces])
+    astar = _join([piece.astar for piece in pieces])
+    return Labels(maps, bfs, astar)
+
+
+def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
+    """Return the labels of all pieces, one after another."""
+    lengths = np.concatenate([np.diff(piece.offsets) for piece in pieces])
+    return SearchLabels(
+        moves=np.concatenate([piece.moves for piece in pieces]),
+        offsets=np.concatenate(([0], np.cumsum(lengths))),
+        iterations=np.concatenate([piece.iterations for piece in pieces]),
+        costs=np.concatenate([piece.costs for piece in pieces]),
+    )
+
+
+def _make(
+    root: Path, torn: frozenset[tuple[int, int]], advance: Advance | None, header: Header
+) -> Entry:
+    anew = (header.start, header.stop) in torn
+    return make_shard(root, header, anew=anew, advance=advance)
 
 
 def _made(
-    pool: Executor, root: Path, todo: Sequence[Header], torn: frozenset[tuple[int, int]], most: int
+    pool: Executor,
+    root: Path,
+    todo: Sequence[Header],
+    torn: frozenset[tuple[int, int]],
+    most: int,
+    advance: Advance | None,
 ) -> Generator[Entry, None, None]:
     """Yield entries as shards are finished."""
-    make, left = partial(_make, root, torn), dict.fromkeys(todo)
+    make = partial(_make, root, torn, advance)
+    left = dict.fromkeys(todo)
     try:
         for header, entry in finished(pool, make, todo, most):
             del left[header]

@@ -350,7 +350,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("recipe: not JSON", ["--recipe", "{"]),
         ("--preset: not allowed with --recipe", ["--preset", "narrow", "--recipe", "paper"]),
         ("--part: got '4/4', expected K/N", ["--part", "4/4"]),
-        ("unknown flag --speed (mapdata build --help says more)", ["--speed"]),
+        ("unknown flag --xyz (mapdata build --help says more)", ["--xyz"]),
         ("unknown flag --map-sise", ["--map-sise", "3"]),
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
