@@ -8,7 +8,7 @@ from typing import Literal
 from mapdata.options import Option, options_of, summary_line
 
 
-def example(
+def example(  # noqa: D417  (one is undocumented)
     first: list[str],
     second: str = "two",
     *,

@@ -36,9 +36,7 @@ def executor_of(scheduler: str, workers: int | None = None) -> Iterator[Executor
         import dask
         from distributed import Client, KilledWorker, LocalCluster
     except ImportError:
-        raise ValueError(
-            "scheduler: Dask is not installed; 'pip install mapdata[dask]' brings it"
-        ) from None
+        raise ValueError("scheduler: Dask is not installed: pip install distributed") from None
     if scheduler == "local":
         # A worker that is killed is suspected of having died of its task; three suspicions would
         # end the build.
