@@ -243,7 +243,7 @@ def main(arguments: list[str] | None = None) -> None:
     verb, *given = (sys.argv[1:] if arguments is None else arguments) or [""]
     if verb == "--version":
         print(f"mapdata {__version__}")
-        sys.exit(0)
+        return
     if verb in ("", "-h", "--help"):
         print(overview())
         sys.exit(0 if verb else 2)

@@ -79,7 +79,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse an unknown flag by naming the nearest, before anything else is missed."""
-        given = sys.argv[1:] if args is None else list(args)
+        given = sys.argv[1:] if args is None else args
         for text in given:
             flag = text.partition("=")[0]
             if flag == "--":  # what follows are names, whatever they begin with

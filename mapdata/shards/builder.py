@@ -197,8 +197,8 @@ def make_shard(
 
 def _label_in_pieces(maps: Maps, advance: Advance | None) -> Labels:
     """Return what `label` does, which sees one map at a time; ``advance`` hears of every piece."""
-    rows = maps.packed.shape[1]
-    count = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (rows * maps.columns))
+    cells = maps.packed.shape[1] * maps.columns
+    count = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // cells)
     names = [field.name for field in fields(maps)[2:]]  # after movement and columns come arrays
     pieces: list[Labels] = []
     for start in range(0, len(maps), count):
