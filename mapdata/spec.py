@@ -125,7 +125,10 @@ def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
     names = [item.name for item in fields(of)]
     unknown = [str(name) for name in values if name not in names]
     if unknown:
-        raise ValueError(f"{what}: unknown {', '.join(unknown)}; known are {', '.join(names)}")
+        hint = did_you_mean(unknown[0], names)
+        raise ValueError(
+            f"{what}: unknown {', '.join(unknown)}; known are {', '.join(names)}{hint}"
+        )
     return dict(values)
 
 

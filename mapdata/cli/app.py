@@ -61,7 +61,7 @@ def build_command(
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
-    wanted = Recipe.load(recipe) if recipe else Recipe(Generator.preset(preset or "paper"))
+    wanted = Recipe(Generator.preset(preset or "paper")) if recipe is None else Recipe.load(recipe)
     if maps is None:
         maps = wanted.maps
     if seed is None:
@@ -118,12 +118,9 @@ def info_command(
         for place, manifest in zip(found.places, found.manifests, strict=True):
             print(manifest.recipe() if recipe else summary(place, manifest))
         return
-    if card is not True:
-        path = Path(card)
-    elif len(root) == 1:
-        path = folder_of(root[0]) / "README.md"
-    else:
+    if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
+    path = folder_of(root[0]) / "README.md" if card is True else Path(card)
     write_file(path, card_of(root).encode())
     print(f"wrote {path}")
 

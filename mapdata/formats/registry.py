@@ -173,8 +173,6 @@ def _checked(
     for key, value in options.items():
         if key not in has:
             raise ValueError(f"{key}: does nothing for format {name}")
-        if get_origin(has[key].kind) is Literal and value not in get_args(has[key].kind):
-            raise ValueError(
-                f"{key}: got {value!r}, expected {' or '.join(get_args(has[key].kind))}"
-            )
+        if get_origin(has[key].kind) is Literal:
+            check_choice(key, value, get_args(has[key].kind))
     return known[name]

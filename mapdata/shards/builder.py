@@ -35,7 +35,7 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import folder_of
 from mapdata.shards.shard import Header, Origin, Shard, ShardError, shard_image, write_file
-from mapdata.shards.workers import CORES, Advance, bar, finished, threads
+from mapdata.shards.workers import CORES, Advance, bar, finished, no_bar, threads
 from mapdata.spec import check_count, check_seed
 
 _MERGE_EVERY = 2.0
@@ -144,7 +144,7 @@ def build(
         threads(workers) if executor is None else nullcontext(executor) as pool,
         # Threads move the bar themselves, within a shard; processes cannot reach it.
         closing(
-            _made(pool, root.absolute(), todo, torn, most, None if executor else advance)
+            _made(pool, root.absolute(), todo, torn, most, no_bar if executor else advance)
         ) as made,
     ):
         due = time.monotonic() + _MERGE_EVERY
@@ -176,14 +176,13 @@ def headers(manifest: Manifest) -> Iterator[Header]:
 
 
 def make_shard(
-    root: Path, header: Header, *, anew: bool = False, advance: Advance | None = None
+    root: Path, header: Header, *, anew: bool = False, advance: Advance = no_bar
 ) -> Entry:
     """Make one shard, unless a sound one stands under its name already, or ``anew`` in any case;
     return its entry. ``advance`` is called with numbers of maps as they are done.
     """
     if not anew and (found := load_shard(root, header)):
-        if advance:
-            advance(header.stop - header.start)
+        advance(header.stop - header.start)
         return found
     if header.spec is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
@@ -195,7 +194,7 @@ def make_shard(
     return entry_of(Shard(path, header, content, {}), labels, image)
 
 
-def _label_in_pieces(maps: Maps, advance: Advance | None) -> Labels:
+def _label_in_pieces(maps: Maps, advance: Advance) -> Labels:
     """Return what `label` does, which sees one map at a time; ``advance`` hears of every piece."""
     cells = maps.packed.shape[1] * maps.columns
     count = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // cells)
@@ -204,11 +203,10 @@ def _label_in_pieces(maps: Maps, advance: Advance | None) -> Labels:
     for start in range(0, len(maps), count):
         cut = {name: getattr(maps, name)[start : start + count] for name in names}
         pieces.append(label(replace(maps, **cut)))
-        if advance:
-            advance(len(pieces[-1].maps))
-    bfs = _join([piece.bfs for piece in pieces])
-    astar = _join([piece.astar for piece in pieces])
-    return Labels(maps, bfs, astar)
+        advance(len(pieces[-1].maps))
+    return Labels(
+        maps, _join([piece.bfs for piece in pieces]), _join([piece.astar for piece in pieces])
+    )
 
 
 def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
@@ -222,9 +220,7 @@ def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
     )
 
 
-def _make(
-    root: Path, torn: frozenset[tuple[int, int]], advance: Advance | None, header: Header
-) -> Entry:
+def _make(root: Path, torn: frozenset[tuple[int, int]], advance: Advance, header: Header) -> Entry:
     anew = (header.start, header.stop) in torn
     return make_shard(root, header, anew=anew, advance=advance)
 
@@ -235,7 +231,7 @@ def _made(
     todo: Sequence[Header],
     torn: frozenset[tuple[int, int]],
     most: int,
-    advance: Advance | None,
+    advance: Advance,
 ) -> Generator[Entry, None, None]:
     """Yield entries as shards are finished."""
     make = partial(_make, root, torn, advance)

@@ -26,6 +26,10 @@ _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 
+def no_bar(count: int) -> None:
+    """Show nothing; other processes can be given it."""
+
+
 @contextmanager
 def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
     """Yield what advances a bar of how much is done, the rate and the time left, from any thread.
@@ -44,7 +48,7 @@ def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Itera
 
             yield advance
     else:
-        yield lambda _: None
+        yield no_bar
 
 
 @contextmanager
