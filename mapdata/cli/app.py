@@ -242,7 +242,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"mapdata {__version__}")
         return
     if verb in ("", "-h", "--help"):
-        print(overview())
+        run(show_verbs)
         sys.exit(0 if verb else 2)
     if verb not in VERBS:
         hint = did_you_mean(verb, VERBS)
@@ -258,10 +258,10 @@ def verb_parser(verb: str) -> Parser:
     return parser
 
 
-def overview() -> str:
-    """Return what ``mapdata`` and ``mapdata --help`` print: the verbs, a line each."""
+def show_verbs() -> None:
+    """Print what ``mapdata`` and ``mapdata --help`` show: the verbs, a line each."""
     verbs = "\n".join(f"  {name:12}{summary_line(verb)}" for name, verb in VERBS.items())
-    return (
+    print(
         "usage: mapdata VERB ...\n\n"
         "Grid maps with shortest paths, to train path planners on.\n\n"
         f"{verbs}\n\n"

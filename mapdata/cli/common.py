@@ -52,26 +52,25 @@ def run(command: Callable[..., None], **values: object) -> None:
     """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a
     user can put right.
     """
-    from mapdata.shards import ShardError
-    from mapdata.shards.workers import THREADS
-
     try:
         command(**values)
         print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
         sys.exit(141)  # as a shell says it
-    except (DisagreeError, ShardError) as error:
-        sys.exit(complain(error, 1))
     except KeyboardInterrupt:
+        from mapdata.shards.workers import THREADS
+
         code = complain("stopped; run the same command again to go on", 130)
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
             sys.stdout.flush()
             # A plain exit would wait for the shards under way, however long they take.
             os._exit(code)
         sys.exit(code)
-    except (ValueError, OSError) as error:
-        sys.exit(complain(error, 2))
+    except (DisagreeError, ValueError, OSError) as error:
+        from mapdata.shards import ShardError  # late: the list of verbs needs nothing of it
+
+        sys.exit(complain(error, 1 if isinstance(error, (DisagreeError, ShardError)) else 2))
 
 
 class Parser(argparse.ArgumentParser):

@@ -43,8 +43,8 @@ _MERGE_EVERY = 2.0
 no more each.
 """
 
-_CELLS_AT_ONCE = 2**21
-"""Cells that are labelled between two moves of the bar: 512 maps of 64 x 64. Pieces of 64 such maps
+_CELLS_AT_ONCE = 2**22
+"""Cells that are labelled between two moves of the bar: 1024 maps of 64 x 64. Pieces of 64 maps
 would cost 7 % more time.
 """
 

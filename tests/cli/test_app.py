@@ -634,12 +634,15 @@ def test_the_script_takes_a_root_and_the_flags(
 
 def test_a_reader_that_is_gone(dataset: Path) -> None:
     """``mapdata info ROOT | head -1``: no error is told, whether much or little was printed."""
-    command = [sys.executable, "-c", "from mapdata.cli import main; main()", "info", str(dataset)]
-    ours, theirs = os.pipe()
-    os.close(ours)
-    done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False)
-    os.close(theirs)
-    assert (done.returncode, done.stderr) == (141, "")
+    for arguments in (["info", str(dataset)], ["--help"]):
+        command = [sys.executable, "-c", "from mapdata.cli import main; main()", *arguments]
+        ours, theirs = os.pipe()
+        os.close(ours)
+        done = subprocess.run(
+            command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False
+        )
+        os.close(theirs)
+        assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_show_writes_the_name_it_says(run: Command, dataset: Path, tmp_path: Path) -> None:
