@@ -17,8 +17,6 @@ from typing import Literal
 from mapdata._version import __version__
 from mapdata.cli import convert
 from mapdata.cli.common import DisagreeError, Parser, complain, parser_of, run, run_parsed, summary
-from mapdata.options import summary_line
-from mapdata.spec import did_you_mean
 
 
 def build_command(
@@ -245,6 +243,8 @@ def main(arguments: list[str] | None = None) -> None:
         run(show_verbs)
         sys.exit(0 if verb else 2)
     if verb not in VERBS:
+        from mapdata.spec import did_you_mean
+
         hint = did_you_mean(verb, VERBS)
         sys.exit(complain(f"unknown verb {verb!r}{hint} (mapdata --help says more)", 2))
     run(VERBS[verb], **vars(verb_parser(verb).parse_args(given)))
@@ -260,7 +260,9 @@ def verb_parser(verb: str) -> Parser:
 
 def show_verbs() -> None:
     """Print what ``mapdata`` and ``mapdata --help`` show: the verbs, a line each."""
-    verbs = "\n".join(f"  {name:12}{summary_line(verb)}" for name, verb in VERBS.items())
+    verbs = "\n".join(
+        f"  {name:12}{(verb.__doc__ or '').splitlines()[0]}" for name, verb in VERBS.items()
+    )
     print(
         "usage: mapdata VERB ...\n\n"
         "Grid maps with shortest paths, to train path planners on.\n\n"

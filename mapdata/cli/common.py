@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import os
 import re
 import shlex
 import sys
 import threading
 from collections.abc import Callable
-from inspect import Parameter
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
 
-from mapdata.options import Option, options_of
-from mapdata.spec import did_you_mean
-
 if TYPE_CHECKING:
+    from mapdata.options import Option
     from mapdata.shards import Manifest
 
 
@@ -78,6 +74,8 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse an unknown flag by naming the nearest, before anything else is missed."""
+        from mapdata.spec import did_you_mean
+
         given = sys.argv[1:] if args is None else args
         for text in given:
             flag = text.partition("=")[0]
@@ -100,6 +98,10 @@ def parser_of(command: Callable[..., None], prog: str | None = None, **defaults:
     Parameters without a default are positional, keyword-only ones are flags. ``defaults`` are those
     of positional ones that may be left out.
     """
+    import inspect
+
+    from mapdata.options import options_of
+
     text = (inspect.getdoc(command) or "").partition("\nArgs:\n")[0]
     summary, _, examples = text.partition("\n\n")
     parser = Parser(
@@ -109,7 +111,7 @@ def parser_of(command: Callable[..., None], prog: str | None = None, **defaults:
         formatter_class=argparse.RawDescriptionHelpFormatter,  # the examples keep their lines
         allow_abbrev=False,
     )
-    for name, option in options_of(command, Parameter.POSITIONAL_OR_KEYWORD).items():
+    for name, option in options_of(command, inspect.Parameter.POSITIONAL_OR_KEYWORD).items():
         how: dict[str, Any] = {"metavar": name.upper(), "type": path_name, "help": option.help}
         many = get_origin(option.kind) is list
         if name in defaults:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from mapdata.cli.common import DisagreeError, add_flag, summary
-from mapdata.options import options_of, summary_line
-from mapdata.spec import Movement
+
+if TYPE_CHECKING:
+    from mapdata.spec import Movement
 
 _OF_IMPORTS = ("seed_points", "seed", "tile", "resolution", "shard_size")
 """Parameters of `import_maps` that are flags, whatever the format."""
@@ -47,6 +48,7 @@ def import_command(
     """
     from mapdata.formats import Limits, import_maps, read_any, recognise
     from mapdata.formats.registry import functions
+    from mapdata.options import options_of
 
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     if max_pixels < 1:
@@ -90,6 +92,8 @@ def _movement(
     connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None
 ) -> Movement | None:
     """Return the movement that the flags say, None if they say nothing."""
+    from mapdata.spec import Movement
+
     if connectivity is None:
         if corner_cutting or diagonal_cost is not None:
             raise ValueError("--corner-cutting and --diagonal-cost: say --connectivity 8 too")
@@ -153,6 +157,7 @@ def add_import_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``mapdata import`` that the formats and `import_maps` bring."""
     from mapdata.formats.importing import import_maps
     from mapdata.formats.registry import functions
+    from mapdata.options import options_of
 
     formats = functions("read")
     parser.add_argument("--format", choices=formats, help="default: recognised by the files")
@@ -177,6 +182,8 @@ def _add_format_options(
     """Add the options of what reads, or writes, each format, in a group under its name; not given,
     they are absent.
     """
+    from mapdata.options import options_of, summary_line
+
     for name, function in formats.items():
         options = {
             key: option for key, option in options_of(function).items() if key not in _OF_IMPORTS
