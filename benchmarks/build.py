@@ -19,7 +19,7 @@ from benchmarks.measure import Row, each, interleaved, median_ratio, seconds, to
 from mapdata import MapSpec, build, generate, label
 from mapdata.shards import write_file
 
-PACKAGES = ("mapdata", "numpy", "numba", "h5py")
+PACKAGES = ("mapdata-torch", "numpy", "numba", "h5py")
 SCRIPT = Path(__file__).parent.parent / "scripts" / "build_shards.py"
 SPEC = MapSpec.preset("paper")
 SHARD = 1000

@@ -19,7 +19,7 @@ from benchmarks.measure import Row, each, interleaved, median_ratio, to_text
 from benchmarks.paths import problems_of, table_1
 from mapdata import MapSpec, generate, label
 
-PACKAGES = ("mapdata", "numpy", "numba")
+PACKAGES = ("mapdata-torch", "numpy", "numba")
 SIZES, ROOMS = (64, 128, 256, 512), (9, 32)
 DIFFERENT = 1000
 """Maps of a batch that are all different."""

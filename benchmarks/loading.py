@@ -30,7 +30,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset, TensorDataset
 from benchmarks.measure import Peer, Row, interleaved, median_ratio, to_text
 from mapdata import MapDataModule, MapDataset, MapSpec, OnlineMapDataset, Sample, build
 
-PACKAGES = ("mapdata", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "pillow")
+PACKAGES = ("mapdata-torch", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "pillow")
 ARROW = Peer("HF datasets", "datasets", "datasets", 'load_from_disk(path).with_format("torch")[i]')
 TAR = Peer("webdataset", "webdataset", "webdataset", "WebDataset(path).decode().to_tuple(...)")
 PEERS = (

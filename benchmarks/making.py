@@ -15,7 +15,7 @@ from importlib import import_module
 from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
 from mapdata import Labels, MapSpec, generate, label
 
-PACKAGES = ("mapdata", "numpy", "numba")
+PACKAGES = ("mapdata-torch", "numpy", "numba")
 PEER = Peer(
     "maze-dataset",
     "maze-dataset",

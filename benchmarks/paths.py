@@ -26,7 +26,7 @@ Cell: TypeAlias = tuple[int, int]
 Path: TypeAlias = Sequence[Any] | npt.NDArray[Any]
 """Cells, or what a peer has for them, one for each; empty without a path."""
 
-PACKAGES = ("mapdata", "numpy", "numba")
+PACKAGES = ("mapdata-torch", "numpy", "numba")
 
 
 @dataclass(frozen=True)

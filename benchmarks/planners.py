@@ -10,7 +10,7 @@ from benchmarks.measure import machine, versions
 
 ROOT = Path(__file__).parent.parent
 SCRIPT = "scripts/evaluate_planners.py"
-PACKAGES = ("mapdata", "numpy", "numba", "torch")
+PACKAGES = ("mapdata-torch", "numpy", "numba", "torch")
 
 
 def table(quick: bool, parent: str | None = None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields
 from operator import index
 from typing import Any, SupportsIndex, TypeGuard
@@ -99,10 +99,23 @@ def check_count(name: str, value: object, lowest: int = 1) -> int:
     return count
 
 
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Refuse a value that is not one of ``choices``."""
+def check_choice(name: str, value: object, choices: Collection[str]) -> None:
+    """Refuse a value that is not one of ``choices``; the message names the nearest of them."""
     if value not in choices:
-        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}")
+        hint = did_you_mean(value, choices)
+        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}{hint}")
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the end of an error message: the known name that is most like ``name``, if any is.
+
+    >>> did_you_mean("dungoen", ["paper", "dungeon"])
+    '; did you mean dungeon?'
+    """
+    import difflib  # only errors need it
+
+    near = difflib.get_close_matches(str(name), known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
@@ -112,7 +125,10 @@ def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
     names = [item.name for item in fields(of)]
     unknown = [str(name) for name in values if name not in names]
     if unknown:
-        raise ValueError(f"{what}: unknown {', '.join(unknown)}; known are {', '.join(names)}")
+        hint = did_you_mean(unknown[0], names)
+        raise ValueError(
+            f"{what}: unknown {', '.join(unknown)}; known are {', '.join(names)}{hint}"
+        )
     return dict(values)
 
 

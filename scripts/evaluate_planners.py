@@ -7,17 +7,11 @@ unless --weights names others.
 
 import math
 from pathlib import Path
+from typing import Literal
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import (
-    Parser,
-    add_problem_arguments,
-    check_outputs,
-    given_problems,
-    run,
-    write_table,
-)
+from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
@@ -28,20 +22,38 @@ WEIGHTS = MODELS / "weights" / "path_predictor.pt"
 
 def evaluate_command(
     root: list[str],
-    preset: str | None,
-    seed: int | None,
-    maps: int | None,
-    until_hard: int | None,
-    connectivity: int,
-    corner_cutting: bool,
-    diagonal_cost: float,
-    csv: str | None,
-    json: str | None,
-    figure: str | None,
-    weights: str | None,
+    *,
+    preset: str | None = None,
+    seed: int | None = None,
+    maps: int | None = None,
+    until_hard: int | None = None,
+    connectivity: Literal[4, 8] = 8,
+    corner_cutting: bool = False,
+    diagonal_cost: float = math.sqrt(2),
+    csv: str | None = None,
+    json: str | None = None,
+    figure: str | None = None,
+    weights: str | None = None,
 ) -> None:
-    """Compare planners on one problem a map: maps made on the spot, or the test split of a
-    dataset.
+    """Compare planners on one problem a map: of new maps, or of the test split of a dataset.
+
+    Examples:
+      python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77
+      python scripts/evaluate_planners.py data/maps --csv planners.csv
+
+    Args:
+        root: datasets, in place of --preset and --seed
+        preset: paper, narrow, dungeon, dungeon128 or maze (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77)
+        maps: how many maps (default: 600; of a dataset, all)
+        until_hard: stop at the map with this many hard problems
+        connectivity: moves
+        corner_cutting: diagonal moves beside occupied cells too
+        diagonal_cost: of diagonal moves: 1 or sqrt 2
+        csv: write the table to a file
+        json: write the table as a list of rows
+        figure: draw cost ratio against expansions on the hard problems
+        weights: of the path predictor (default: those that ship)
     """
     check_outputs(csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
@@ -81,31 +93,7 @@ def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlann
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    parser = Parser(description=evaluate_command.__doc__)
-    add_problem_arguments(parser, maps=600)
-    parser.add_argument(
-        "--until-hard", metavar="K", type=int, help="stop at the map with the K-th hard problem"
-    )
-    parser.add_argument(
-        "--connectivity", type=int, choices=(4, 8), default=8, help="moves (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--corner-cutting", action="store_true", help="diagonal moves beside occupied cells too"
-    )
-    parser.add_argument(
-        "--diagonal-cost",
-        metavar="D",
-        type=float,
-        default=math.sqrt(2),
-        help="of diagonal moves: 1 or sqrt 2 (default)",
-    )
-    parser.add_argument(
-        "--figure", metavar="FILE", help="draw cost ratio against expansions on the hard problems"
-    )
-    parser.add_argument(
-        "--weights", metavar="FILE", help="of the path predictor (default: those that ship)"
-    )
-    run(evaluate_command, **vars(parser.parse_args(arguments)))
+    run_parsed(evaluate_command, arguments, root=[])
 
 
 if __name__ == "__main__":

@@ -9,14 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import (
-    Parser,
-    add_problem_arguments,
-    check_outputs,
-    given_problems,
-    run,
-    write_table,
-)
+from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from models.common import load_model
 from models.cvae import CVAE, LocalCVAE
 from models.lego_sampler import Heatmap, Sampler
@@ -28,18 +21,34 @@ PICTURED = ("halton", "bridge", "lego_cvae", "lego_heatmap")
 
 def evaluate_command(
     root: list[str],
-    preset: str | None,
-    seed: int | None,
-    maps: int | None,
-    sizes: list[int],
-    csv: str | None,
-    json: str | None,
-    figure: str | None,
-    pictures: str | None,
-    weights: str | None,
+    *,
+    preset: str | None = None,
+    seed: int | None = None,
+    maps: int | None = None,
+    sizes: list[int] | None = None,
+    csv: str | None = None,
+    json: str | None = None,
+    figure: str | None = None,
+    pictures: str | None = None,
+    weights: str | None = None,
 ) -> None:
-    """Compare samplers of roadmaps on one problem a map: maps made on the spot, or the test split
-    of a dataset.
+    """Compare samplers of roadmaps on one problem a map: of new maps, or of a dataset's test split.
+
+    Examples:
+      python scripts/evaluate_sampler.py --preset dungeon --maps 1000 --seed 77
+      python scripts/evaluate_sampler.py data/maps --sizes 24 50
+
+    Args:
+        root: datasets, in place of --preset and --seed
+        preset: paper, narrow, dungeon, dungeon128 or maze (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77)
+        maps: how many maps (default: 1000; of a dataset, all)
+        sizes: numbers of vertices (default: 24 50 100)
+        csv: write the table to a file
+        json: write the table as a list of rows
+        figure: draw success against the number of vertices
+        pictures: draw roadmaps of 50 vertices with their samples
+        weights: folder of the trained samplers (default: those that ship)
     """
     check_outputs(csv, json, figure, pictures)
     if weights is not None and not Path(weights).is_dir():
@@ -47,7 +56,7 @@ def evaluate_command(
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
     maps = 1000 if not root and maps is None else maps
     problems = given_problems(root, preset, seed, maps)
-    table = compare(rows, problems, sorted(set(sizes)))
+    table = compare(rows, problems, sorted(set(sizes or SIZES)))
     print(
         f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "
         f"{problems.movement}\n"
@@ -73,26 +82,7 @@ def learned_samplers(folder: Path) -> dict[str, Sampler]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    parser = Parser(description=evaluate_command.__doc__)
-    add_problem_arguments(parser, maps=1000)
-    parser.add_argument(
-        "--sizes",
-        metavar="N",
-        type=int,
-        nargs="+",
-        default=list(SIZES),
-        help="vertices (default: 24 50 100)",
-    )
-    parser.add_argument(
-        "--figure", metavar="FILE", help="draw success against the number of vertices"
-    )
-    parser.add_argument(
-        "--pictures", metavar="FILE", help="draw roadmaps of 50 vertices with their samples"
-    )
-    parser.add_argument(
-        "--weights", metavar="FOLDER", help="of the trained samplers (default: those that ship)"
-    )
-    run(evaluate_command, **vars(parser.parse_args(arguments)))
+    run_parsed(evaluate_command, arguments, root=[])
 
 
 if __name__ == "__main__":

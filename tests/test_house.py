@@ -18,7 +18,7 @@ from helpers.pages import DOCS, ROOT, blocks
 
 import mapdata
 
-GROUND = ("_version", "arrays", "jit", "rng", "spec")
+GROUND = ("_version", "arrays", "jit", "options", "rng", "spec")
 FOLDERS = (
     "generators",
     "search",
@@ -36,6 +36,7 @@ NOT_FROM = {"evaluation": {"datasets"}}
 """Two that stand beside each other."""
 
 TESTED_IN = {
+    "mapdata/__main__.py": ("cli/test_app.py",),
     "mapdata/cli/common.py": ("cli/test_app.py",),
     "mapdata/cli/convert.py": ("cli/test_app.py", "formats/test_registry.py"),
     "mapdata/cli/problems.py": ("evaluation/test_metrics.py",),

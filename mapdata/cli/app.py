@@ -6,35 +6,60 @@ What a verb needs is imported when it runs, so that ``mapdata --help`` answers a
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 import time
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Literal
 
 from mapdata._version import __version__
 from mapdata.cli import convert
-from mapdata.cli.common import DisagreeError, Parser, path_name, run, summary
+from mapdata.cli.common import DisagreeError, Parser, complain, parser_of, run, run_parsed, summary
 
 
 def build_command(
     root: str,
-    maps: int | None,
-    seed: int | None,
-    preset: str,
-    recipe: str | None,
-    shard_size: int,
-    workers: int | None,
-    scheduler: str | None,
-    part: tuple[int, int],
+    *,
+    maps: int | None = None,
+    seed: int | None = None,
+    preset: str | None = None,
+    recipe: str | None = None,
+    shard_size: int = 1000,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    part: str = "0/1",
 ) -> None:
-    """Make maps with all labels as shards; run again to go on, ask for more maps to extend."""
+    """Make maps with all labels as shards; run again to go on, ask for more maps to extend.
+
+    Examples:
+      mapdata build data/maps
+      mapdata build data/dungeon --preset dungeon --maps 500 --seed 7
+      mapdata build data/again --recipe recipe.json
+
+    Args:
+        root: folder of the dataset
+        maps: how many maps (default: 10000, or the recipe's)
+        seed: 64-bit seed (default: 0, or the recipe's)
+        preset: paper, narrow, dungeon, dungeon128 or maze (default: paper)
+        recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
+        shard_size: maps a shard
+        workers: threads (default: all cores)
+        scheduler: build with Dask: tcp://HOST:PORT of a scheduler, or local for processes of this
+            machine
+        part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
+    """
     from mapdata.generators import Generator
     from mapdata.shards import Recipe, build
     from mapdata.shards.cluster import executor_of
 
-    wanted = Recipe(Generator.preset(preset)) if recipe is None else Recipe.load(recipe)
+    if preset is not None and recipe is not None:
+        raise ValueError("--preset: not allowed with --recipe, which says the spec")
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
+    if match is None or int(match[1]) >= int(match[2]):
+        raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
+    wanted = Recipe(Generator.preset(preset or "paper")) if recipe is None else Recipe.load(recipe)
     if maps is None:
         maps = wanted.maps
     if seed is None:
@@ -49,7 +74,7 @@ def build_command(
             shard_size=shard_size,
             workers=workers if executor is None else None,
             executor=executor,
-            part=part,
+            part=(int(match[1]), int(match[2])),
             progress=True,
         )
     print(summary(root, manifest, time.perf_counter() - began))
@@ -65,26 +90,50 @@ def build_command(
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
 
-def info_command(root: list[str], recipe: bool, card: str | None) -> None:
-    """Say what a dataset is, or write its card."""
+def info_command(
+    root: list[str], *, recipe: bool = False, card: Literal[True] | str | None = None
+) -> None:
+    """Say what a dataset is, or write its card.
+
+    Examples:
+      mapdata info data/maps
+      mapdata info data/maps --recipe > recipe.json
+      mapdata info data/maps --card
+
+    Args:
+        root: folder or URL of the dataset; several are one after another
+        recipe: print the few lines of JSON that are the dataset
+        card: write the dataset card (default: README.md in ROOT)
+    """
     from mapdata.shards import Root, write_file
     from mapdata.shards import card as card_of
     from mapdata.shards.root import folder_of
 
+    if recipe and card is not None:
+        raise ValueError("--recipe: not allowed with --card")
     found = Root.open(root)
     if card is None:
         for place, manifest in zip(found.places, found.manifests, strict=True):
             print(manifest.recipe() if recipe else summary(place, manifest))
         return
-    if not card and len(root) > 1:
+    if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    path = Path(card) if card else folder_of(root[0]) / "README.md"
+    path = folder_of(root[0]) / "README.md" if card is True else Path(card)
     write_file(path, card_of(root).encode())
     print(f"wrote {path}")
 
 
-def verify_command(root: list[str], repair: bool) -> None:
-    """Check every file of a dataset; exit code 1 if one is damaged."""
+def verify_command(root: list[str], *, repair: bool = False) -> None:
+    """Check every file of a dataset; exit code 1 if one is damaged.
+
+    Examples:
+      mapdata verify data/maps
+      mapdata verify data/maps --repair
+
+    Args:
+        root: folder or URL of the dataset; several are one after another
+        repair: make damaged and missing shards again from the recipe
+    """
     from mapdata.shards.corruption import inspect, repair_found
     from mapdata.shards.root import folder_of, places
 
@@ -113,9 +162,26 @@ def verify_command(root: list[str], repair: bool) -> None:
 
 
 def show_command(
-    root: list[str], index: int | None, output: str, paper_colours: bool, figure: str
+    root: list[str],
+    *,
+    index: int | None = None,
+    output: str = "map.png",
+    paper_colours: bool = False,
+    figure: Literal["map", "gallery", "path", "matrix", "distributions"] = "map",
 ) -> None:
-    """Draw one map with both paths and its numbered seeds, or another figure."""
+    """Draw one map with both paths and its numbered seed points, or another figure.
+
+    Examples:
+      mapdata show data/maps --index 7 -o map7.png
+      mapdata show data/maps --figure gallery -o gallery.png
+
+    Args:
+        root: folder or URL of the dataset; several are one after another
+        index: number of the map (default: 0)
+        output: picture
+        paper_colours: free black and occupied white
+        figure: what to draw
+    """
     from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
 
     if index is not None and figure not in OF_ONE_MAP:
@@ -132,9 +198,16 @@ def show_command(
     print(f"wrote {output}")
 
 
-def report_command(root: list[str], output: str, maps: int) -> None:
-    """Write one page to look at a dataset in a browser: maps with filters, distributions, the
-    card.
+def report_command(root: list[str], *, output: str = "report.html", maps: int = 500) -> None:
+    """Write a page to browse a dataset: maps with filters, distributions, the card.
+
+    Examples:
+      mapdata report data/maps -o report.html
+
+    Args:
+        root: folder or URL of the dataset; several are one after another
+        output: page
+        maps: how many maps to browse
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_file
@@ -144,155 +217,60 @@ def report_command(root: list[str], output: str, maps: int) -> None:
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 
+VERBS: dict[str, Callable[..., None]] = {
+    "build": build_command,
+    "info": info_command,
+    "verify": verify_command,
+    "show": show_command,
+    "report": report_command,
+    "import": convert.import_command,
+    "export": convert.export_command,
+    "check-scen": convert.check_scen_command,
+}
+"""Signature and docstring of each are its flags and its help."""
+
+MORE_FLAGS = {"import": convert.add_import_flags, "export": convert.add_export_flags}
+"""What adds those that the formats bring."""
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    given = sys.argv[1:] if arguments is None else arguments
-    parser = Parser(
-        prog="mapdata", description="Grid maps with shortest paths, to train path planners on."
+    verb, *given = (sys.argv[1:] if arguments is None else arguments) or [""]
+    if verb == "--version":
+        print(f"mapdata {__version__}")
+        return
+    if verb in ("", "-h", "--help"):
+        run(show_verbs)
+        sys.exit(0 if verb else 2)
+    if verb not in VERBS:
+        from mapdata.spec import did_you_mean
+
+        hint = did_you_mean(verb, VERBS)
+        sys.exit(complain(f"unknown verb {verb!r}{hint} (mapdata --help says more)", 2))
+    run(VERBS[verb], **vars(verb_parser(verb).parse_args(given)))
+
+
+def verb_parser(verb: str) -> Parser:
+    """Return the parser of a verb's arguments."""
+    parser = parser_of(VERBS[verb], f"mapdata {verb}")
+    if verb in MORE_FLAGS:
+        MORE_FLAGS[verb](parser)
+    return parser
+
+
+def show_verbs() -> None:
+    """Print what ``mapdata`` and ``mapdata --help`` show: the verbs, a line each."""
+    verbs = "\n".join(
+        f"  {name:12}{(verb.__doc__ or '').splitlines()[0]}" for name, verb in VERBS.items()
     )
-    parser.add_argument("--version", action="version", version=f"mapdata {__version__}")
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
-    for name, command, add_arguments in (
-        ("build", build_command, _add_build_arguments),
-        ("info", info_command, _add_info_arguments),
-        ("verify", verify_command, _add_verify_arguments),
-        ("show", show_command, _add_show_arguments),
-        ("report", report_command, _add_report_arguments),
-        ("import", convert.import_command, convert.add_import_arguments),
-        ("export", convert.export_command, convert.add_export_arguments),
-        ("check-scen", convert.check_scen_command, convert.add_check_arguments),
-    ):
-        verb = verbs.add_parser(
-            name, help=(command.__doc__ or "").split("\n")[0], description=command.__doc__
-        )
-        verb.set_defaults(command=command)
-        if given[:1] == [name]:  # the flags of the others would only take time
-            add_arguments(verb)
-    values = vars(parser.parse_args(given))
-    run(values.pop("command"), **values)
+    print(
+        "usage: mapdata VERB ...\n\n"
+        "Grid maps with shortest paths, to train path planners on.\n\n"
+        f"{verbs}\n\n"
+        "'mapdata VERB --help' shows its flags and examples, 'mapdata --version' the version."
+    )
 
 
 def build_main(arguments: list[str] | None = None) -> None:
     """Run ``mapdata build`` with a default root: what ``scripts/build_shards.py`` is."""
-    parser = Parser(description=build_command.__doc__)
-    parser.add_argument(
-        "root", metavar="ROOT", nargs="?", default="data/maps", help="folder (default: %(default)s)"
-    )
-    _add_build_flags(parser)
-    run(build_command, **vars(parser.parse_args(arguments)))
-
-
-def _add_roots(parser: argparse.ArgumentParser) -> None:
-    what = "folder or URL of the dataset; several are one after another"
-    parser.add_argument("root", metavar="ROOT", type=path_name, nargs="+", help=what)
-
-
-def _add_build_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("root", metavar="ROOT", type=path_name, help="folder of the dataset")
-    _add_build_flags(parser)
-
-
-def _add_build_flags(parser: argparse.ArgumentParser) -> None:
-    from mapdata.generators import PRESETS
-
-    parser.add_argument(
-        "--maps", metavar="N", type=int, help="how many maps (default 10000, or the recipe's)"
-    )
-    parser.add_argument(
-        "--seed", metavar="S", type=int, help="64-bit seed (default 0, or the recipe's)"
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--preset",
-        metavar="NAME",
-        default="paper",
-        help=f"{', '.join(PRESETS)} (default: %(default)s)",
-    )
-    source.add_argument(
-        "--recipe",
-        metavar="FILE",
-        help="what 'mapdata info ROOT --recipe' prints, or a spec of your own",
-    )
-    parser.add_argument(
-        "--shard-size",
-        metavar="K",
-        type=int,
-        default=1000,
-        help="maps a shard (default: %(default)s)",
-    )
-    parser.add_argument("--workers", metavar="W", type=int, help="threads (default: all cores)")
-    parser.add_argument(
-        "--scheduler",
-        metavar="WHERE",
-        help="build with Dask: tcp://HOST:PORT of a scheduler, or local processes",
-    )
-    parser.add_argument(
-        "--part",
-        metavar="K/N",
-        type=_part,
-        default=(0, 1),
-        help=(
-            "make only part K of N, K from 0 to N - 1: for array jobs on a shared folder "
-            "(default: 0/1, all)"
-        ),
-    )
-
-
-def _part(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if match is None or int(match[1]) >= int(match[2]):
-        raise argparse.ArgumentTypeError(
-            f"got {text!r}, expected K/N with K from 0 to N - 1, as in 0/4"
-        )
-    return int(match[1]), int(match[2])
-
-
-def _add_verify_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_roots(parser)
-    parser.add_argument(
-        "--repair",
-        action="store_true",
-        help="make damaged and missing shards again from the recipe",
-    )
-
-
-def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_roots(parser)
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument(
-        "--recipe", action="store_true", help="print the few lines of JSON that are the dataset"
-    )
-    what.add_argument(
-        "--card",
-        metavar="FILE",
-        nargs="?",
-        const="",
-        help="write the dataset card (default: README.md in ROOT)",
-    )
-
-
-def _add_show_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_roots(parser)
-    parser.add_argument("--index", metavar="I", type=int, help="number of the map (default: 0)")
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", default="map.png", help="picture (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--paper-colours", action="store_true", help="free black and occupied white"
-    )
-    parser.add_argument(
-        "--figure",
-        choices=("map", "gallery", "path", "matrix", "distributions"),
-        default="map",
-        help="what to draw (default: %(default)s)",
-    )
-
-
-def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
-    _add_roots(parser)
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", default="report.html", help="page (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--maps", metavar="N", type=int, default=500, help="maps to browse (default: %(default)s)"
-    )
+    run_parsed(build_command, arguments, root="data/maps")

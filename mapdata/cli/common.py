@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import sys
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
 
 if TYPE_CHECKING:
+    from mapdata.options import Option
     from mapdata.shards import Manifest
 
 
@@ -46,35 +48,105 @@ def run(command: Callable[..., None], **values: object) -> None:
     """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a
     user can put right.
     """
-    from mapdata.shards import ShardError
-    from mapdata.shards.workers import THREADS
-
     try:
         command(**values)
         print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
         sys.exit(141)  # as a shell says it
-    except (DisagreeError, ShardError) as error:
-        sys.exit(_complain(error, 1))
     except KeyboardInterrupt:
-        code = _complain("stopped; run the same command again to go on", 130)
+        from mapdata.shards.workers import THREADS
+
+        code = complain("stopped; run the same command again to go on", 130)
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
             sys.stdout.flush()
-            os._exit(
-                code
-            )  # a plain exit would wait for the shards under way, however long they take
+            # A plain exit would wait for the shards under way, however long they take.
+            os._exit(code)
         sys.exit(code)
-    except (ValueError, OSError) as error:
-        sys.exit(_complain(error, 2))
+    except (DisagreeError, ValueError, OSError) as error:
+        from mapdata.shards import ShardError  # late: the list of verbs needs nothing of it
+
+        sys.exit(complain(error, 1 if isinstance(error, (DisagreeError, ShardError)) else 2))
 
 
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse an unknown flag by naming the nearest, before anything else is missed."""
+        from mapdata.spec import did_you_mean
+
+        given = sys.argv[1:] if args is None else args
+        for text in given:
+            flag = text.partition("=")[0]
+            if flag == "--":  # what follows are names, whatever they begin with
+                break
+            if flag.startswith("--") and flag not in self._option_string_actions:
+                hint = did_you_mean(flag, self._option_string_actions)
+                self.error(f"unknown flag {flag}{hint}")
+        return super().parse_known_args(given, namespace)
+
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
-        sys.exit(_complain(f"{message} ({self.prog} --help says more)", 2))
+        sys.exit(complain(f"{message} ({self.prog} --help says more)", 2))
+
+
+def parser_of(command: Callable[..., None], prog: str | None = None, **defaults: object) -> Parser:
+    """Return the parser of a function: its signature becomes arguments and flags, its docstring
+    their help.
+
+    Parameters without a default are positional, keyword-only ones are flags. ``defaults`` are those
+    of positional ones that may be left out.
+    """
+    import inspect
+
+    from mapdata.options import options_of
+
+    text = (inspect.getdoc(command) or "").partition("\nArgs:\n")[0]
+    summary, _, examples = text.partition("\n\n")
+    parser = Parser(
+        prog=prog,
+        description=summary,
+        epilog=examples.strip(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,  # the examples keep their lines
+        allow_abbrev=False,
+    )
+    for name, option in options_of(command, inspect.Parameter.POSITIONAL_OR_KEYWORD).items():
+        how: dict[str, Any] = {"metavar": name.upper(), "type": path_name, "help": option.help}
+        many = get_origin(option.kind) is list
+        if name in defaults:
+            how |= {"nargs": "*" if many else "?", "default": defaults[name]}
+        elif many:
+            how["nargs"] = "+"
+        parser.add_argument(name, **how)
+    for name, option in options_of(command).items():
+        add_flag(parser, name, option, option.default)
+    return parser
+
+
+def add_flag(
+    parser: argparse._ActionsContainer, name: str, option: Option, default: object
+) -> None:
+    """Add the flag of a keyword-only parameter."""
+    flags = ["-o"] if name == "output" else []
+    flags.append(f"--{name.replace('_', '-')}")
+    metavar = {int: "N", float: "X"}.get(option.kind, name.rpartition(".")[2].upper())
+    how: dict[str, Any] = {"type": option.kind, "metavar": metavar}
+    if option.kind is bool:
+        how = {"action": "store_true"}
+    elif option.kind == Literal[True]:  # Literal[True] | str: its value may be left out
+        how = {"nargs": "?", "const": True, "metavar": metavar}
+    elif get_origin(option.kind) is list:
+        how = {"nargs": "+", "type": get_args(option.kind)[0], "metavar": "N"}
+    elif get_origin(option.kind) is Literal:
+        choices = get_args(option.kind)
+        how = {"type": type(choices[0]), "choices": choices}
+    elif get_origin(option.kind) is tuple:
+        how = {"type": _size, "metavar": "HxW"}
+    text = option.help.removesuffix(".").replace("%", "%%")
+    if option.default is not None and option.default is not False:
+        text += f" (default: {option.default})"
+    parser.add_argument(*flags, dest=name, default=default, help=text, **how)
 
 
 def path_name(text: str) -> str:
@@ -86,6 +158,21 @@ def path_name(text: str) -> str:
     return text
 
 
-def _complain(error: object, code: int) -> int:
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected ROWSxCOLUMNS as in 64x64")
+    return int(match[1]), int(match[2])
+
+
+def run_parsed(
+    command: Callable[..., None], arguments: list[str] | None = None, **defaults: object
+) -> None:
+    """Be the command line of a script: `run` a function with the arguments that it was given."""
+    run(command, **vars(parser_of(command, None, **defaults).parse_args(arguments)))
+
+
+def complain(error: object, code: int) -> int:
+    """Print an error as one line; return the exit code."""
     print(f"mapdata: {' '.join(str(error).split())}", file=sys.stderr)
     return code

@@ -4,7 +4,6 @@ goes.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,26 +11,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mapdata.problems import Problems
-
-
-def add_problem_arguments(parser: argparse.ArgumentParser, maps: int) -> None:
-    """Add ROOT, --preset, --seed and --maps, of which there are ``maps`` by default; --csv and
-    --json.
-    """
-    from mapdata.generators import PRESETS
-
-    parser.add_argument(
-        "root", metavar="ROOT", nargs="*", help="datasets, in place of --preset and --seed"
-    )
-    parser.add_argument("--preset", metavar="NAME", help=f"{', '.join(PRESETS)} (default dungeon)")
-    parser.add_argument(
-        "--seed", metavar="S", type=int, help="64-bit seed of maps and problems (default 77)"
-    )
-    parser.add_argument(
-        "--maps", metavar="N", type=int, help=f"how many maps (default {maps}; of a dataset, all)"
-    )
-    parser.add_argument("--csv", metavar="FILE", help="write the table")
-    parser.add_argument("--json", metavar="FILE", help="write the table as a list of rows")
 
 
 def given_problems(

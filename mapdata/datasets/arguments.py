@@ -10,7 +10,7 @@ from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.sample import Sample
 from mapdata.problems.sources import Source, plain_text
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_choice, check_seed
+from mapdata.spec import Movement, check_choice, check_seed, did_you_mean
 
 FieldFunction = Callable[[Sample], Any]
 
@@ -72,8 +72,10 @@ class Serving:
             )
         for field in self.fields:
             if isinstance(field, str) and field not in FIELDS:
+                hint = did_you_mean(field, FIELDS)
                 raise ValueError(
-                    f"fields: got {field!r}, expected a function or one of {', '.join(FIELDS)}"
+                    f"fields: got {field!r}, expected a function or one of "
+                    f"{', '.join(FIELDS)}{hint}"
                 )
             if not isinstance(field, str) and not callable(field):
                 raise ValueError(f"fields: got {field!r}, expected a name or a function")

@@ -1,7 +1,7 @@
 """Hugging Face ``datasets``: a folder of Parquet files and a dataset card, out only.
 
 ``datasets.load_dataset(folder)`` opens it, and ``huggingface-cli upload`` puts it on the Hub as it
-is. Needs pyarrow: ``pip install mapdata[hub]``. Source:
+is. Needs pyarrow: ``pip install pyarrow``. Source:
 https://huggingface.co/docs/datasets/repository_structure.
 """
 
@@ -46,7 +46,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
-        raise ValueError("format huggingface needs pyarrow: pip install 'mapdata[hub]'") from None
+        raise ValueError("format huggingface needs pyarrow: pip install pyarrow") from None
     (target / "data").mkdir(parents=True)
     schema = _schema()
     shards = len(root.shards)

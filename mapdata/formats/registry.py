@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
 import os
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType
-from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, empty_target, walk
+from mapdata.options import options_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
+from mapdata.spec import check_choice
 
 
 @dataclass(frozen=True)
@@ -44,20 +43,6 @@ class Format:
     target_ending: str = ""
 
 
-class Option(NamedTuple):
-    """A keyword-only parameter of a reader or writer.
-
-    Attributes:
-        kind: its type; of a union, the first.
-        default: its default.
-        help: what the docstring says of it.
-    """
-
-    kind: Any
-    default: object
-    help: str
-
-
 FORMATS: dict[str, Format] = {}
 """All formats by name. Where several know a file as theirs, the last one has it."""
 
@@ -76,23 +61,6 @@ def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
     """Return what reads, or what writes, by the name of the format."""
     found = {name: getattr(one, what) for name, one in FORMATS.items()}
     return {name: function for name, function in found.items() if function is not None}
-
-
-def options_of(function: Callable[..., object]) -> dict[str, Option]:
-    """Return the keyword-only parameters of a function by name, with the help of its docstring."""
-    _, _, after = (inspect.getdoc(function) or "").partition("\nArgs:\n")
-    arguments, _, _ = after.partition("\n\n")
-    # a name and a text, whose further lines are indented once more
-    texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", arguments, re.MULTILINE))
-    hints = get_type_hints(function)
-    options = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if parameter.kind is parameter.KEYWORD_ONLY:
-            kind = hints[name]
-            if NoneType in get_args(kind):
-                kind = get_args(kind)[0]
-            options[name] = Option(kind, parameter.default, " ".join(texts.get(name, "").split()))
-    return options
 
 
 def recognise(source: StrPath) -> str:
@@ -205,14 +173,12 @@ def _checked(
         ValueError: no such format, or an option or value that it does not have.
     """
     known = functions(what)
-    if name not in known:
-        raise ValueError(f"format: got {name!r}, expected one of {', '.join(known)}")
+    check_choice("format", name, known)
     accepted = options_of(known[name])
     for key, value in options.items():
         if key not in accepted:
             raise ValueError(f"{key}: does nothing for format {name}")
         kind = accepted[key].kind
-        choices = get_args(kind)
-        if get_origin(kind) is Literal and value not in choices:
-            raise ValueError(f"{key}: got {value!r}, expected {' or '.join(choices)}")
+        if get_origin(kind) is Literal:
+            check_choice(key, value, get_args(kind))
     return known[name]

@@ -19,6 +19,7 @@ from mapdata.spec import (
     Movement,
     Range,
     canonical_json,
+    check_choice,
     check_fractions,
     check_integers,
     check_number,
@@ -109,8 +110,7 @@ class Generator(ABC):
             ValueError: no such preset.
         """
         known = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
-        if name not in known:
-            raise ValueError(f"preset: got {name!r}, expected one of {', '.join(known)}")
+        check_choice("preset", name, known)
         return known[name]
 
     @classmethod
@@ -126,8 +126,7 @@ class Generator(ABC):
             return cls.preset(values)
         given = dict(values) if isinstance(values, dict) else {}
         name = given.pop("generator", _FIRST)
-        if not isinstance(name, str) or name not in GENERATORS:
-            raise ValueError(f"generator: got {name!r}, expected one of {', '.join(GENERATORS)}")
+        check_choice("generator", name, tuple(GENERATORS))  # JSON may hold what has no hash
         kind = GENERATORS[name]
         if not issubclass(kind, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")

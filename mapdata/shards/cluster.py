@@ -35,9 +35,7 @@ def executor_of(scheduler: str, workers: int | None = None) -> Iterator[Executor
         import dask
         from distributed import Client, KilledWorker, LocalCluster
     except ImportError:
-        raise ValueError(
-            "scheduler: Dask is not installed; 'pip install mapdata[dask]' brings it"
-        ) from None
+        raise ValueError("scheduler: Dask is not installed: pip install distributed") from None
     if scheduler == "local":
         # Dask suspects the task of a worker that is killed, and gives up after a few suspicions:
         # here workers are killed for other reasons, such as the end of a batch job.

@@ -70,15 +70,12 @@ class DatasetNotFoundError(FileNotFoundError):
         self.root = root
         self.why = why
         how = (
-            f"Make one with 'python scripts/build_shards.py {root}', with "
+            f"Make one with 'mapdata build {root}', with "
             f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
             "build='paper')"
         )
         if "://" in str(root):
-            how = (
-                "Make one in a folder with 'python scripts/build_shards.py FOLDER', "
-                "and serve that folder"
-            )
+            how = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
         super().__init__(f"no dataset at {root}: {why}. {how}")
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from mapdata.generators.generator import PRESETS, Generator, identity
 from mapdata.shards.shard import check_version
-from mapdata.spec import check_count, check_seed
+from mapdata.spec import check_count, check_seed, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,7 @@ def _parsed(text: str) -> object:
         if not Path(text).is_file():
             raise ValueError(
                 f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text"
+                f"{did_you_mean(text, PRESETS)}"
             )
         text = Path(text).read_text(encoding="utf-8")
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -18,15 +19,20 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 THREADS = "mapdata"
 """What the names of our threads begin with."""
 
+Advance = Callable[[int], object]
+"""Called with how much more is done."""
+
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 
+def no_bar(count: int) -> None:
+    """Show nothing; other processes can be given it."""
+
+
 @contextmanager
-def bar(
-    shown: bool, total: int, initial: int = 0, unit: str = " maps"
-) -> Iterator[Callable[[int], object]]:
-    """Yield what advances a bar of how much is done, the rate and the time left.
+def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
+    """Yield what advances a bar of how much is done, the rate and the time left, from any thread.
 
     A bar that is not shown is not made, since tqdm takes a lock and a thread. In a log file it
     grows every ten seconds.
@@ -34,9 +40,15 @@ def bar(
     if shown:
         pause = 0.1 if sys.stderr.isatty() else 10.0
         with tqdm(total=total, initial=initial, unit=unit, mininterval=pause) as shown_bar:
-            yield shown_bar.update
+            lock = threading.Lock()
+
+            def advance(count: int) -> None:
+                with lock:  # tqdm adds without one
+                    shown_bar.update(count)
+
+            yield advance
     else:
-        yield lambda _: None
+        yield no_bar
 
 
 @contextmanager

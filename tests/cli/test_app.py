@@ -21,6 +21,7 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unp
 import mapdata
 from mapdata import MapSpec, read_shard
 from mapdata.cli import app as cli
+from mapdata.generators import PRESETS
 from mapdata.shards import MANIFEST, read_manifest
 
 HOME = Path(__file__).parents[2]
@@ -231,6 +232,42 @@ def test_help_and_version(arguments: list[str], run: Command) -> None:
     assert (f"mapdata {mapdata.__version__}\n" == outcome.out) == ("--version" in arguments)
 
 
+@pytest.mark.parametrize("verb", cli.VERBS)
+def test_every_help_has_examples_that_parse(verb: str, run: Command) -> None:
+    """Each line under Examples is a command whose flags the verb knows."""
+    text = run(verb, "--help").out
+    examples = re.findall(rf"^  mapdata {verb} (.*?)(?: > .*)?$", text, re.MULTILINE)
+    assert examples
+    assert "Examples:\n" in text
+    parser = cli.verb_parser(verb)
+    for example in examples:
+        parser.parse_args(example.split())
+
+
+def test_the_help_of_build_names_all_presets(run: Command) -> None:
+    """It is written down, so that the help loads no kernel."""
+    names = re.search(r"--preset PRESET +(.*?) \(default", run("build", "--help").out, re.DOTALL)
+    assert names is not None
+    assert re.findall(r"\w+", names[1].replace(" or ", " ")) == list(PRESETS)
+
+
+def test_mapdata_alone_shows_the_verbs(run: Command, tmp_path: Path) -> None:
+    """So do --help and ``python -m mapdata``; alone it is exit code 2."""
+    shown = run("--help").out
+    for verb in cli.VERBS:
+        assert f"\n  {verb} " in shown
+    assert run() == Outcome(2, shown, "")
+    command = [sys.executable, "-m", "mapdata"]
+    done = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (2, shown, "")
+
+
+def test_a_misspelt_verb(run: Command) -> None:
+    """The nearest one is named."""
+    run.refused(2, "unknown verb 'biuld'; did you mean build?", "biuld", "data/maps")
+    run.refused(2, r"unknown verb 'xyzzy' \(mapdata --help", "xyzzy")
+
+
 # --- recipes ------------------------------------------------------------------------------------
 
 
@@ -311,8 +348,14 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("workers: got 0", ["--workers", "0"]),
         ("recipe: 'none.json' is no preset", ["--recipe", "none.json"]),
         ("recipe: not JSON", ["--recipe", "{"]),
-        ("not allowed with", ["--preset", "narrow", "--recipe", "paper"]),
-        ("unrecognized arguments: --speed", ["--speed"]),
+        ("--preset: not allowed with --recipe", ["--preset", "narrow", "--recipe", "paper"]),
+        ("--part: got '4/4', expected K/N", ["--part", "4/4"]),
+        ("unknown flag --xyz (mapdata build --help says more)", ["--xyz"]),
+        ("unknown flag --map-sise", ["--map-sise", "3"]),
+        ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
+        ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
+        ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
+        ("narrow, dungeon, dungeon128, maze; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
 def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_path: Path) -> None:
@@ -447,7 +490,7 @@ def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]]
+    "arguments", [["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]]
 )
 def test_usage(arguments: list[str], run: Command) -> None:
     """Usage errors are one line that points to the help."""
@@ -591,12 +634,15 @@ def test_the_script_takes_a_root_and_the_flags(
 
 def test_a_reader_that_is_gone(dataset: Path) -> None:
     """``mapdata info ROOT | head -1``: no error is told, whether much or little was printed."""
-    command = [sys.executable, "-c", "from mapdata.cli import main; main()", "info", str(dataset)]
-    ours, theirs = os.pipe()
-    os.close(ours)
-    done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False)
-    os.close(theirs)
-    assert (done.returncode, done.stderr) == (141, "")
+    for arguments in (["info", str(dataset)], ["--help"]):
+        command = [sys.executable, "-c", "from mapdata.cli import main; main()", *arguments]
+        ours, theirs = os.pipe()
+        os.close(ours)
+        done = subprocess.run(
+            command, stdout=theirs, stderr=subprocess.PIPE, text=True, check=False
+        )
+        os.close(theirs)
+        assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_show_writes_the_name_it_says(run: Command, dataset: Path, tmp_path: Path) -> None:

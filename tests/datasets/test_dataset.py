@@ -780,7 +780,7 @@ def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
             MapDataset(folder)
         message = str(error.value)
         assert f"no dataset at {folder}: {why}" in message
-        assert f"python scripts/build_shards.py {folder}" in message
+        assert f"'mapdata build {folder}'" in message
         assert "build='paper'" in message
         assert isinstance(error.value, FileNotFoundError)
 

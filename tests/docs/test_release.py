@@ -4,13 +4,13 @@ that can be tested.
 
 from __future__ import annotations
 
-import importlib.metadata
 import re
 import shutil
 import subprocess
 import sys
 import tarfile
 import zipfile
+from email import message_from_bytes
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -58,12 +58,42 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
     """Every file of the package, and nothing else but what pip needs."""
     (wheel,) = dist.glob("*.whl")
-    assert wheel.name == f"mapdata-{mapdata.__version__}-py3-none-any.whl"
+    assert wheel.name == f"mapdata_torch-{mapdata.__version__}-py3-none-any.whl"
+    about = f"mapdata_torch-{mapdata.__version__}.dist-info"
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-    info = {name for name in names if name.startswith(f"mapdata-{mapdata.__version__}.dist-info/")}
+        said = message_from_bytes(archive.read(f"{about}/METADATA"))
+    assert {name.partition("/")[0] for name in names} == {"mapdata", about}
+    info = {name for name in names if name.startswith(f"{about}/")}
     assert names - info == files(ROOT, "mapdata")
     assert any(name.endswith("LICENSE") for name in info)
+    assert (said["Name"], said["Version"]) == ("mapdata-torch", mapdata.__version__)
+
+
+def test_what_is_missing_is_named_itself() -> None:
+    """Nobody is sent to the other mapdata of the package index, nor from the wheel into a checkout."""
+    for folder, suffixes in {
+        "mapdata": {".py"},
+        "models": {".py"},
+        "docs": {".md", ".ipynb"},
+    }.items():
+        for name in files(ROOT, folder):
+            if Path(name).suffix in suffixes:
+                text = (ROOT / name).read_text(encoding="utf-8")
+                assert not re.search(r"pip install ['\"]?mapdata", text), name
+                assert folder != "mapdata" or "python scripts/" not in text, name
+
+
+def test_the_workflow_calls_ci_run_alone() -> None:
+    """On each Python that the project says it supports, with no secret and no right to write."""
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    workflow = yaml.safe_load(text)
+    (job,) = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if "run" in step] == [".ci/run"]
+    assert workflow["permissions"] == {"contents": "read"}
+    assert "secrets" not in text
+    assert job["strategy"]["matrix"]["python-version"][0] == "3.10"
+    assert 'requires-python = ">=3.10"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
@@ -71,7 +101,9 @@ def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
     (sdist,) = dist.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    wanted = files(ROOT, ".ci", "benchmarks", "docs", "mapdata", "models", "scripts", "tests")
+    wanted = files(
+        ROOT, ".ci", ".github", "benchmarks", "docs", "mapdata", "models", "scripts", "tests"
+    )
     wanted |= {
         path.name
         for path in ROOT.glob("*.*")
@@ -108,13 +140,16 @@ assert not [module.__file__ for module in ours if not module.__file__.startswith
 @pytest.mark.parametrize(
     "verbs",
     [
-        ("--version", "build --help"),
+        ("--version", "--help", "build --help", "import --help", "export --help"),
         pytest.param(  # compiles all kernels: their files are elsewhere
             (
                 "build maps --maps 20",
+                "info maps --card",
                 "verify maps",
                 "show maps --index 3",
                 "report maps -o report.html",
+                "export maps release --format movingai",
+                "import release again",
             ),
             marks=pytest.mark.slow,
         ),
@@ -156,4 +191,3 @@ def test_the_changelog_knows_this_version() -> None:
     """The version has a heading of its own."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"\n## [{mapdata.__version__}]" in changelog
-    assert importlib.metadata.version("mapdata") == mapdata.__version__

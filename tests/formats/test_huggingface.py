@@ -25,7 +25,7 @@ def test_the_real_library_opens_it(
 ) -> None:
     """Splits, rows, types and values; the picture shows free white."""
     datasets = pytest.importorskip("datasets", reason="pip install datasets")
-    pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")
+    pytest.importorskip("pyarrow", reason="pip install pyarrow")
     assert cli(capsys, "export", root, tmp_path / "hub", "--format", "huggingface")[0] == 0
     found = datasets.load_dataset(str(tmp_path / "hub"), cache_dir=str(tmp_path / "cache"))
     assert sorted(found) == ["test", "train", "validation"]
@@ -59,7 +59,7 @@ def test_the_real_library_opens_it(
 def test_the_card(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Front matter that YAML reads, with the files of each split; identity and content hash."""
     yaml = pytest.importorskip("yaml")
-    pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")
+    pytest.importorskip("pyarrow", reason="pip install pyarrow")
     cli(capsys, "export", root, tmp_path / "hub", "--format", "huggingface")
     card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
     front = yaml.safe_load(card.split("---")[1])
@@ -83,7 +83,7 @@ def test_without_pyarrow(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         return load(name, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(ValueError, match=r"pip install 'mapdata\[hub\]'"):
+    with pytest.raises(ValueError, match="pip install pyarrow"):
         export(root, tmp_path / "hub", "huggingface")
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == []

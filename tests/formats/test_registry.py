@@ -61,7 +61,7 @@ def test_an_export_is_whole_or_nothing(
 ) -> None:
     """When a shard cannot be read half-way, no target and nothing else is left."""
     if kind == "huggingface":
-        pytest.importorskip("pyarrow", reason="pip install 'mapdata[hub]'")
+        pytest.importorskip("pyarrow", reason="pip install pyarrow")
     calls = 0
     labels_of = Root.labels
 

@@ -6,8 +6,9 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -30,7 +31,18 @@ from helpers.builds import (
     unprivileged_folder,
 )
 
-from mapdata import MapSpec, ShardError, build, generate, identity, label, read_shard, verify
+from mapdata import (
+    Generator,
+    MapSpec,
+    Maze,
+    ShardError,
+    build,
+    generate,
+    identity,
+    label,
+    read_shard,
+    verify,
+)
 from mapdata.shards import MANIFEST, Manifest, Recipe, content_hash, read_manifest
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.manifest import merge
@@ -204,6 +216,44 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
     assert make(root, shard_size=2).content_hash == truth
     assert stamps(root) == before
     assert listing(root) == names(MAPS, 2)
+
+
+@pytest.mark.parametrize("spec", [SPEC, MapSpec.preset("dungeon"), Maze((21, 21))])
+def test_the_bar_moves_within_a_shard(
+    spec: Generator, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Labels of pieces, joined, are those of all maps at once."""
+    monkeypatch.setattr("mapdata.shards.builder._CELLS_AT_ONCE", 1)
+    root.mkdir()
+    (header,) = headers(
+        Manifest(spec, SEED, spec.map_size, spec.movement, spec.resolution, 30, 100)
+    )
+    moved: list[int] = []
+    entry = make_shard(root, header, advance=moved.append)
+    assert moved == [8, 8, 8, 6]
+    assert entry.content_hash == content_hash(label(generate(spec, SEED, range(30))))
+    assert make_shard(root, header, advance=moved.append) == entry
+    assert moved[4:] == [30]
+
+
+def test_a_bar_counts_every_map_once(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether threads or an executor make the shards, or some are there."""
+    moved: list[int] = []
+
+    @contextmanager
+    def bar(shown: bool, total: int, initial: int) -> Iterator[Callable[[int], None]]:
+        moved[:] = [initial]
+        yield moved.append
+        assert sum(moved) == total
+
+    monkeypatch.setattr("mapdata.shards.builder.bar", bar)
+    make(root, maps=6, shard_size=2)
+    assert sum(moved) == 6
+    make(root, maps=11, shard_size=2)
+    assert (moved[0], sum(moved)) == (6, 11)
+    with ThreadPoolExecutor(2) as pool:
+        make(root.with_name("other"), shard_size=2, workers=None, executor=pool)
+    assert (moved[0], sum(moved)) == (0, MAPS)
 
 
 # --- going on and growing -----------------------------------------------------------------------

@@ -274,7 +274,7 @@ def test_no_dataset(kind: str, tmp_path: Path) -> None:
         read_manifest(root)
     message = str(caught.value)
     assert message.startswith(f"no dataset at {root}: ")
-    assert f"python scripts/build_shards.py {root}" in message
+    assert f"'mapdata build {root}'" in message
     assert ("no manifest.json there" in message) == (kind == "an empty folder")
     assert isinstance(caught.value, FileNotFoundError)
 

@@ -1,0 +1,49 @@
+"""What signatures and docstrings say of parameters."""
+
+from __future__ import annotations
+
+from inspect import Parameter
+from typing import Literal
+
+from mapdata.options import Option, options_of, summary_line
+
+
+def example(  # noqa: D417  (one is undocumented)
+    first: list[str],
+    second: str = "two",
+    *,
+    size: tuple[int, int] | None = None,
+    kind: Literal["a", "b"] = "a",
+    undocumented: bool = False,
+) -> None:
+    """Show a summary.
+
+    Args:
+        first: names
+        second: another
+        size: (rows, columns) of
+            what is shown.
+        kind: of letter: a or b
+
+    Returns:
+        undocumented: nothing
+    """
+
+
+def test_keyword_only_parameters_are_options() -> None:
+    """Of an optional type the other one, and help without line breaks."""
+    assert options_of(example) == {
+        "size": Option(tuple[int, int], None, "(rows, columns) of what is shown."),
+        "kind": Option(Literal["a", "b"], "a", "of letter: a or b"),
+        "undocumented": Option(bool, False, ""),
+    }
+
+
+def test_the_others_are_asked_for() -> None:
+    """Positional parameters, without a default and with one."""
+    assert options_of(example, Parameter.POSITIONAL_OR_KEYWORD) == {
+        "first": Option(list[str], Parameter.empty, "names"),
+        "second": Option(str, "two", "another"),
+    }
+    assert summary_line(example) == "Show a summary."
+    assert summary_line(lambda: None) == ""
