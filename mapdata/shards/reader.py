@@ -1,6 +1,7 @@
 """Opening a shard without trusting it: all is checked once, then arrays are views of the file.
 
-No library parses the file (`hdf5.py`); its bytes are read through one memory mapping.
+HDF5 is asked only where each array lies; the data are read through one memory mapping, never
+through HDF5.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from h5py import h5a, h5d, h5f, h5l, h5o, h5p, h5t
 
 from mapdata.arrays import Bytes
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
-from mapdata.shards.hdf5 import Root, read_attribute, read_dataset, read_root
 from mapdata.shards.shard import (
     FIELDS,
     SEARCHES,
@@ -72,26 +73,30 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
         OSError: too many files are open or mapped.
     """
     path = Path(path)
-    if not stat.S_ISREG(os.stat(path).st_mode):  # to open a pipe would wait for a writer
-        raise ShardError(f"{path}: not a file")
-    with open(path, "rb", buffering=0) as file:
-        status = os.fstat(file.fileno())
-        if size is not None and status.st_size != size:
-            raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
-        if status.st_size == 0:
-            raise ShardError(f"{path}: empty file")
-        data = map_file(file.fileno(), status.st_size)
-    try:
-        root = read_root(data.data)
-        header, content = _read_header(_read_attributes(root))
-        shard = Shard(path, header, content, _checked_arrays(root, data, header))
-    except ShardError as error:
-        raise ShardError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise ShardError(f"{path}: not a sound shard ({error})") from error
-    if sha256 is not None and not _has_hash(data, status, sha256):
-        _check_content(shard)
-    return shard
+    for _ in range(_ATTEMPTS):
+        # before it is opened, since opening a pipe waits for its writer
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise ShardError(f"{path}: not a file")
+        with open(path, "rb", buffering=0) as file:
+            status = os.fstat(file.fileno())
+            if size is not None and status.st_size != size:
+                raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
+            if status.st_size == 0:
+                raise ShardError(f"{path}: empty file")
+            mapping = map_file(file.fileno(), status.st_size)
+            try:
+                shard = _parse(path, status, mapping)
+            except ShardError as error:
+                raise ShardError(f"{path}: {error}") from None
+            except FileNotFoundError:
+                raise
+            except _UNSOUND as error:
+                raise ShardError(f"{path}: not a sound shard ({error})") from error
+        if shard is not None:
+            if sha256 is not None and not _has_hash(mapping, status, sha256):
+                _check_content(shard)
+            return shard
+    raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
 
 
 _compared: set[tuple[int | str, ...]] = set()
@@ -114,6 +119,37 @@ def _check_content(shard: Shard) -> None:
         same = False
     if not same:
         raise ShardError(f"{shard.path}: damaged (its content hash does not fit)")
+
+
+def _parse(path: Path, status: os.stat_result, mapping: Bytes) -> Shard | None:
+    """Return the shard in a mapping; None if another file took its name after it was mapped."""
+    file = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
+    try:
+        # HDF5 opens by name, so a builder may have replaced the file since it was mapped
+        if not os.path.samestat(os.stat(path), status):
+            return None
+        header, content = _read_header(_read_attributes(file))
+        return Shard(path, header, content, _checked_arrays(file, mapping, header))
+    finally:
+        file.close()
+
+
+_UNSOUND = (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError)
+"""What HDF5, JSON and our own checks of a spec raise on files that are no sound shards."""
+
+_ATTEMPTS = 10
+"""How often a file is opened that is replaced at that very moment, before we give up."""
+
+
+def _access() -> h5p.PropFAID:
+    """Return how HDF5 opens files: without locks, and closing all that is open inside with them."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_fclose_degree(h5f.CLOSE_STRONG)
+    access.set_file_locking(False, ignore_when_disabled=False)
+    return access
+
+
+_ACCESS = _access()
 
 
 @lru_cache(maxsize=1)
@@ -181,25 +217,37 @@ ATTRIBUTES = (
 """The root attributes that a reader needs."""
 
 
-def _read_attributes(root: Root) -> dict[str, Any]:
-    """Return the attributes that a reader needs, by name: numbers and text of fixed length."""
-    values: dict[str, Any] = {}
-    for name in ATTRIBUTES:
-        if name not in root.attributes:
-            if name == "format":
-                raise ShardError("not a mapdata shard (it has no attribute 'format')")
-            raise ShardError(f"attribute {name!r} is missing")
-        try:
-            value = read_attribute(root.attributes[name])
-        except ValueError:
-            raise ShardError(
-                f"attribute {name!r} is not a number or a text of fixed length"
-            ) from None
-        if value.dtype.kind == "S":
-            values[name] = value.tobytes().rstrip(b"\0").decode()
-        else:
-            values[name] = value[()]
-    return values
+def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
+    """Return the root attributes that a reader needs by name."""
+    return {name: _read_attribute(file, name) for name in ATTRIBUTES}
+
+
+def _read_attribute(file: h5f.FileID, name: str) -> Any:
+    """Return a root attribute: text of fixed length, or one or two numbers; others are not read."""
+    try:
+        attribute = h5a.open(file, name.encode())
+    except KeyError:
+        if h5a.exists(file, name.encode()):
+            raise  # it is there, and damaged
+        what = f"attribute {name!r} is missing"
+        if name == "format":
+            what = "not a mapdata shard (it has no attribute 'format')"
+        raise ShardError(what) from None
+    kind = attribute.get_type()
+    size = kind.get_size()
+    count = attribute.get_storage_size() // size
+    is_text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
+    is_number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
+    if not (is_text or is_number) or count not in (1, 2) or size > _LONGEST_TEXT:
+        raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
+    shape = () if count == 1 else (2,)
+    array = np.empty(shape, f"S{size}" if is_text else kind.dtype)
+    attribute.read(array, mtype=kind)
+    return bytes(array.item()).decode() if is_text else array[()]
+
+
+_LONGEST_TEXT = 65536
+"""Most bytes of a root attribute: a hostile file must not make us allocate more."""
 
 
 def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
@@ -254,9 +302,9 @@ def is_hash(text: str) -> bool:
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
-def _checked_arrays(root: Root, data: Bytes, header: Header) -> dict[str, Array]:
-    """Return the arrays of a shard, after checking that each is plain data in this very file."""
-    arrays = {field.name: _plain(root, field, data) for field in FIELDS}
+def _checked_arrays(file: h5f.FileID, mapping: Bytes, header: Header) -> dict[str, Array]:
+    """Return the arrays of a shard, each of them plain data inside this very file."""
+    arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
         raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
@@ -317,31 +365,55 @@ def _last(offsets: Array) -> int:
     return int(offsets[-1]) if len(offsets) else 0
 
 
-def _plain(root: Root, field: Field, data: Bytes) -> Array:
-    """Return one dataset as a view of the file, if it is a plain array in this very file."""
-    if field.name not in root.links:
-        raise ShardError(f"dataset {field.name!r} is missing")
-    address = root.links[field.name]
-    if address is None:
-        raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
+def _plain(file: h5f.FileID, field: Field, mapping: Bytes) -> Array:
+    """Return a dataset as a view of the mapping, unless it is a link, filtered or elsewhere."""
+    name = field.name.encode()
     try:
-        found = read_dataset(data.data, address)
-    except ValueError as error:
-        raise ShardError(f"dataset {field.name!r} {error}") from None
-    if found.dtype != field.dtype:
+        link = file.links.get_info(name)
+    except (KeyError, RuntimeError):
+        raise ShardError(f"dataset {field.name!r} is missing") from None
+    # a soft or external link would make HDF5 open what it points to
+    if link.type != h5l.TYPE_HARD:
+        raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
+    dataset = h5o.open(file, name)
+    if not isinstance(dataset, h5d.DatasetID):
+        raise ShardError(f"{field.name!r} is not a dataset")
+    offset = dataset.get_offset()
+    # without an offset it has no values yet, or they lie in chunks, in the header, in other files
+    if offset is None and not _is_contiguous(dataset):
+        raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
+    if not dataset.get_type().equal(_TYPES[field.dtype]):
         raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
-    if len(found.shape) != field.rank:
+    shape = dataset.shape
+    if shape is None or len(shape) != field.rank:
         raise ShardError(
-            f"dataset {field.name!r} has {len(found.shape)} dimensions, expected {field.rank}"
+            f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}"
         )
     itemsize = np.dtype(field.dtype).itemsize
-    size = math.prod(found.shape) * itemsize
+    size = math.prod(shape) * itemsize
     if size == 0:
-        return np.empty(found.shape, field.dtype)
-    start = found.offset
-    if start is None or start + size > len(data) or start % itemsize:
+        return np.empty(shape, field.dtype)
+    if offset is None or offset < 0 or offset + size > len(mapping) or offset % itemsize:
         raise ShardError(f"dataset {field.name!r} reaches outside the file")
-    return data[start : start + size].view(field.dtype).reshape(found.shape)
+    return mapping[offset : offset + size].view(field.dtype).reshape(shape)
+
+
+def _is_contiguous(dataset: h5d.DatasetID) -> bool:
+    """Return whether a dataset is declared as one unfiltered block in its own file."""
+    properties = dataset.get_create_plist()
+    if properties.get_nfilters() or properties.get_external_count():
+        return False
+    return bool(properties.get_layout() == h5d.CONTIGUOUS)
+
+
+_TYPES = {
+    "u1": h5t.STD_U8LE,
+    "i1": h5t.STD_I8LE,
+    "<i2": h5t.STD_I16LE,
+    "<i4": h5t.STD_I32LE,
+    "<i8": h5t.STD_I64LE,
+}
+"""The types of `FIELDS` in HDF5."""
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:

@@ -23,6 +23,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
+import h5py
+
 from helpers.samples import ALL_FIELDS
 from mapdata import MapDataset, MapSpec, ShardError, build
 from mapdata.formats import FormatError, Limits, export, read_any
@@ -88,11 +90,41 @@ def changed(draw: random.Random, data: bytes) -> bytes:
 
 
 def shard_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each kind of shard: of both movements."""
+    """Yield the cases of each kind of shard: both movements, as written and in HDF5's old form.
+
+    The old form has no checksums, so that more of the changes reach the reader.
+    """
     for connectivity in (4, 8):
         root = folder / f"maps{connectivity}"
         build(root, replace(SPEC, movement=Movement(connectivity)), maps=4, seed=1)
         yield f"{connectivity}-connected", _shard_case(root)
+        old = folder / f"old{connectivity}"
+        shutil.copytree(root, old)
+        _in_old_form(old)
+        yield f"{connectivity}-connected, old form", _shard_case(old)
+
+
+def _in_old_form(root: Path) -> None:
+    """Write the shard of ``root`` again as HDF5 1.6 would have."""
+    manifest = read_manifest(root)
+    path = root / manifest.shards[0].name
+    with h5py.File(path, "r") as source:
+        attributes = dict(source.attrs)
+        arrays = {name: source[name][()] for name in source}
+    path.unlink()
+    with h5py.File(
+        path, "w", libver=("earliest", "v110"), alignment_threshold=1, alignment_interval=64
+    ) as target:
+        for name, value in attributes.items():
+            dtype = None
+            if isinstance(value, bytes):
+                dtype = h5py.string_dtype("utf-8", max(len(value), 1))
+            target.attrs.create(name, value, dtype=dtype)
+        for name, array in arrays.items():
+            target.create_dataset(name, data=array)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    entry = replace(manifest.shards[0], bytes=path.stat().st_size, sha256=digest)
+    (root / MANIFEST).write_text(replace(manifest, shards=(entry,)).to_json())
 
 
 def _read_all(root: Path, search: str, movement: Movement) -> None:
@@ -115,8 +147,9 @@ def _shard_case(root: Path) -> Case:
         data = changed(draw, image)
         (folder / entry.name).write_bytes(data)
         # The hash fits: who publishes a hostile shard publishes its manifest, too.
-        stated = replace(entry, bytes=max(len(data), 1), sha256=hashlib.sha256(data).hexdigest())
-        (folder / MANIFEST).write_text(replace(manifest, shards=(stated,)).to_json())
+        digest = hashlib.sha256(data).hexdigest()
+        shards = (replace(entry, bytes=max(len(data), 1), sha256=digest),)
+        (folder / MANIFEST).write_text(replace(manifest, shards=shards).to_json())
         try:
             decode(open_shard(folder / entry.name))
             _read_all(folder, *draw.choice(choices))

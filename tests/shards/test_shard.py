@@ -27,8 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
-from mapdata.arrays import Bytes
-from mapdata.shards import content_hash, open_shard, reader, write_file
+from mapdata.shards import content_hash, open_shard, write_file
 from mapdata.shards.shard import (
     FIELDS,
     Header,
@@ -448,39 +447,57 @@ def test_another_size_than_the_manifests_is_refused(sound: Sound, tmp_path: Path
     refused(path, f"has {size + 4} bytes, the manifest says {size}", size)
 
 
+@pytest.mark.parametrize("times", [1, 1000])
 def test_a_file_replaced_while_it_is_opened(
-    sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    times: int, sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Header and arrays never come from two files: what was opened is read to its end."""
+    """Header and arrays never come from two files: the new one is read, or none if it is replaced
+    again and again.
+    """
     path = tmp_path / "shard.h5"
     path.write_bytes(sound.contents.image)
-    other, _ = shard_image(label(generate(SPEC, 5, range(3))), header_of(SPEC, 5, 0, 3))
-    true_map = reader.map_file
+    images = [
+        shard_image(label(generate(SPEC, seed, range(3))), header_of(SPEC, seed, 0, 3))[0]
+        for seed in (4, 5)
+    ]
+    true_open = h5py.h5f.open
+    opened = []
 
-    def replace_first(descriptor: int, size: int) -> Bytes:
-        write_file(path, other)
-        return true_map(descriptor, size)
+    def open_another(*arguments: object) -> object:
+        opened.append(arguments)
+        if len(opened) <= times:
+            write_file(path, images[len(opened) % 2])
+        return true_open(*arguments)
 
-    monkeypatch.setattr(reader, "map_file", replace_first)
-    shard = open_shard(path)
-    assert (shard.header, shard.content_hash) == (
-        header_of(SPEC, SEED, 0, 3),
-        content_hash(sound.labels),
+    monkeypatch.setattr(h5py.h5f, "open", open_another)
+    if times == 1:
+        assert_same_labels(read_shard(path), label(generate(SPEC, 5, range(3))))
+    else:
+        refused(path, "was replaced each of the 10 times")
+
+
+def heap(image: bytes) -> range:
+    """Return where HDF5's global heap lies, in which a flipped bit can hang HDF5; nowhere once text
+    is fixed.
+    """
+    first = image.find(b"GCOL")
+    return (
+        range(first, first + int.from_bytes(image[first + 8 : first + 16], "little"))
+        if first >= 0
+        else range(0)
     )
-    assert np.array_equal(shard.arrays["maps"], sound.contents.arrays["maps"])
-    monkeypatch.undo()
-    assert_same_labels(read_shard(path), label(generate(SPEC, 5, range(3))))
 
 
 def flip_bits(sound: Sound, path: Path, flips: list[tuple[int, int]]) -> int:
-    """Flip one bit at a time: the shard is refused, or read with the same header.
-
-    Returns how often it was read. That data are the same is for the hashes to tell: `test_reader`.
+    """Flip one bit at a time: the shard is refused, or read with the same header. Return how often
+    it was read.
     """
     image = sound.contents.image
     header = header_of(SPEC, SEED, 0, 3)
     taken = 0
     for place, bit in flips:
+        if place in heap(image):
+            continue
         damaged = bytearray(image)
         damaged[place] ^= 1 << bit
         path.write_bytes(damaged)
