@@ -258,14 +258,15 @@ VIEWS = (0, 3, 4, 7, 1, 2, 5, 6)
 
 
 class Heatmap(Sampler):
-    """Predicts each cell's share of the targets, and as a help which cells lie on shortest paths.
+    """Predicts each cell's share of the targets, and which cells lie on shortest paths.
 
     Args:
         targets: one of ``TARGETS``.
         widths: channels at strides 2, 4 and 8.
         passes: exchanges between strides 4 and 8.
         learning_rate: the highest.
-        help_weight: weight of the second prediction's loss, where a batch has ``optimal_mask``.
+        help_weight: weight of the second prediction's loss, where a batch has ``optimal_mask``; it
+            is there to help the features.
         temperature: 1 draws cells by their shares; 0 takes always the likeliest, which solves more
             problems.
         spacing: cells around a sample within which further ones are less likely.
@@ -307,9 +308,9 @@ class Heatmap(Sampler):
         occupied = batch["map"].flatten(1) != 0  # (B, H * W)
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
         # -30 instead of -inf: a target that rounding puts into a wall costs much, not everything
-        shares = scores[:, 0].masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
-        each = -shares[owners, cell_numbers(points, batch["map"])]  # (M,)
-        counts = torch.bincount(owners, minlength=len(shares))  # (B,) targets of each problem
+        log_shares = scores[:, 0].masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
+        each = -log_shares[owners, cell_numbers(points, batch["map"])]  # (M,)
+        counts = torch.bincount(owners, minlength=len(occupied))  # (B,) targets of each problem
         # the mean over problems of the mean over their targets
         heat = (each / counts[owners]).sum() / (counts > 0).sum().clamp(min=1)
         if "optimal_mask" not in batch:

@@ -13,14 +13,14 @@ below the true cost. Following the most probable moves gives a path:
     sample = data.datasets["val"][0]
     path = model.predict_path(sample.map, sample.start, sample.goal)  # (k, 2) cells
 
-A path labels its own cells alone, and is one of 10^5 equally short ones between two cells of a
-room. With the fields of ``FIELDS`` instead every cell knows all of its optimal moves, which teaches
-far more:
+A path labels its own cells alone, and between two cells of a room it is one of 10^5 that are as
+short. With the fields of ``FIELDS`` every cell knows all of its optimal moves, which teaches more:
 
     data = MapDataModule("data/maps", fields=FIELDS, problems="random", augment=True, batch_size=64)
 
-That, `python scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt` with
-OMP_NUM_THREADS=1, made the weights that ship: 7,500 steps of 40 maps, 20 minutes of one core.
+So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
+scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,500 steps of 40
+maps, 20 minutes of one core. With torch.export and ONNX the model is a module like any other.
 
 This file reads from top to bottom: targets, what the network sees, loss, training, prediction. The
 network's layers, the optimizer and the files of weights are in models/common.py; searches that a
