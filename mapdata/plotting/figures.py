@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -149,51 +149,38 @@ def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool 
     """
     if kind not in FIGURES:
         raise ValueError(f"figure: got {kind!r}, expected one of {', '.join(FIGURES)}")
-    return FIGURES[kind](Root.open(root), index, paper_colours)
-
-
-def _figure_map(root: Root, index: int, paper_colours: bool) -> Figure:
-    labels, i = root.map(index)
-    (ax,) = new_axes(1, 1, (6, _height(labels, 5.4) + 1.1))
-    plot_map(labels, i, ax, paper_colours=paper_colours)
-    return figure_of(ax)
-
-
-def _figure_path(root: Root, index: int, paper_colours: bool) -> Figure:
-    labels, i = root.map(index)
-    lines = min(int(labels.maps.rooms[i]) - 1, 16)
-    axes = new_axes(
-        1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2)))
-    )
-    for search, ax in zip(("bfs", "astar"), axes, strict=True):
-        plot_path(labels, i, search, ax, paper_colours=paper_colours)
+    dataset = Root.open(root)
+    if kind == "gallery":
+        axes = plot_gallery(dataset_statistics(dataset.places), paper_colours=paper_colours)
+    elif kind == "distributions":
+        axes = plot_distributions(dataset_statistics(dataset.places))
+    else:
+        axes = _plot_one_map(kind, *dataset.map(index), paper_colours)
     return figure_of(axes[0])
 
 
-def _figure_matrix(root: Root, index: int, _: bool) -> Figure:
-    labels, i = root.map(index)
-    searches = ["astar"] if same_matrices(labels, i) else ["bfs", "astar"]
-    axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
-    for search, ax in zip(searches, axes, strict=True):
-        plot_matrix(labels, i, search, ax)
-    return figure_of(axes[0])
+def _plot_one_map(kind: str, labels: Labels, i: int, paper_colours: bool) -> list[Axes]:
+    if kind == "map":
+        axes = new_axes(size=(6, _height(labels, 5.4) + 1.1))
+        plot_map(labels, i, axes[0], paper_colours=paper_colours)
+        return axes
+    if kind == "path":
+        legend = 0.13 * min(int(labels.maps.rooms[i]), 16)
+        axes = new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + legend))
+        plot_path(labels, i, "bfs", axes[0], paper_colours=paper_colours)
+        plot_path(labels, i, "astar", axes[1], paper_colours=paper_colours)
+        return axes
+    if same_matrices(labels, i):
+        axes = new_axes(size=(6, 5.8))
+        plot_matrix(labels, i, axes=axes[0])
+    else:
+        axes = new_axes(1, 2, (12, 5.8))
+        plot_matrix(labels, i, "bfs", axes[0])
+        plot_matrix(labels, i, "astar", axes[1])
+    return axes
 
 
-def _figure_gallery(root: Root, _: int, paper_colours: bool) -> Figure:
-    return figure_of(plot_gallery(dataset_statistics(root.places), paper_colours=paper_colours)[0])
-
-
-def _figure_distributions(root: Root, _: int, __: bool) -> Figure:
-    return figure_of(plot_distributions(dataset_statistics(root.places))[0])
-
-
-FIGURES: dict[str, Callable[[Root, int, bool], Figure]] = {
-    "map": _figure_map,
-    "gallery": _figure_gallery,
-    "path": _figure_path,
-    "matrix": _figure_matrix,
-    "distributions": _figure_distributions,
-}
+FIGURES = ("map", "gallery", "path", "matrix", "distributions")
 """What ``mapdata show --figure`` draws."""
 
 OF_ONE_MAP = ("map", "path", "matrix")
@@ -214,8 +201,7 @@ def figure_of(axes: Axes) -> Figure:
     from matplotlib.figure import Figure
 
     figure = axes.figure
-    if not isinstance(figure, Figure):
-        raise TypeError("axes of a subfigure")
+    assert isinstance(figure, Figure)
     return figure
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.transforms import Transform
 
     from mapdata.search.labels import Labels
 
@@ -230,12 +231,9 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
-    from matplotlib.transforms import offset_copy
-
     # Down and to the right, so that horizontal and vertical stretches part alike.
     shift = _LANE * lane
-    figure = axes.get_figure(root=True)
-    place = offset_copy(axes.transData, figure, shift, -shift, units="points")
+    place = axes.transData + _shift(axes, shift, -shift)
     look: dict[str, Any] = {"color": colour, "transform": place}
     axes.plot(path[:, 1], path[:, 0], linestyle=style, linewidth=2.2, label=label, **look)
     if len(path) < 6:  # an arrow head would hide it
@@ -293,20 +291,23 @@ def head(axes: Axes, title: str) -> None:
 
 def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
     """Put the legend under the axis label, whatever the size of the axes."""
-    from matplotlib.transforms import offset_copy
-
     axes.legend(
         handles=handles or axes.get_legend_handles_labels()[0],
         loc="upper center",
         bbox_to_anchor=(0.5, 0),
-        bbox_transform=offset_copy(
-            axes.transAxes, fig=axes.get_figure(root=True), y=-34, units="points"
-        ),
+        bbox_transform=axes.transAxes + _shift(axes, 0, -34),
         borderaxespad=0.0,
         ncols=ncols,
         frameon=False,
         fontsize="small",
     )
+
+
+def _shift(axes: Axes, x: float, y: float) -> Transform:
+    """Return a shift by points, to the right and upwards."""
+    from matplotlib.transforms import ScaledTranslation
+
+    return ScaledTranslation(x / 72, y / 72, axes.figure.dpi_scale_trans)
 
 
 def _points(labels: Labels, i: int) -> str:
