@@ -69,7 +69,7 @@ LARGEST = 150_000
 """Bytes of a picture."""
 
 GREY = "#8b949e"
-CLEAR = {"axes.facecolor": "none", "figure.facecolor": "none"}
+CLEAR = {"axes.facecolor": "none", "axes.titlesize": "medium", "figure.facecolor": "none"}
 THEMES: dict[str, dict[Any, Any]] = {
     "": CLEAR,
     "-dark": {

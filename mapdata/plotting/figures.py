@@ -86,11 +86,10 @@ def plot_gallery(
     high, wide = of.root.map_size
     size = (2.6 * columns, 2.85 * rows * high / wide + 0.5)
     axes = new_axes(rows, columns, size) if axes is None else list(axes)
-    for ax in axes:
+    for ax in axes[len(examples) :]:
         ax.set_axis_off()
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         labels, i = of.root.map(index)
-        ax.set_axis_on()
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
         seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
         ax.plot(seed_points[:, 1], seed_points[:, 0], "o", color=COLOURS["seed"], mec="white", ms=6)
@@ -127,12 +126,10 @@ def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
         counted += " (log)"
     ax.set(xlabel=name, ylabel=counted)
     if len(values):
-        mean = float(values.mean())
-        ax.axvline(mean, color="black", linewidth=1, linestyle=(0, (4, 2)))
-        ax.set_title(
-            f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}",
-            fontsize="medium",
-        )
+        mean = values.mean()
+        ax.axvline(mean, color="0.4", linewidth=1, linestyle="--")
+        title = f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}"
+        ax.set_title(title, fontsize="medium")
 
 
 def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:

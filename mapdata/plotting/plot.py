@@ -31,7 +31,6 @@ MARKERS = "osD^v<>PXph"
 STYLE: dict[Any, str] = {
     "axes.edgecolor": "0.5",
     "axes.labelsize": "small",
-    "axes.titlesize": "medium",
     "xtick.labelsize": "small",
     "ytick.labelsize": "small",
 }
@@ -150,10 +149,10 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
-    style: dict[str, Any] = {"facecolor": "white", "edgecolor": "0.6", "hatch": "////"}
     for row, column in np.argwhere(matrix < 0).tolist():
-        corner = (column - 0.5, row - 0.5)
-        axes.add_patch(Rectangle(corner, 1, 1, linewidth=0.0, label="no connection", **style))
+        square = Rectangle((column - 0.5, row - 0.5), 1, 1, label="no connection")
+        square.set(facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
+        axes.add_patch(square)
     if n <= _NUMBERED:
         for row, column in np.argwhere(matrix >= 0).tolist():
             value = matrix[row, column]
@@ -234,8 +233,15 @@ def plot_cells(
     # Down and to the right, so that horizontal and vertical stretches part alike.
     shift = _LANE * lane
     place = axes.transData + _shift(axes, shift, -shift)
-    look: dict[str, Any] = {"color": colour, "transform": place}
-    axes.plot(path[:, 1], path[:, 0], linestyle=style, linewidth=2.2, label=label, **look)
+    axes.plot(
+        path[:, 1],
+        path[:, 0],
+        linestyle=style,
+        linewidth=2.2,
+        color=colour,
+        label=label,
+        transform=place,
+    )
     if len(path) < 6:  # an arrow head would hide it
         return
     arrows = -(-len(path) // _ARROW_EVERY)
@@ -250,8 +256,9 @@ def plot_cells(
             marker=(3, 0, angle),
             edgecolor="white",
             linewidth=0.7,
+            color=colour,
             zorder=3,
-            **look,
+            transform=place,
         )
 
 
@@ -265,8 +272,16 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
     """Put ``text`` on a cell of ``axes``: on a disc, the goal G on a square."""
     marker = "s" if text == "G" else "o"
-    style: dict[str, Any] = {"s": 110, "marker": marker, "edgecolor": "white", "zorder": 4}
-    axes.scatter(column, row, clip_on=False, color=COLOURS["seed"], **style)
+    axes.scatter(
+        column,
+        row,
+        s=110,
+        marker=marker,
+        clip_on=False,
+        color=COLOURS["seed"],
+        edgecolor="white",
+        zorder=4,
+    )
     axes.text(
         column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5
     )
