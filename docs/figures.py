@@ -69,7 +69,7 @@ LARGEST = 150_000
 """Bytes of a picture."""
 
 GREY = "#8b949e"
-CLEAR = {"axes.facecolor": "none", "figure.facecolor": "none"}
+CLEAR = {"axes.facecolor": "none", "axes.titlesize": "medium", "figure.facecolor": "none"}
 THEMES: dict[str, dict[Any, Any]] = {
     "": CLEAR,
     "-dark": {
@@ -407,11 +407,10 @@ SAMPLERS = {
 @cache
 def sampler_table() -> pd.DataFrame:
     """Compare samplers of roadmaps on the problems of 1,000 maps of seed 77."""
-    from models.lego_sampler import load
     from models.sampler_table import compare, contenders
+    from scripts.evaluate_sampler import learned_samplers
 
-    files = [file for file in WEIGHTS.glob("*.pt") if file.stem in SAMPLERS]
-    rows = contenders({file.stem: load(file) for file in files})
+    rows = contenders(learned_samplers(WEIGHTS))
     problems = Problems.sample(DUNGEON, seed=77, maps=1000, movement=DIAGONAL)
     return compare({name: rows[name] for name in SAMPLERS}, problems)
 
@@ -441,11 +440,11 @@ def samplers() -> Figure:
 
 def roadmaps() -> Figure:
     """Show the roadmaps of two samplers on one problem."""
-    from models.lego_sampler import load
+    from models.lego_sampler import Heatmap
     from models.sampler_table import contenders, plot_roadmaps
 
     names = ("halton", "lego_heatmap")
-    rows = contenders({"lego_heatmap": load(WEIGHTS / "lego_heatmap.pt")})
+    rows = contenders({"lego_heatmap": Heatmap.load(WEIGHTS / "lego_heatmap.pt")})
     problems = Problems.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)
     figure = Figure(figsize=(10, 5.2), layout="constrained")
     plot_roadmaps({name: rows[name] for name in names}, problems, 50, figure, maps=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,11 +86,10 @@ def plot_gallery(
     high, wide = of.root.map_size
     size = (2.6 * columns, 2.85 * rows * high / wide + 0.5)
     axes = new_axes(rows, columns, size) if axes is None else list(axes)
-    for ax in axes:
+    for ax in axes[len(examples) :]:
         ax.set_axis_off()
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         labels, i = of.root.map(index)
-        ax.set_axis_on()
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
         seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
         ax.plot(seed_points[:, 1], seed_points[:, 0], "o", color=COLOURS["seed"], mec="white", ms=6)
@@ -127,12 +126,10 @@ def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
         counted += " (log)"
     ax.set(xlabel=name, ylabel=counted)
     if len(values):
-        mean = float(values.mean())
-        ax.axvline(mean, color="black", linewidth=1, linestyle=(0, (4, 2)))
-        ax.set_title(
-            f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}",
-            fontsize="medium",
-        )
+        mean = values.mean()
+        ax.axvline(mean, color="0.4", linewidth=1, linestyle="--")
+        title = f"mean {mean:.4g}, median {np.median(values):.4g}, n = {len(values):,}"
+        ax.set_title(title, fontsize="medium")
 
 
 def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:
@@ -149,51 +146,38 @@ def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool 
     """
     if kind not in FIGURES:
         raise ValueError(f"figure: got {kind!r}, expected one of {', '.join(FIGURES)}")
-    return FIGURES[kind](Root.open(root), index, paper_colours)
-
-
-def _figure_map(root: Root, index: int, paper_colours: bool) -> Figure:
-    labels, i = root.map(index)
-    (ax,) = new_axes(1, 1, (6, _height(labels, 5.4) + 1.1))
-    plot_map(labels, i, ax, paper_colours=paper_colours)
-    return figure_of(ax)
-
-
-def _figure_path(root: Root, index: int, paper_colours: bool) -> Figure:
-    labels, i = root.map(index)
-    lines = min(int(labels.maps.rooms[i]) - 1, 16)
-    axes = new_axes(
-        1, 2, (11, _height(labels, 4.8) + 1.1 + 0.2 * (lines if lines <= 5 else -(-lines // 2)))
-    )
-    for search, ax in zip(("bfs", "astar"), axes, strict=True):
-        plot_path(labels, i, search, ax, paper_colours=paper_colours)
+    dataset = Root.open(root)
+    if kind == "gallery":
+        axes = plot_gallery(dataset_statistics(dataset.places), paper_colours=paper_colours)
+    elif kind == "distributions":
+        axes = plot_distributions(dataset_statistics(dataset.places))
+    else:
+        axes = _plot_one_map(kind, *dataset.map(index), paper_colours)
     return figure_of(axes[0])
 
 
-def _figure_matrix(root: Root, index: int, _: bool) -> Figure:
-    labels, i = root.map(index)
-    searches = ["astar"] if same_matrices(labels, i) else ["bfs", "astar"]
-    axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
-    for search, ax in zip(searches, axes, strict=True):
-        plot_matrix(labels, i, search, ax)
-    return figure_of(axes[0])
+def _plot_one_map(kind: str, labels: Labels, i: int, paper_colours: bool) -> list[Axes]:
+    if kind == "map":
+        axes = new_axes(size=(6, _height(labels, 5.4) + 1.1))
+        plot_map(labels, i, axes[0], paper_colours=paper_colours)
+        return axes
+    if kind == "path":
+        legend = 0.13 * min(int(labels.maps.rooms[i]), 16)
+        axes = new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + legend))
+        plot_path(labels, i, "bfs", axes[0], paper_colours=paper_colours)
+        plot_path(labels, i, "astar", axes[1], paper_colours=paper_colours)
+        return axes
+    if same_matrices(labels, i):
+        axes = new_axes(size=(6, 5.8))
+        plot_matrix(labels, i, axes=axes[0])
+    else:
+        axes = new_axes(1, 2, (12, 5.8))
+        plot_matrix(labels, i, "bfs", axes[0])
+        plot_matrix(labels, i, "astar", axes[1])
+    return axes
 
 
-def _figure_gallery(root: Root, _: int, paper_colours: bool) -> Figure:
-    return figure_of(plot_gallery(dataset_statistics(root.places), paper_colours=paper_colours)[0])
-
-
-def _figure_distributions(root: Root, _: int, __: bool) -> Figure:
-    return figure_of(plot_distributions(dataset_statistics(root.places))[0])
-
-
-FIGURES: dict[str, Callable[[Root, int, bool], Figure]] = {
-    "map": _figure_map,
-    "gallery": _figure_gallery,
-    "path": _figure_path,
-    "matrix": _figure_matrix,
-    "distributions": _figure_distributions,
-}
+FIGURES = ("map", "gallery", "path", "matrix", "distributions")
 """What ``mapdata show --figure`` draws."""
 
 OF_ONE_MAP = ("map", "path", "matrix")
@@ -214,8 +198,7 @@ def figure_of(axes: Axes) -> Figure:
     from matplotlib.figure import Figure
 
     figure = axes.figure
-    if not isinstance(figure, Figure):
-        raise TypeError("axes of a subfigure")
+    assert isinstance(figure, Figure)
     return figure
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.transforms import Transform
 
     from mapdata.search.labels import Labels
 
@@ -30,7 +31,6 @@ MARKERS = "osD^v<>PXph"
 STYLE: dict[Any, str] = {
     "axes.edgecolor": "0.5",
     "axes.labelsize": "small",
-    "axes.titlesize": "medium",
     "xtick.labelsize": "small",
     "ytick.labelsize": "small",
 }
@@ -149,10 +149,10 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
-    style: dict[str, Any] = {"facecolor": "white", "edgecolor": "0.6", "hatch": "////"}
     for row, column in np.argwhere(matrix < 0).tolist():
-        corner = (column - 0.5, row - 0.5)
-        axes.add_patch(Rectangle(corner, 1, 1, linewidth=0.0, label="no connection", **style))
+        square = Rectangle((column - 0.5, row - 0.5), 1, 1, label="no connection")
+        square.set(facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
+        axes.add_patch(square)
     if n <= _NUMBERED:
         for row, column in np.argwhere(matrix >= 0).tolist():
             value = matrix[row, column]
@@ -230,14 +230,18 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
-    from matplotlib.transforms import offset_copy
-
     # Down and to the right, so that horizontal and vertical stretches part alike.
     shift = _LANE * lane
-    figure = axes.get_figure(root=True)
-    place = offset_copy(axes.transData, figure, shift, -shift, units="points")
-    look: dict[str, Any] = {"color": colour, "transform": place}
-    axes.plot(path[:, 1], path[:, 0], linestyle=style, linewidth=2.2, label=label, **look)
+    place = axes.transData + _shift(axes, shift, -shift)
+    axes.plot(
+        path[:, 1],
+        path[:, 0],
+        linestyle=style,
+        linewidth=2.2,
+        color=colour,
+        label=label,
+        transform=place,
+    )
     if len(path) < 6:  # an arrow head would hide it
         return
     arrows = -(-len(path) // _ARROW_EVERY)
@@ -252,8 +256,9 @@ def plot_cells(
             marker=(3, 0, angle),
             edgecolor="white",
             linewidth=0.7,
+            color=colour,
             zorder=3,
-            **look,
+            transform=place,
         )
 
 
@@ -267,8 +272,16 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
     """Put ``text`` on a cell of ``axes``: on a disc, the goal G on a square."""
     marker = "s" if text == "G" else "o"
-    style: dict[str, Any] = {"s": 110, "marker": marker, "edgecolor": "white", "zorder": 4}
-    axes.scatter(column, row, clip_on=False, color=COLOURS["seed"], **style)
+    axes.scatter(
+        column,
+        row,
+        s=110,
+        marker=marker,
+        clip_on=False,
+        color=COLOURS["seed"],
+        edgecolor="white",
+        zorder=4,
+    )
     axes.text(
         column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5
     )
@@ -293,20 +306,23 @@ def head(axes: Axes, title: str) -> None:
 
 def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
     """Put the legend under the axis label, whatever the size of the axes."""
-    from matplotlib.transforms import offset_copy
-
     axes.legend(
         handles=handles or axes.get_legend_handles_labels()[0],
         loc="upper center",
         bbox_to_anchor=(0.5, 0),
-        bbox_transform=offset_copy(
-            axes.transAxes, fig=axes.get_figure(root=True), y=-34, units="points"
-        ),
+        bbox_transform=axes.transAxes + _shift(axes, 0, -34),
         borderaxespad=0.0,
         ncols=ncols,
         frameon=False,
         fontsize="small",
     )
+
+
+def _shift(axes: Axes, x: float, y: float) -> Transform:
+    """Return a shift by points, to the right and upwards."""
+    from matplotlib.transforms import ScaledTranslation
+
+    return ScaledTranslation(x / 72, y / 72, axes.figure.dpi_scale_trans)
 
 
 def _points(labels: Labels, i: int) -> str:
