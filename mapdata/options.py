@@ -1,5 +1,6 @@
-"""What the signature and the docstring of a function say of its parameters: what flags of the
-command line and options of foreign formats are made of.
+"""What the signature and the docstring of a function say of its parameters.
+
+Flags of the command line and options of foreign formats are made of it.
 """
 
 from __future__ import annotations

@@ -140,7 +140,10 @@ def restore_plane(plane: Tensor, code: int) -> Tensor:
 
 
 def transform_points(points: Tensor, code: int, shape: torch.Size) -> Tensor:
-    """Return points (M, 2) on a map (..., H, W) after a symmetry."""
+    """Return points (M, 2) after a symmetry of their map, whose shape was (..., H, W).
+
+    Cell (r, c) covers [r, r + 1) x [c, c + 1), so that a flip takes row to H - row.
+    """
     row, column = points.unbind(1)  # (M,) both
     if code & 1:
         row = shape[-2] - row

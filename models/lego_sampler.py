@@ -61,7 +61,9 @@ FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
 
 TARGETS = ("path", "lego", "shortest_path")
-"""Where a sampler shall sample: on the cells of the path, or at points of a bank of experience."""
+"""Where a sampler shall sample: on the cells of the path, or at points of a bank of experience:
+the bottlenecks of paths on roadmaps ("lego"), or vertices of the shortest of them.
+"""
 
 CHANNELS = 14
 """Planes of what a network sees."""
@@ -166,7 +168,7 @@ class Sampler(pl.LightningModule, ABC):
         if self.targets == "path":
             owners, k = (batch.path[:, :, 0] >= 0).nonzero(as_tuple=True)  # padding is -1
             return batch.path[owners, k] + 0.5, owners
-        ends = torch.cat([batch.start, batch.goal], dim=1)  # (B, 4)
+        ends = torch.cat([batch.start, batch.goal], dim=1)  # (B, 4): the bank refuses others
         points, counts = self.bank.targets(
             self.targets, batch.problem.cpu().numpy(), ends.cpu().numpy()
         )
@@ -254,7 +256,9 @@ class Sampler(pl.LightningModule, ABC):
 # --- the heat map: network, loss, prediction ----------------------------------------------------
 
 VIEWS = (0, 3, 4, 7, 1, 2, 5, 6)
-"""Symmetries of a map in the order in which a heat map adds them, as `transform_plane` has them."""
+"""Symmetries of a map, as `transform_plane` numbers them, in the order in which a heat map adds
+them: those that keep rows as rows come first, for maps that are not square.
+"""
 
 
 class Heatmap(Sampler):
@@ -325,14 +329,15 @@ class Heatmap(Sampler):
         views = VIEWS[: self.hparams["views"]]
         total = torch.zeros(grids.shape, dtype=torch.float64)
         with torch.inference_mode(), bfloat16(self.device):
-            for code in views:
+            for k, code in enumerate(views):
                 seen = transform_plane(occupied, code)
-                ends = [transform_cells(each, code, occupied.shape) for each in (start, goal)]
+                # what one way needs, the way back needs too
+                pair = (start, goal) if k % 2 == 0 else (goal, start)
+                ends = [transform_cells(each, code, occupied.shape) for each in pair]
                 scores = self(seen, *ends)[:, 0]
                 scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
                 shares = scores.flatten(1).double().softmax(1).view(scores.shape)
                 total += restore_plane(shares, code).cpu()
-                start, goal = goal, start  # what one way needs, the way back needs too
         found: Floats = (total / len(views)).numpy()
         return found
 

@@ -13,14 +13,14 @@ below the true cost. Following the most probable moves gives a path:
     sample = data.datasets["val"][0]
     path = model.predict_path(sample.map, sample.start, sample.goal)  # (k, 2) cells
 
-A path labels its own cells alone, and between two cells of a room it is one of 10^5 that are as
+A path labels its own cells alone, and in an open room it is one of very many that are equally
 short. With the fields of ``FIELDS`` every cell knows all of its optimal moves, which teaches more:
 
     data = MapDataModule("data/maps", fields=FIELDS, problems="random", augment=True, batch_size=64)
 
 So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
 scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,500 steps of 40
-maps, 20 minutes of one core. With torch.export and ONNX the model is a module like any other.
+maps, 20 minutes of one core. `torch.export.export(model, (map, goal))` and ONNX take it as it is.
 
 This file reads from top to bottom: targets, what the network sees, loss, training, prediction. The
 network's layers, the optimizer and the files of weights are in models/common.py; searches that a
@@ -48,6 +48,9 @@ from models.common import Muon, Trunk, bfloat16, load_model, one_cycle, padded, 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The richer fields, which teach more than ``map, start, goal, path``."""
 
+PRIOR = 3.0
+"""How much less probable a move is, in log, for each cell of its detour, before any training."""
+
 # --- data: a batch and its targets --------------------------------------------------------------
 
 
@@ -64,11 +67,13 @@ def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
 
 def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     """Return the targets that a path gives its own cells: the next move, and the ratio."""
-    moves = torch.tensor(STEPS[: movement.connectivity], device=batch.path.device)  # (moves, 2)
+    # (moves, 2): N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k
+    moves = torch.tensor(STEPS[: movement.connectivity], device=batch.path.device)
     steps = batch.path[:, 1:] - batch.path[:, :-1]  # (B, T - 1, 2)
     made = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
-    made &= batch.path[:, :-1, :1] >= 0  # paths are padded with -1
-    # the true cost from each cell to the goal: that of the steps that follow
+    made &= batch.path[:, 1:, :1] >= 0  # not into the padding: from (0, 0) to (-1, -1) is NW
+    # the true cost from each cell to the goal: that of the steps that follow, each of which costs
+    # its own heuristic
     costs = (made * heuristic(moves[:, 0], moves[:, 1], movement)).sum(dim=2)  # (B, T - 1)
     to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
     # the n cells of all paths, without their goals
@@ -206,7 +211,7 @@ class PathPredictor(pl.LightningModule):
         out, _ = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
         out = out[..., :rows, :columns].float()
         # before it has learned anything, the most probable moves lead straight to the goal
-        scores = out[:, :-1] - 3 * detour[..., :rows, :columns]
+        scores = out[:, :-1] - PRIOR * detour[..., :rows, :columns]
         return scores, torch.sigmoid(out[:, -1])
 
     def losses(self, batch: Sample | list[Sample]) -> dict[str, Tensor]:
@@ -241,8 +246,8 @@ class PathPredictor(pl.LightningModule):
         error = (ratios[cells] - ratio) ** 2  # (n,)
         right = good.gather(1, scores.argmax(1, keepdim=True))  # (n, 1)
         count = torch.ones_like(ratio)  # (n,)
-        columns = [loss * weight, weight, error, right[:, 0].float(), count]
-        return torch.stack(columns).sum(dim=1)
+        parts = [loss * weight, weight, error, right[:, 0].float(), count]
+        return torch.stack(parts).sum(dim=1)
 
     def training_step(self, batch: Sample | list[Sample], batch_idx: int) -> Tensor:
         """Return the loss of one step."""
@@ -292,6 +297,7 @@ class PathPredictor(pl.LightningModule):
         """
         grid = np.asarray(map).astype(np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
         for end in (start, goal):
+            # a path of one cell: refused unless it is a free cell of the map
             check_path(grid[0], np.asarray(end)[None], self.movement)
         scores = self.predict(grid, np.asarray(goal)[None])[0][0]  # (moves, H, W)
         legal = legal_moves(torch.from_numpy(grid)[:, None], self.movement)[0]  # (moves, H, W)

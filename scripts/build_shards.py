@@ -1,6 +1,4 @@
-"""Build a dataset: python scripts/build_shards.py [ROOT] --maps N --seed S --preset NAME
---shard-size K --workers W.
-"""
+"""Build a dataset: python scripts/build_shards.py [ROOT] --preset NAME --maps N."""
 
 from mapdata.cli import build_main
 

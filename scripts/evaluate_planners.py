@@ -1,5 +1,6 @@
-"""Compare planners in one table: python scripts/evaluate_planners.py --preset dungeon --maps 600
---seed 77, or ROOT.
+"""Compare planners in one table.
+
+python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77, or ROOT.
 
 The trained path predictor comes along where it moves as asked: 8-connected without corner cutting,
 unless --weights names others.
@@ -71,8 +72,9 @@ def evaluate_command(
 
 
 def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlanner]:
-    """Return the rows of the path predictor; none of the weights that ship if they are not there or
-    move otherwise.
+    """Return the rows of the path predictor.
+
+    None if the weights that ship are not there, or move otherwise.
     """
     if weights is None and not (WEIGHTS.exists() and (MODELS / "path_predictor.py").exists()):
         return []

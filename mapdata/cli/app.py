@@ -1,5 +1,6 @@
-"""The command ``mapdata``. Exit codes: 0 good, 1 the data are damaged or disagree, 2 usage or
-environment.
+"""The command ``mapdata``.
+
+Exit codes: 0 good, 1 the data are damaged or disagree, 2 usage or environment.
 
 What a verb needs is imported when it runs, so that ``mapdata --help`` answers at once.
 """
@@ -158,7 +159,9 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
     if unsound and repair:
         raise DisagreeError(f"{unsound} of {total} not repaired")
     if unsound:
-        raise DisagreeError(f"{unsound} found; --repair makes them again from the recipe")
+        raise DisagreeError(
+            f"{unsound} faults found; --repair makes shards again where there is a recipe"
+        )
 
 
 def show_command(

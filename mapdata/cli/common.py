@@ -45,8 +45,9 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
 
 
 def run(command: Callable[..., None], **values: object) -> None:
-    """Call ``command`` and exit with 0, 1 or 2: one clear line instead of a traceback for what a
-    user can put right.
+    """Call ``command`` and exit with 0, 1 or 2.
+
+    What a user can put right is one clear line instead of a traceback.
     """
     try:
         command(**values)
@@ -92,8 +93,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser_of(command: Callable[..., None], prog: str | None = None, **defaults: object) -> Parser:
-    """Return the parser of a function: its signature becomes arguments and flags, its docstring
-    their help.
+    """Return the parser of a function, made of its signature and its docstring.
 
     Parameters without a default are positional, keyword-only ones are flags. ``defaults`` are those
     of positional ones that may be left out.
@@ -150,9 +150,7 @@ def add_flag(
 
 
 def path_name(text: str) -> str:
-    """Return the name of a file or folder, which is not empty: else it would be the working
-    folder.
-    """
+    """Return the name of a file or folder; an empty one, the working folder, is refused."""
     if not text:
         raise argparse.ArgumentTypeError("got an empty name")
     return text

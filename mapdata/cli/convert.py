@@ -179,8 +179,9 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
 def _add_format_options(
     parser: argparse.ArgumentParser, formats: dict[str, Callable[..., Any]]
 ) -> None:
-    """Add the options of what reads, or writes, each format, in a group under its name; not given,
-    they are absent.
+    """Add the options of what reads, or writes, each format, in a group under its name.
+
+    Those that are not given are absent from what the parser returns.
     """
     from mapdata.options import options_of, summary_line
 

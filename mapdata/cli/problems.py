@@ -1,6 +1,4 @@
-"""What scripts that compare planners or samplers share: which problems, and where their table
-goes.
-"""
+"""What scripts that compare planners or samplers share: problems and tables."""
 
 from __future__ import annotations
 
@@ -20,8 +18,7 @@ def given_problems(
     maps: int | None,
     **how: Any,
 ) -> Problems:
-    """Return one problem a map: of maps made on the spot, or of the test split of the dataset under
-    ``root``.
+    """Return one problem a map, of new maps or of the test split of a dataset.
 
     Raises:
         ValueError: a preset or seed beside a root; what `Problems.sample` and `Problems.read`

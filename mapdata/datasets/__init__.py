@@ -1,6 +1,4 @@
-"""Serving maps to torch: `MapDataset`, `OnlineMapDataset`, `MapDataModule`, and the fields of a
-sample.
-"""
+"""Serving maps to torch: datasets, the data module, and the fields of a sample."""
 
 from mapdata.datasets.datamodule import MapDataModule
 from mapdata.datasets.dataset import MapDataset

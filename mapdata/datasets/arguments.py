@@ -53,8 +53,7 @@ class Serving:
         return tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
 
     def plain(self) -> dict[str, Any]:
-        """Return the arguments as plain values: a checkpoint with others could not be loaded
-        safely.
+        """Return the arguments as plain values, which checkpoints can hold safely.
 
         Functions among the fields cannot be kept; then ``fields`` is left out.
         """

@@ -1,5 +1,4 @@
-"""The shards behind a dataset: opened at first touch, read by one kernel a batch through a table of
-addresses.
+"""The shards behind a dataset, opened at first touch and read by one kernel a batch.
 
 A kernel call for each shard would cost more than the work, so the kernels get the addresses of the
 arrays of all open shards.
@@ -87,8 +86,9 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
 
 @kernel
 def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
-    """Write the seed of room ``rooms[b]`` of each map into ``out``, (B, 2); -1 where there is no
-    such room.
+    """Write the seed point of room ``rooms[b]`` of each map into ``out``, (B, 2).
+
+    -1 where the map has no such room.
     """
     for b in range(len(shards)):
         offsets = _array(table[shards[b], _ROOMS], np.int64)
@@ -115,49 +115,53 @@ def read_paths(
         first damaged path or -1. A path that does not arrive has no cells; one that leaves the map
         is damaged.
     """
-    count, two_bits = len(shards), bits == 2
-    places, within = (
-        np.uint64(2 if two_bits else 1),
-        np.uint64(3 if two_bits else 1),
-    )  # moves of a byte: 4 or 2
-    offsets, iterations, first = (
-        np.zeros(count + 1, np.int64),
-        np.empty(count, np.int64),
-        np.empty(count, np.int64),
-    )
+    count = len(shards)
+    offsets = np.zeros(count + 1, np.int64)
+    iterations = np.empty(count, np.int64)
+    first = np.empty(count, np.int64)
     for b in range(count):
+        # A map of n rooms has n - 1 segments, so those of map m begin m before its rooms.
         segment = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
         moves = _array(table[shards[b], search], np.int64)
         iterations[b] = _array(table[shards[b], search + 2], np.int32)[segment]
         first[b] = moves[segment]
         offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
     cells = np.empty((offsets[count], 2), np.int64)
-    height, width, mask, at = np.uint64(size[0]), np.uint64(size[1]), np.uint64(2**bits - 1), 0
+    # Move k stands in byte k >> shift, and there from bit (k & within) * bits on.
+    shift = np.uint64(2 if bits == 2 else 1)
+    within = np.uint64(3 if bits == 2 else 1)
+    mask = np.uint64(2**bits - 1)
+    height = np.uint64(size[0])
+    width = np.uint64(size[1])
+    at = 0
     for b in range(count):
         length = offsets[b + 1] - offsets[b] - 1
         room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
         stored = _cells(table[shards[b], _SEEDS])
-        row, column = np.int64(stored[room, 0]), np.int64(stored[room, 1])
-        goal_row, goal_column = stored[room + 1, 0], stored[room + 1, 1]
+        row = np.int64(stored[room, 0])
+        column = np.int64(stored[room, 1])
+        goal_row = stored[room + 1, 0]
+        goal_column = stored[room + 1, 1]
         packed = _array(table[shards[b], search + 1], np.uint8)
         offsets[b] = at
         if length == 0 and (row != goal_row or column != goal_column):
             continue
-        cells[at, 0], cells[at, 1] = row, column
+        cells[at, 0] = row
+        cells[at, 1] = column
         for k in range(first[b], first[b] + length):
             place = np.uint64(k)
-            move = (
-                np.uint64(packed[place >> places] >> np.uint8((place & within) * np.uint64(bits)))
-                & mask
-            )
+            bit = np.uint8((place & within) * np.uint64(bits))
+            move = np.uint64(packed[place >> shift] >> bit) & mask
             if move > 7:
                 return cells, offsets, iterations, b
-            row, column = row + STEPS[move, 0], column + STEPS[move, 1]
+            row += STEPS[move, 0]
+            column += STEPS[move, 1]
             # As unsigned numbers, those below 0 are large.
             if np.uint64(row) >= height or np.uint64(column) >= width:
                 return cells, offsets, iterations, b
             at += 1
-            cells[np.uint64(at), 0], cells[np.uint64(at), 1] = row, column
+            cells[np.uint64(at), 0] = row
+            cells[np.uint64(at), 1] = column
         at += 1
         if row != goal_row or column != goal_column:
             return cells, offsets, iterations, b
@@ -179,7 +183,8 @@ def read_rooms(
     """Fill connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding."""
     for b in range(len(shards)):
         rooms = _array(table[shards[b], _ROOMS], np.int64)
-        first, last = rooms[maps[b]], rooms[maps[b] + 1]
+        first = rooms[maps[b]]
+        last = rooms[maps[b] + 1]
         pair = _array(table[shards[b], _PAIRS], np.int64)[maps[b]]
         stored = _cells(table[shards[b], _SEEDS])
         moves = _array(table[shards[b], straight], np.int32)
@@ -245,9 +250,7 @@ class BatchReader:
         return int(self.offsets[-1])
 
     def find(self, indices: Ints) -> tuple[Ints, Ints, Ints, Ints]:
-        """Return (shard, map in the shard, room, room) of each problem; the shards are open
-        afterwards.
-        """
+        """Return (shard, map in the shard, room, room) of each problem, and open its shard."""
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
         unopened = shards[self._table[shards, 0] == 0]
         for k in set(unopened.tolist()):
@@ -334,8 +337,9 @@ class BatchReader:
         return cells, offsets, iterations
 
     def damage(self, shard: Int, number: Int, what: str) -> ShardError:
-        """Return the error that says what is wrong with a map of a shard; {} in it becomes the
-        map's number.
+        """Return the error that says what is wrong with a map of a shard.
+
+        {} in ``what`` becomes the map's number.
         """
         place, _, entry = self.shards[int(shard)]
         return ShardError(
@@ -360,8 +364,9 @@ class BatchReader:
 
 
 def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
-    """Return which shard holds the maps of ``entry`` now; None where it is the same, or they are
-    others.
+    """Return which shard holds the maps of ``entry`` now.
+
+    None where it is the same shard, or where other maps took their place.
     """
     drawn = before.identity is not None and before.identity == now.identity
     for k, other in enumerate(now.shards):
@@ -378,28 +383,35 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArr
     if isinstance(problems, Random):
         maps = np.arange(len(rooms))
         first = second = np.full(len(rooms), -1)
+        keep = np.ones(len(rooms), np.bool_)
     else:
         counts = rooms * (rooms - 1) // 2
         maps = np.repeat(np.arange(len(rooms)), counts)
         order = np.arange(len(maps)) - np.repeat(arrays["pair_offsets"][:-1], counts)
         first, second = _pair_of(order, rooms[maps])
-        seed_points, base = arrays["seeds"], arrays["room_offsets"][maps]
+        seed_points = arrays["seeds"]
+        base = arrays["room_offsets"][maps]
         solvable = arrays["astar_straight"] >= 0
         same = (seed_points[base + first] == seed_points[base + second]).all(axis=1)
-        keep = (solvable & ~same) | (~solvable if problems.unsolvable else False)
+        keep = solvable & ~same
+        if problems.unsolvable:
+            keep |= ~solvable
         if isinstance(problems, Route):
             keep &= second == first + 1
-        maps, first, second = maps[keep], first[keep], second[keep]
+    rows = np.stack((maps, first, second), axis=1).astype(np.int32)[keep]
     if split is not None:
-        inside = arrays["split"][maps] == SPLITS.index(split)
-        maps, first, second = maps[inside], first[inside], second[inside]
-    return np.stack((maps, first, second), axis=1).astype(np.int32)
+        rows = rows[arrays["split"][rows[:, 0]] == SPLITS.index(split)]
+    return rows
 
 
 def _pair_of(order: Ints, rooms: Ints) -> tuple[Ints, Ints]:
     """Return rooms i < j of pair number ``order`` of a map with so many rooms (row-major)."""
     most = int(rooms.max(initial=2))
     first = np.zeros(len(order), np.int64)
-    for i in range(1, most):  # pairs of row i begin at i n - i (i + 1) / 2
-        first += (i < rooms - 1) & (order >= i * rooms - i * (i + 1) // 2)
-    return first, order - (first * rooms - first * (first + 1) // 2) + first + 1
+    begin = np.zeros(len(order), np.int64)
+    for i in range(1, most):
+        begin_of_row = i * rooms - i * (i + 1) // 2
+        reached = (i < rooms - 1) & (order >= begin_of_row)
+        first[reached] = i
+        begin[reached] = begin_of_row[reached]
+    return first, order - begin + first + 1

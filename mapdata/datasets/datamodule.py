@@ -138,8 +138,9 @@ class MapDataModule(_Base):
     __str__ = __repr__  # Lightning's own opens all loaders, and so builds a missing dataset
 
     def prepare_data(self) -> None:
-        """Build the dataset if ``build`` says how and it is missing or incomplete; safe in many
-        processes at once.
+        """Build the dataset if ``build`` says how and it is missing or incomplete.
+
+        Many processes may do so at once.
         """
         if self.build is None or not self.roots:
             return
@@ -156,8 +157,9 @@ class MapDataModule(_Base):
         )
 
     def setup(self, stage: str | None = None) -> None:
-        """Open the datasets of ``stage`` ("fit", "validate", "test", "predict" or None for all);
-        again does nothing.
+        """Open the datasets of ``stage``; a second call does nothing.
+
+        Stages are "fit", "validate", "test" and "predict"; None opens all.
         """
         if self.trainer is None:
             self.prepare_data()
@@ -169,11 +171,13 @@ class MapDataModule(_Base):
         }
         for split in SPLITS if stage is None else stages[stage]:
             if split not in self.datasets:
-                self.datasets[split] = self._open(split)
-        self._log(next(iter(self.datasets.values())))
+                dataset = self._open(split)
+                self.datasets[split] = dataset
+                self._describe(dataset)
+        self._log()
 
-    def _log(self, dataset: Dataset) -> None:
-        """Say in ``hparams``, and so in checkpoints, and to loggers what the maps are."""
+    def _describe(self, dataset: Dataset) -> None:
+        """Say in ``hparams``, and so in checkpoints, what the maps are."""
         if isinstance(dataset, MapDataset):
             found: list[tuple[str | None, ...]] = [
                 (each.recipe() if each.spec else None, each.identity, each.content_hash)
@@ -183,10 +187,13 @@ class MapDataModule(_Base):
             found = [(None, identity(dataset.spec, dataset.seed), None)]
         values = found[0] if len(found) == 1 else zip(*found, strict=True)
         self.hparams.update(zip(("recipe", "identity", "content_hash"), values, strict=True))
+        self._movement = astuple(dataset.movement)
+
+    def _log(self) -> None:
+        """Tell the loggers what was trained on."""
         # In a group of its own, since Lightning refuses a name that a model gives another value.
         # Unlike the arguments it has the stored movement, and the names of functions.
-        movement = astuple(dataset.movement)
-        told = {**self.hparams, "fields": self.serving.names, "movement": movement}
+        told = {**self.hparams, "fields": self.serving.names, "movement": self._movement}
         for logger in self.trainer.loggers if self.trainer else ():
             logger.log_hyperparams({"data": json.loads(json.dumps(told))})  # YAML has no tuples
 
@@ -224,8 +231,9 @@ class MapDataModule(_Base):
         return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
 
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
-        """Cast maps and masks to the model's type, float32 unless the Trainer's ``precision`` says
-        otherwise, on whatever device the batch is.
+        """Cast maps and masks to the type of the model, on the device of the batch.
+
+        That is float32 unless the Trainer's ``precision`` says otherwise.
         """
         if not isinstance(batch, Sample):
             return batch

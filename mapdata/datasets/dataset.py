@@ -1,6 +1,4 @@
-"""`MapDataset`, the problems of built datasets as torch samples, and what all such datasets
-share.
-"""
+"""`MapDataset`: the problems of built datasets as torch samples."""
 
 from __future__ import annotations
 
@@ -119,22 +117,21 @@ class ProblemDataset(Dataset[Sample], ABC):
         Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
         collate function takes as it is.
         """
-        given, length = np.asarray(indices), len(self)
+        given = np.asarray(indices)
+        length = len(self)
         if given.size and given.dtype.kind not in "iu":
             raise TypeError(f"indices: got {given.dtype}, expected integers")
         wanted = given.astype(np.int64, copy=False).reshape(-1)
         if len(wanted) and (length == 0 or wanted.min() < -length):
             raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
-        epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), max(length, 1))
-        if len(wanted) == 0 or (epochs == epochs[0]).all():
-            batch = self._make(indices, int(epochs[0]) if len(wanted) else 0)
+        epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), length)
+        if len(wanted) == 0:
+            batch = self._make(indices, 0)
+        elif (epochs == epochs[0]).all():
+            batch = self._make(indices, int(epochs[0]))
         else:
-            batch = stack(
-                [
-                    row(self._make(indices[k : k + 1], epoch), 0)
-                    for k, epoch in enumerate(epochs.tolist())
-                ]
-            )
+            singles = [self._make(indices[k : k + 1], epoch) for k, epoch in enumerate(epochs)]
+            batch = stack([row(single, 0) for single in singles])
         rows = Rows(batch, len(wanted))
         return rows if self.transform is None else [self.transform(sample) for sample in rows]
 
@@ -158,8 +155,9 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @abstractmethod
     def _grids(self, places: Ints) -> Bytes:
-        """Return the maps at some places, (B, H, W): place i is that of sample i, others are
-        substitutes.
+        """Return the maps at some places, (B, H, W).
+
+        Place i is that of sample i; those beyond the samples are substitutes.
         """
 
     @abstractmethod
@@ -168,14 +166,10 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @abstractmethod
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return the places of the maps that are tried where those of samples ``indices`` have no
-        problem.
-        """
+        """Return the places of maps to try where those of samples ``indices`` have no problem."""
 
     def _sampled_batch(self, indices: Ints, epoch: int) -> Batch:
-        """Return a problem for each index, sampled on its own map or, where that has none, on a
-        substitute.
-        """
+        """Return a problem for each index, sampled on its own map or on a substitute."""
         places = indices.copy()
         grids, ends, pieces = self._sample(places, indices, epoch)
         for attempt in range(SUBSTITUTES):
@@ -202,8 +196,10 @@ class ProblemDataset(Dataset[Sample], ABC):
     def _sample(
         self, places: Ints, indices: Ints, epoch: int
     ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
-        """Return the maps at some places, start and goal on each, (B, 4), -1 where it has none, and
-        paths found: pieces for `Paths.join`, none where the paths have not been searched.
+        """Sample a problem on each of the maps at some places.
+
+        Returns the maps; start and goal on each, (B, 4), -1 where it has none; and the paths found,
+        pieces for `Paths.join`, none where they have not been searched.
         """
         assert isinstance(self.serving.problems, Random)
         grids = self._grids(places)
@@ -331,8 +327,9 @@ class MapDataset(ProblemDataset):
         all_connected: bool | None = None,
         hardness: tuple[float, float] | None = None,
     ) -> MapDataset:
-        """Return a view on the stored problems that meet all conditions; ranges are (lowest,
-        highest), both included.
+        """Return a view on the stored problems that meet all conditions.
+
+        Ranges are (lowest, highest), both included.
 
         Args:
             rooms: number of rooms of the map.
@@ -376,13 +373,13 @@ class MapDataset(ProblemDataset):
 
     def _meets(self, indices: Ints, conditions: dict[str, Any]) -> npt.NDArray[np.bool_]:
         """Return which problems meet the conditions of `filter`."""
-        batch = replace(self._stored_batch(indices), wanted=frozenset())
-        rooms = cache(partial(self._stored_rooms, indices, "astar"))
+        batch = self._stored_batch(indices)
+        rooms = cache(partial(self._rooms, indices, batch.grids))
         values: dict[str, Callable[[], npt.NDArray[Any]]] = {
             "rooms": lambda: (rooms().seed_points[:, :, 0] >= 0).sum(axis=1),
             "path_length": lambda: path_length_of(batch),
             "reachable": lambda: path_length_of(batch) > 0,
-            "all_connected": lambda: (rooms().matrix != -1).all(axis=(1, 2)),
+            "all_connected": lambda: (rooms().matrix != -1).all(axis=(1, 2)),  # -2 is padding
             "hardness": lambda: problem_hardness(batch),
         }
         keep = np.ones(len(indices), np.bool_)
@@ -393,9 +390,7 @@ class MapDataset(ProblemDataset):
         return keep
 
     def table(self) -> pd.DataFrame:
-        """Return a row a map (of this split) with all items that the paper lists, under its names,
-        and `split`.
-        """
+        """Return a table of the maps of this split: the items of the paper, and ``split``."""
         import pandas as pd
 
         from mapdata.shards.table import map_rows
@@ -499,8 +494,9 @@ def _reopen(
     filters: tuple[dict[str, Any], ...],
     content: list[str],
 ) -> MapDataset:
-    """Return the dataset that was pickled, if it still is: in another its problems would have other
-    numbers.
+    """Return the dataset that was pickled, if it still is the same.
+
+    In another one, its problems would have other numbers.
     """
     dataset = MapDataset(roots, split, **arguments)
     for root, manifest, expected in zip(

@@ -45,9 +45,11 @@ def pad_paths(cells: Ints, offsets: Ints, capacity: Int) -> Ints:
     """Return paths as (B, capacity, 2), padded with -1."""
     out = np.empty((len(offsets) - 1, capacity, 2), np.int64)
     for b in range(len(out)):
-        first, count = offsets[b], offsets[b + 1] - offsets[b]
+        first = offsets[b]
+        count = offsets[b + 1] - first
         for k in range(count):
-            out[b, k, 0], out[b, k, 1] = cells[first + k, 0], cells[first + k, 1]
+            out[b, k, 0] = cells[first + k, 0]
+            out[b, k, 1] = cells[first + k, 1]
         for k in range(count, capacity):
             out[b, k, 0] = out[b, k, 1] = PADDING
     return out
@@ -66,14 +68,16 @@ def mask_paths(cells: Ints, offsets: Ints, rows: Int, columns: Int) -> Bytes:
 @kernel
 def count_steps(cells: Ints, offsets: Ints) -> tuple[Ints, Ints]:
     """Return straight and diagonal steps of each path, (-1, 0) for an empty one."""
-    straight, diagonal = np.full(len(offsets) - 1, -1), np.zeros(len(offsets) - 1, np.int64)
+    straight = np.full(len(offsets) - 1, -1)
+    diagonal = np.zeros(len(offsets) - 1, np.int64)
     for b in range(len(straight)):
         if offsets[b + 1] > offsets[b]:
             straight[b] = 0
         for k in range(offsets[b] + 1, offsets[b + 1]):
-            both = cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]
-            diagonal[b] += both
-            straight[b] += not both
+            if cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]:
+                diagonal[b] += 1
+            else:
+                straight[b] += 1
     return straight, diagonal
 
 
@@ -118,9 +122,7 @@ def fill_goal_fields(
 
 @inlined
 def _moves_from(costs: Ints, came: Bytes, cell: Int, lattice: Lattice) -> Int:
-    """Return the bit set of moves from ``cell`` that start a shortest path to where ``costs`` is
-    0.
-    """
+    """Return the bit set of the moves from ``cell`` that start a shortest path to the goal."""
     found = np.uint8(0)
     # Straight moves need no rule, since walls are FAR: without a branch, a tenth faster.
     for move in range(4):
@@ -158,8 +160,9 @@ def _follow(
 def path_probabilities(
     grids: Bytes, starts: Ints, goals: Ints, cells: Ints, ends: Ints, rule: Rule
 ) -> Float32s:
-    """Return (B, 1, H, W): L / (d(start, n) + d(n, goal) + d(n, path)) where it is at least 0.95,
-    else 0.
+    """Return TransPath's path probability maps, (B, 1, H, W).
+
+    L / (d(start, n) + d(n, goal) + d(n, path)) where it is at least 0.95, else 0.
     """
     count, rows, columns = grids.shape
     lattice = lattice_of((rows, columns), rule)
@@ -167,7 +170,9 @@ def path_probabilities(
     around_start = np.empty(lattice.cells, np.int64)
     around_goal = np.empty(lattice.cells, np.int64)
     around_path = buffers.g
-    came, pushed, links = buffers.came, buffers.pushed, buffers.links
+    came = buffers.came
+    pushed = buffers.pushed
+    links = buffers.links
     out = np.zeros((count, 1, rows, columns), np.float32)
     for b in range(count):
         length = ends[b + 1] - ends[b]

@@ -32,8 +32,9 @@ from mapdata.spec import Movement
 
 
 class Paths(NamedTuple):
-    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``, empty where there is
-    none.
+    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``.
+
+    It is empty where there is none.
     """
 
     cells: Ints
@@ -42,8 +43,9 @@ class Paths(NamedTuple):
 
     @staticmethod
     def join(pieces: Sequence[tuple[Ints, Paths]], count: int) -> Paths:
-        """Return ``count`` paths from pieces (rows, their paths); of several paths of a row the
-        last one counts.
+        """Return ``count`` paths from pieces (rows, their paths).
+
+        Of several paths of a row the last one counts.
         """
         if len(pieces) == 1:
             return pieces[0][1]
@@ -65,8 +67,11 @@ class Paths(NamedTuple):
 
 
 class Rooms(NamedTuple):
-    """The rooms of a batch: (B, R, R) float32 connection matrices and (B, R, 2) int64 seed
-    points.
+    """The rooms of a batch.
+
+    Attributes:
+        matrix: (B, R, R) float32 connection matrices.
+        seed_points: (B, R, 2) int64 cells.
     """
 
     matrix: Float32s
@@ -75,8 +80,9 @@ class Rooms(NamedTuple):
 
 @dataclass
 class Batch:
-    """B problems, before any field is made of them. What only some fields need is found when it is
-    first asked for.
+    """B problems, before any field is made of them.
+
+    What only some fields need is found when it is first asked for.
 
     Attributes:
         movement: how paths move.
@@ -127,9 +133,7 @@ class Batch:
 
     @cached_property
     def goal_fields(self) -> GoalFields:
-        """The fields that come from the search around the goal; those that were not asked for are
-        empty.
-        """
+        """The fields that come from the search around the goal, empty if not asked for."""
         shape, none = (len(self), 1, *self.grids.shape[1:]), (0, 1, 1, 1)
         fields = GoalFields(
             *(
@@ -165,8 +169,9 @@ def goal(batch: Batch) -> Ints:
 
 
 def path(batch: Batch) -> Ints:
-    """``path``: (B, T, 2) int64, cells from start to goal, padded with -1; T a multiple of 16, or
-    ``max_length``.
+    """``path``: (B, T, 2) int64, cells from start to goal, padded with -1.
+
+    T is a multiple of 16, or ``max_length``.
     """
     cells, offsets, _ = batch.paths
     longest = int(np.diff(offsets).max(initial=0))
@@ -189,8 +194,9 @@ def cost(batch: Batch) -> Float32s:
 
 
 def hardness(batch: Batch) -> Float32s:
-    """``hardness``: (B,) float32, optimal cost over heuristic; 1 when start = goal, -1 without a
-    path.
+    """``hardness``: (B,) float32, optimal cost over heuristic.
+
+    1 when start = goal, -1 without a path.
     """
     best = batch.costs
     if (
@@ -206,8 +212,9 @@ def iterations(batch: Batch) -> Ints:
 
 
 def path_mask(batch: Batch) -> Bytes:
-    """``path_mask``: (B, 1, H, W) uint8, 1 on the cells of the path (Neural A*'s ``opt_trajs``, but
-    with the goal).
+    """``path_mask``: (B, 1, H, W) uint8, 1 on the cells of the path.
+
+    Neural A*'s ``opt_trajs``, but with the goal.
     """
     return mask_paths(
         batch.paths.cells, batch.paths.offsets, batch.grids.shape[1], batch.grids.shape[2]
@@ -225,22 +232,25 @@ def goal_mask(batch: Batch) -> Bytes:
 
 
 def optimal_mask(batch: Batch) -> Bytes:
-    """``optimal_mask``: (B, 1, H, W) uint8, 1 on all cells of all shortest paths; 0 everywhere
-    without a path.
+    """``optimal_mask``: (B, 1, H, W) uint8, 1 on all cells of all shortest paths.
+
+    0 everywhere without a path.
     """
     return batch.goal_fields.optimal_mask
 
 
 def cost_to_go(batch: Batch) -> Float32s:
-    """``cost_to_go``: (B, 1, H, W) float32, cost of the shortest path to the goal in cells, -1
-    unreachable.
+    """``cost_to_go``: (B, 1, H, W) float32, cost of the shortest path to the goal.
+
+    In cells; -1 where the goal cannot be reached.
     """
     return batch.goal_fields.cost_to_go
 
 
 def optimal_moves(batch: Batch) -> Bytes:
-    """``optimal_moves``: (B, 1, H, W) uint8, bit k set where move k starts a shortest path to the
-    goal.
+    """``optimal_moves``: (B, 1, H, W) uint8, the moves that start a shortest path.
+
+    Bit k stands for move k.
 
     Move k is `mapdata.search.STEPS[k]`. 0 at the goal, in walls and where the goal cannot be
     reached.
@@ -249,8 +259,9 @@ def optimal_moves(batch: Batch) -> Bytes:
 
 
 def heuristic_ratio(batch: Batch) -> Float32s:
-    """``heuristic_ratio``: (B, 1, H, W) float32, heuristic over cost to go: 1 at the goal, 0 where
-    unreachable.
+    """``heuristic_ratio``: (B, 1, H, W) float32, heuristic over cost to go.
+
+    1 at the goal, 0 where it cannot be reached.
 
     TransPath's correction factor "CF" (Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730).
     """
@@ -258,8 +269,9 @@ def heuristic_ratio(batch: Batch) -> Float32s:
 
 
 def path_probability(batch: Batch) -> Float32s:
-    """``path_probability``: (B, 1, H, W) float32, L / (d(start, n) + d(n, goal) + d(n, path)),
-    below 0.95 set to 0.
+    """``path_probability``: (B, 1, H, W) float32, how near a shortest path passes.
+
+    L / (d(start, n) + d(n, goal) + d(n, path)) for the path's cost L, set to 0 below 0.95.
 
     TransPath's path probability map "PPM" (https://arxiv.org/abs/2212.11730); 0 everywhere without
     a path.
@@ -271,8 +283,9 @@ def path_probability(batch: Batch) -> Float32s:
 
 
 def connection_matrix(batch: Batch) -> Float32s:
-    """``connection_matrix``: (B, R, R) float32, costs between rooms; -1 no connection, -2
-    padding.
+    """``connection_matrix``: (B, R, R) float32, costs between rooms.
+
+    -1 no connection, -2 padding.
     """
     return batch.rooms.matrix
 
@@ -324,8 +337,7 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
-    """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2), found by
-    searching each grid.
+    """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2).
 
     -1 no connection, -2 where a seed point is (-1, -1). "bfs" counts moves.
     """

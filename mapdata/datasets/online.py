@@ -1,6 +1,4 @@
-"""`OnlineMapDataset`: maps made and solved as they are asked for, with the interface of
-`MapDataset` and no disk.
-"""
+"""`OnlineMapDataset`: maps made and solved as they are asked for, without a disk."""
 
 from __future__ import annotations
 
@@ -25,8 +23,9 @@ from mapdata.spec import Movement, check_seed
 
 
 class OnlineMapDataset(ProblemDataset):
-    """Maps made and solved as they are asked for: one problem a map, nothing on disk, the same maps
-    as shards would hold.
+    """Maps made and solved as they are asked for: one problem a map, nothing on disk.
+
+    They are the maps that shards would hold.
 
     Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route
     and pairs problems are one segment or pair of the map, drawn anew each epoch. A map without any

@@ -1,6 +1,4 @@
-"""What a dataset yields: a NamedTuple of the fields asked for, and how samples become batches under
-any DataLoader.
-"""
+"""What a dataset yields, and how samples become batches under any DataLoader."""
 
 from __future__ import annotations
 
@@ -23,8 +21,7 @@ MAPS_AND_MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optima
 
 
 class Sample(tuple[Any, ...]):
-    """Base class of all samples and batches: a NamedTuple with exactly the fields asked for, in
-    that order.
+    """Base class of samples and batches: NamedTuples of the fields asked for, in order.
 
     It is registered with torch's default collate function, so that a plain ``DataLoader(dataset,
     256)`` gives padded batches.
@@ -40,8 +37,9 @@ class Sample(tuple[Any, ...]):
             """Fields are tensors."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as field names and values: the class is made at run time, and loader workers must
-        find it again.
+        """Pickle as field names and values.
+
+        The class is made at run time, and loader workers must find it again.
         """
         return _restore, (self._fields, self._capacity, tuple(self))
 
@@ -50,8 +48,9 @@ class Sample(tuple[Any, ...]):
 
 @cache
 def sample_class(names: tuple[str, ...], capacity: int | None = None) -> type[Any]:
-    """Return the class of samples with these fields, whose ``path`` has room for so many cells
-    (None: as many as it needs).
+    """Return the class of samples with these fields.
+
+    ``capacity`` is the number of rows of ``path``; None for as many as it needs.
     """
     return type(
         "Sample", (Sample, namedtuple("Sample", names)), {"__slots__": (), "_capacity": capacity}
@@ -64,9 +63,7 @@ def _restore(names: tuple[str, ...], capacity: int | None, values: tuple[Any, ..
 
 
 class Rows(Sequence[Sample]):
-    """A batch that looks like a list of samples: collating it gives the batch itself, at no
-    cost.
-    """
+    """A batch that looks like a list of samples: to collate it costs nothing."""
 
     def __init__(self, batch: Sample, length: int) -> None:
         """Wrap ``batch`` of ``length`` samples."""
@@ -85,8 +82,9 @@ class Rows(Sequence[Sample]):
 
 
 def row(batch: Sample, i: int) -> Sample:
-    """Return sample ``i`` of a batch; its path without padding, unless the dataset has a
-    ``max_length``.
+    """Return sample ``i`` of a batch.
+
+    Its path has no padding, unless the dataset has a ``max_length``.
     """
     values = [value[i] for value in batch]
     if batch._capacity is None and "path" in batch._fields:
@@ -103,8 +101,9 @@ def cast(batch: Sample, dtype: torch.dtype) -> Sample:
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:
-    """Stack samples into a batch; paths are padded with -1 to a multiple of 16 cells, or to the
-    dataset's ``max_length``.
+    """Stack samples into a batch.
+
+    Paths are padded with -1 to a multiple of 16 cells, or to the dataset's ``max_length``.
     """
     kind = type(samples[0])
     columns = dict(zip(kind._fields, zip(*samples, strict=True), strict=True))

@@ -1,6 +1,4 @@
-"""The order of a data loader: a function of (sampling seed, epoch), which a resumed training takes
-up again.
-"""
+"""The order of a data loader, which a resumed training takes up again."""
 
 from __future__ import annotations
 
@@ -64,7 +62,9 @@ class EpochSampler(DistributedSampler[Any]):
         """Return how many samples this rank gets."""
         rank, world = self._share()
         total = len(self.dataset)  # type: ignore[arg-type]
-        return total // world if self.sampling_seed is not None else len(range(rank, total, world))
+        if self.sampling_seed is None:
+            return len(range(rank, total, world))
+        return total // world
 
     def __iter__(self) -> Iterator[int]:
         rank, world = self._share()
@@ -73,10 +73,10 @@ class EpochSampler(DistributedSampler[Any]):
             yield from range(rank, total, world)
             return
         epoch, done = self._position()
-        order = permutation(np.uint64(self.sampling_seed), epoch, total)[: total - total % world][
-            rank::world
-        ]
-        yield from (order[done * self.batch_size :] + epoch * total).tolist()
+        order = permutation(np.uint64(self.sampling_seed), epoch, total)
+        even = total - total % world  # all ranks get equally many
+        mine = order[:even][rank::world]
+        yield from (mine[done * self.batch_size :] + epoch * total).tolist()
 
     def _share(self) -> tuple[int, int]:
         """Return (rank, number of ranks)."""
@@ -104,8 +104,9 @@ class EpochSampler(DistributedSampler[Any]):
 
 @kernel
 def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
-    """Return 0..count - 1 in the order of an epoch: Fisher and Yates with 64-bit draws of stream
-    ORDER.
+    """Return 0 to count - 1 in the order of an epoch, by the shuffle of Fisher and Yates.
+
+    Its draws are 64-bit words of stream ORDER.
     """
     order = np.arange(count)
     for k in range(count - 1, 0, -1):

@@ -160,7 +160,8 @@ def _mean(values: Array, maximum: int) -> Bytes:
     if values.shape[2] == 4:
         colour = values[:, :, :3].astype(np.uint16)
         alpha = values[:, :, 3:].astype(np.uint16)
-        values = 255 - (255 - colour) * alpha // 255  # before a white background
+        # before a white background; pictures with alpha have 8 bits a channel
+        values = 255 - (255 - colour) * alpha // 255
     channels = values.shape[2]
     if channels == 1 and maximum == 255:
         return np.asarray(values[:, :, 0], np.uint8)

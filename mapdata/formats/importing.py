@@ -36,9 +36,10 @@ from mapdata.shards.manifest import (
     read_manifest,
     shard_name,
 )
+from mapdata.shards.root import file_hash
 from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_seed
+from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_count, check_fractions, check_seed
 
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
@@ -120,12 +121,11 @@ def import_maps(
     """
     root = Path(root)
     check_seed(seed)
-    split_thresholds(splits)
-    whole = isinstance(seed_points, int) and not isinstance(seed_points, bool)
-    if not whole or not 2 <= seed_points <= MAX_ROOMS:
+    check_fractions(splits)
+    if check_count("seed_points", seed_points, 2) > MAX_ROOMS:
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
-    if shard_size is not None and shard_size < 1:
-        raise ValueError(f"shard_size: got {shard_size}, expected at least 1")
+    if shard_size is not None:
+        check_count("shard_size", shard_size)
     if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
@@ -199,7 +199,7 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
         if grid[row, column]:
             return f"seed point {(row, column)} is on an occupied cell"
     rooms = len(one.seed_points)
-    if one.rooms_known and not 1 <= rooms <= MAX_ROOMS:
+    if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
         return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
     if not one.rooms_known and len(_free_component(grid, movement)) < 2:
         return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
@@ -275,6 +275,7 @@ def _write(
         if replace(found, shards=()) != wanted:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
         have = {(entry.start, entry.stop): entry for entry in found.shards}
+    # The plan comes first: who goes on with an import that was stopped knows it by this.
     manifest = merge(folder, wanted)
     checked = 0
     disagreements: Counter[str] = Counter()
@@ -291,9 +292,10 @@ def _write(
         old = have.get((header.start, header.stop))
         if old is not None and old.content_hash != content:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
-        if old is None or not path.exists() or path.stat().st_size != old.bytes:
+        if old is None or not path.exists() or file_hash(path) != old.sha256:
             write_file(path, image)
             entry = entry_of(Shard(path, header, content, {}), labels, image)
+            # of two entries for the same maps, the later one counts
             manifest = merge(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))
     origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}

@@ -64,7 +64,7 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
             column = stack[height] % columns
             for down in range(-1, 2):
                 for right in range(-1, 2):
-                    if down != 0 and right != 0 and diagonals != 2:
+                    if down != 0 and right != 0 and diagonals != 2:  # 2: no corner rule
                         continue
                     r = row + down
                     c = column + right

@@ -37,8 +37,7 @@ _TYPES = {"b": "u1", "u": "u1", "i": "i4", "f": "f8"}
 
 
 def report(root: Places, maps: int = MAPS) -> str:
-    """Return the report of a dataset as one HTML page: a browser of a sample of maps, the
-    distributions and the card.
+    """Return the report of a dataset as one HTML page: maps, distributions and the card.
 
     Args:
         root: folder or URL of the dataset, or several.

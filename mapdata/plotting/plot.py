@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Transform
 
     from mapdata.search.labels import Labels
+from mapdata.spec import check_choice
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}
@@ -66,8 +67,7 @@ def plot_grid(
 def plot_map(
     labels: Labels, i: int, axes: Axes | None = None, *, paper_colours: bool = False
 ) -> Axes:
-    """Draw map ``i`` of a batch with the routes of both planners and its numbered seeds: the
-    paper's Figure 1.
+    """Draw map ``i`` of a batch, its routes and numbered seed points: the paper's Figure 1.
 
     Args:
         labels: labelled maps.
@@ -97,8 +97,9 @@ def plot_path(
     *,
     paper_colours: bool = False,
 ) -> Axes:
-    """Draw the route of one search on map ``i`` of a batch, each segment with its moves and
-    iterations: the paper's Figure 3.
+    """Draw the route of one search on map ``i`` of a batch: the paper's Figure 3.
+
+    Each segment is labelled with its moves and iterations.
 
     Args:
         labels: labelled maps.
@@ -130,8 +131,9 @@ def plot_path(
 
 
 def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None = None) -> Axes:
-    """Draw the connection matrix of map ``i`` of a batch, pairs without a path hatched: the paper's
-    Figure 4.
+    """Draw the connection matrix of map ``i`` of a batch: the paper's Figure 4.
+
+    Pairs without a path are hatched.
 
     Args:
         labels: labelled maps.
@@ -181,14 +183,16 @@ def same_matrices(labels: Labels, i: int) -> bool:
 
 
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
-    """Draw cost ratio against expansion ratio, a mark a planner with its 95 % intervals: left and
-    low is good.
+    """Draw cost ratio against expansion ratio, a mark a planner: left and low is good.
+
+    Bars are 95 % intervals.
 
     Args:
         table: what `evaluate` returns.
         axes: where to draw; a new figure without.
         subset: "hard" or "all".
     """
+    check_choice("subset", subset, ("hard", "all"))
     axes = axes or new_axes()[0]
     rows = table[table["subset"] == subset]
     for k, row in enumerate(rows.to_dict("records")):

@@ -1,5 +1,6 @@
-"""Figures of what a model sees and does on a map: a sample, a prediction beside the truth, a
-roadmap. Axes in, axes out, as in `mapdata.plotting.plot`.
+"""Figures of a sample, of a prediction beside the truth, and of a roadmap.
+
+Axes in, axes out, as in `mapdata.plotting.plot`.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ if TYPE_CHECKING:
 
 
 def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
-    """Draw a sample of a dataset, or the first 9 of a batch: map, start S, goal G and path, as far
-    as it has these fields, over a shade of its first dense field, such as ``cost_to_go``.
+    """Draw a sample of a dataset, or the first 9 of a batch.
+
+    Its map, start S, goal G and path, as far as it has these fields, over a shade of its first
+    dense field, such as ``cost_to_go``.
 
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
@@ -128,7 +131,7 @@ def plot_roadmap(
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
-        vertices: (n, 2) samples (row, col), fractions allowed.
+        vertices: (n, 2) samples (row, col), a cell's centre at whole numbers.
         edges: (m, 2) integers, numbers of the vertices that each edge joins.
         axes: where to draw; a new figure without.
         path: (k, 2) cells (row, col), a path found on the roadmap.

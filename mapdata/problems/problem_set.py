@@ -53,12 +53,12 @@ class Problems:
 
     def __post_init__(self) -> None:
         """Solve the problems, so that bad ones are refused here, and copy the arrays."""
-        if np.ndim(self.grids) != 3:
+        if np.ndim(self.grids) != 3:  # one (H, W) would serve all problems of `search_batch`
             raise ValueError(f"grids: got shape {np.shape(self.grids)}, expected (N, H, W)")
         cost = self.optimal.cost
-        for refused, why in ((-1, "has no path"), (0, "starts at its goal")):
-            if (cost == refused).any():
-                raise ValueError(f"problem {int(np.argmax(cost == refused))} {why}: leave it out")
+        for bad_cost, why in ((-1, "has no path"), (0, "starts at its goal")):
+            if (cost == bad_cost).any():
+                raise ValueError(f"problem {int(np.argmax(cost == bad_cost))} {why}: leave it out")
         for name, dtype in (("grids", np.uint8), ("starts", np.int64), ("goals", np.int64)):
             array: npt.NDArray[np.generic] = np.array(getattr(self, name), dtype, order="C")
             array.setflags(write=False)
@@ -121,7 +121,9 @@ class Problems:
         if maps is None:
             if until_hard is None:
                 raise ValueError("got neither maps nor until_hard, expected one of them or both")
-            maps = 1000 * until_hard
+            # fewer hard ones than one on 1,000 maps are not worth the wait
+            maps = 1000 * check_count("until_hard", until_hard)
+        check_count("maps", maps)
         chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
         grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"

@@ -205,12 +205,12 @@ def solve_pairs(
 
 
 @kernel
-def _pair(number: Int, rooms: Int, route: Int) -> tuple[Int, Int]:
+def _pair(number: Int, points: Int, route: Int) -> tuple[Int, Int]:
     """Return seed points i < j of pair ``number``: of the route, or of all in row-major order."""
     if route:
         return number, number + 1
     i = 0
-    while number >= rooms - 1 - i:  # row i has the pairs with j from i + 1 to rooms - 1
-        number -= rooms - 1 - i
+    while number >= points - 1 - i:  # row i has the pairs with j from i + 1 to points - 1
+        number -= points - 1 - i
         i += 1
     return i, i + 1 + number

@@ -87,6 +87,14 @@ Source = Route | Pairs | Random
 SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
 
 
+def _parsed(text: str) -> Any:
+    """Return the value of a JSON text, None if it is not sound."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
 def problem_source(value: str | Source | dict[str, Any]) -> Source:
     """Return the source that ``value`` stands for.
 
@@ -101,8 +109,8 @@ def problem_source(value: str | Source | dict[str, Any]) -> Source:
         return value
     given: Any = value
     if isinstance(value, str):
-        given = json.loads(value) if value.startswith("{") else {value: {}}
-    if not isinstance(given, dict) or len(given) != 1 or not given.keys() <= SOURCES.keys():
+        given = _parsed(value) if value.startswith("{") else {value: {}}
+    if not isinstance(given, dict) or len(given) != 1 or next(iter(given)) not in SOURCES:
         expected = f'one of {", ".join(SOURCES)}, or one with its arguments, {{"random": {{...}}}}'
         raise ValueError(f"problems: got {value!r}, expected {expected}")
     ((name, arguments),) = given.items()

@@ -251,5 +251,6 @@ def count_bits(words: Words, first: Int, last: Int) -> Int:
         w -= (w >> _ONE) & _PAIRS  # each two bits count their ones
         w = (w & _FOURS) + ((w >> np.uint64(2)) & _FOURS)  # each four
         w = (w + (w >> np.uint64(4))) & _EIGHTS  # each byte
-        total += np.int64((w * _BYTES) >> np.uint64(56))  # the product's top byte is their sum
+        # modulo 2^64, the top byte of the product is the sum of all bytes
+        total += np.int64((w * _BYTES) >> np.uint64(56))
     return total

@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 import socket
 import stat
 import sys
@@ -69,22 +70,19 @@ class DatasetNotFoundError(FileNotFoundError):
         """Say what was looked for under ``root`` and what to do."""
         self.root = root
         self.why = why
-        how = (
-            f"Make one with 'mapdata build {root}', with "
-            f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
-            "build='paper')"
-        )
         if "://" in str(root):
             how = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
+        else:
+            how = (
+                f"Make one with 'mapdata build {shlex.quote(str(root))}', with "
+                f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
+                "build='paper')"
+            )
         super().__init__(f"no dataset at {root}: {why}. {how}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments, so that the error of a worker says the same in its parent."""
         return DatasetNotFoundError, (self.root, self.why)
-
-    def __str__(self) -> str:
-        """Return the message alone (an OSError would show its arguments as a tuple)."""
-        return str(self.args[0])
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,15 @@ _Result = TypeVar("_Result")
 
 
 def no_bar(count: int) -> None:
-    """Show nothing; other processes can be given it."""
+    """Show nothing; unlike a closure it can be pickled."""
 
 
 @contextmanager
 def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
     """Yield what advances a bar of how much is done, the rate and the time left, from any thread.
 
-    A bar that is not shown is not made, since tqdm takes a lock and a thread. In a log file it
-    grows every ten seconds.
+    A bar that is not shown is not made, since tqdm takes a lock and a thread. Where stderr is no
+    terminal, as in a log file, it prints every ten seconds.
     """
     if shown:
         pause = 0.1 if sys.stderr.isatty() else 10.0

@@ -163,6 +163,23 @@ def test_a_path_labels_its_own_cells(movement: Movement) -> None:
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
+def test_padding_is_no_step(movement: Movement) -> None:
+    """A goal at (0, 0) is followed by (-1, -1), which looks like a step to the north-west."""
+    kind: Any = type(OnlineMapDataset(DUNGEON, 3, 1)[:1])
+    path = torch.tensor([[[2, 0], [1, 0], [0, 0], [-1, -1]]])
+    batch = kind(torch.zeros(1, 1, 4, 4, dtype=torch.uint8), path[:, 0], path[:, 2], path)
+    moves, ratio = targets_on_path(batch, movement)
+    expected = torch.tensor([[1, 0], [2, 0]])  # the cells with a target: both go north
+    assert moves[0].nonzero().tolist() == expected.tolist()
+    assert set(moves[0][moves[0] != 0].tolist()) == {1}
+    assert ratio[0, 1:3, 0].tolist() == [1, 1]
+    model = PathPredictor(
+        movement.connectivity, movement.corner_cutting, movement.diagonal_cost, (8, 8, 8), 1
+    )
+    assert torch.isfinite(model.losses(batch)["loss"])
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_loss_is_zero_for_any_optimal_policy(
     movement: Movement, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,6 @@ from mapdata import MapDataset, MapSpec, Movement, ShardError, build, read_shard
 from mapdata.datasets import FIELDS
 from mapdata.shards import Root, open_shard
 from mapdata.shards.reader import map_file
-from mapdata.shards.shard import FIELDS as STORED
 
 SPEC = MapSpec(
     map_size=(20, 24),
@@ -55,9 +54,11 @@ def test_no_flipped_bit_is_served(tmp_path: Path) -> None:
     draws = random.Random(4)
     with h5py.File(path, "r") as file:
         places = [
-            file[field.name].id.get_offset() + draws.randrange(file[field.name].nbytes)
-            for field in STORED
+            array.id.get_offset() + draws.randrange(array.nbytes)
+            for array in file.values()
+            if array.nbytes
         ]
+        arrays = len(places)
     places += [draws.randrange(len(image)) for _ in range(60)]
     refused = 0
     for place in places:
@@ -70,7 +71,7 @@ def test_no_flipped_bit_is_served(tmp_path: Path) -> None:
             refused += 1
             continue
         assert all(torch.equal(one, other) for one, other in zip(found, sound, strict=True))
-    assert refused >= len(STORED)  # whatever is flipped in an array is found
+    assert refused >= arrays  # whatever is flipped in an array is found
 
 
 def test_the_same_maps_in_other_bytes_are_served(tmp_path: Path) -> None:
