@@ -84,6 +84,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         _keep_freed_memory()
         self._class = sample_class(serving.names, serving.max_length)
         self._wanted = frozenset(serving.names)
+        if transform is not None and not callable(transform):
+            raise ValueError(f"transform: got {transform!r}, expected a function of a sample")
         changed = isinstance(dtype, torch.dtype) and self._wanted.intersection(MAPS_AND_MASKS)
         if dtype is not None and not changed:
             raise ValueError(
@@ -133,7 +135,9 @@ class ProblemDataset(Dataset[Sample], ABC):
             singles = [self._make(indices[k : k + 1], epoch) for k, epoch in enumerate(epochs)]
             batch = stack([row(single, 0) for single in singles])
         rows = Rows(batch, len(wanted))
-        return rows if self.transform is None else [self.transform(sample) for sample in rows]
+        if self.transform is None or not len(rows):
+            return rows
+        return [self.transform(sample) for sample in rows]
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
@@ -306,6 +310,8 @@ class MapDataset(ProblemDataset):
         arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
         content = [each.content_hash[:12] for each in self.reader.manifests]
         known = f"map_size={self.map_size}, content_hash={content}"
+        if not all(each.complete for each in self.reader.manifests):
+            known += ", of a dataset that is not finished"
         return f"MapDataset({arguments}){filters}: {len(self)} problems, {known}"
 
     def __reduce__(self) -> tuple[Any, ...]:

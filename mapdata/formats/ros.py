@@ -230,16 +230,19 @@ def read(
     """
     found = Collection()
     folder = source if source.is_dir() else source.parent
-    shares = []
+    cells = 0
+    unknowns = 0
     for path in files_of(source, ENDINGS, limits, found.left_out):
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
-            shares.append(float(_unknown(one.cells).mean()))
+            cells += one.cells.size
+            unknowns += int(_unknown(one.cells).sum())
             found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
-    if any(shares):
-        share = sum(shares) / len(shares)
-        found.notes.append(f"{share:.1%} of the cells were unknown and are now {unknown}")
+    if unknowns:
+        found.notes.append(
+            f"{unknowns / cells:.1%} of the cells were unknown and are now {unknown}"
+        )
     return found
 
 

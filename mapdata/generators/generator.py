@@ -110,6 +110,8 @@ class Generator(ABC):
             ValueError: no such preset.
         """
         known = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
+        if name in PRESETS and name not in known:
+            raise ValueError(f"preset: {name!r} is of another family: Generator.preset({name!r})")
         check_choice("preset", name, known)
         return known[name]
 

@@ -23,7 +23,7 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
     """Draw a sample of a dataset, or the first 9 of a batch.
 
     Its map, start S, goal G and path, as far as it has these fields, over a shade of its first
-    dense field, such as ``cost_to_go``.
+    dense field, such as ``cost_to_go``. Masks are not drawn.
 
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
@@ -40,6 +40,8 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
     """
     from mapdata.datasets.sample import MAPS_AND_MASKS, row
 
+    if not hasattr(sample, "_asdict"):
+        raise ValueError(f"sample: got a {type(sample).__name__}, expected one without transform=")
     values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
     grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
     if grid is None or not len(grid) or (axes and grid.ndim == 4):

@@ -88,11 +88,15 @@ SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pa
 
 
 def _parsed(text: str) -> Any:
-    """Return the value of a JSON text, None if it is not sound."""
+    """Return the value of a JSON text.
+
+    Raises:
+        ValueError: it is not sound.
+    """
     try:
         return json.loads(text)
-    except ValueError:
-        return None
+    except ValueError as error:
+        raise ValueError(f"problems: {text!r} is not sound JSON ({error})") from None
 
 
 def problem_source(value: str | Source | dict[str, Any]) -> Source:

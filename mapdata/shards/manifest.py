@@ -422,7 +422,7 @@ def load_shard(root: Path, header: Header) -> Entry | None:
     try:
         shard = open_shard(path)
         labels = decode(shard)
-    except (FileNotFoundError, ShardError):
+    except (OSError, ShardError):  # gone, not to be read, or damaged
         return None
     if shard.header != header or content_hash(labels) != shard.content_hash:
         return None

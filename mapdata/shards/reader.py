@@ -105,7 +105,9 @@ _compared: set[tuple[int | str, ...]] = set()
 
 def _has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
     """Return whether a file has the hash that is expected; a file is hashed once a process."""
-    file = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, sha256)
+    # The time of the last change of any kind tells, too, where a copy kept the time of its bytes.
+    times = (status.st_mtime_ns, status.st_ctime_ns)
+    file = (status.st_dev, status.st_ino, status.st_size, *times, sha256)
     if file not in _compared and hashlib.sha256(data.data).hexdigest() == sha256:
         _compared.add(file)
     return file in _compared
@@ -118,7 +120,10 @@ def _check_content(shard: Shard) -> None:
     except (ValueError, IndexError, ArithmeticError):
         same = False
     if not same:
-        raise ShardError(f"{shard.path}: damaged (its content hash does not fit)")
+        raise ShardError(
+            f"{shard.path}: damaged (its content hash does not fit); 'mapdata verify' with "
+            "--repair makes it again where there is a recipe"
+        )
 
 
 def _parse(path: Path, status: os.stat_result, mapping: Bytes) -> Shard | None:

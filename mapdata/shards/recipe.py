@@ -9,7 +9,7 @@ from typing import Any
 
 from mapdata.generators.generator import PRESETS, Generator, identity
 from mapdata.shards.shard import check_version
-from mapdata.spec import check_count, check_seed, did_you_mean
+from mapdata.spec import check_choice, check_count, check_seed, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,10 @@ class Recipe:
         if isinstance(given, str):
             values = _parsed(given)
         known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
-        if not isinstance(values, dict) or not set(values) <= known:
+        if not isinstance(values, dict):
             raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
+        for name in values:
+            check_choice("recipe", name, sorted(known))
         check_version(values.get("format_version", 1), "recipe: ", ValueError)
         recipe = Recipe(
             spec=Generator.from_dict(values.get("spec", {})),

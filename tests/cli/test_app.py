@@ -187,7 +187,7 @@ def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
     ]
     assert (
         outcome.err.splitlines()[-1]
-        == "mapdata: 2 found; --repair makes them again from the recipe"
+        == "mapdata: 2 faults found; --repair makes shards again where there is a recipe"
     )
 
 
@@ -413,7 +413,7 @@ def test_bad_specs(says: str, values: dict[str, Any], run: Command, tmp_path: Pa
     [
         ("not JSON", b""),
         ("expected an object", b"[]"),
-        ("expected an object", b'{"rooms": [2, 3]}'),
+        ("recipe: got 'rooms', expected one of content_hash", b'{"rooms": [2, 3]}'),
         ("'utf-8' codec", b'{"maps": \xff}'),
         ("format version 3, this mapdata 0.1.0 reads 1 and 2", b'{"format_version": 3}'),
         pytest.param(

@@ -113,7 +113,7 @@ def test_presets_of_one_family_and_of_all() -> None:
     assert MapSpec.preset("dungeon").rooms == (8, 16)
     assert Generator.preset("maze") == Maze.preset("maze") == Maze()
     with pytest.raises(
-        ValueError, match="preset: got 'maze', expected one of paper, narrow, dungeon, dungeon128"
+        ValueError, match=r"preset: 'maze' is of another family: Generator.preset\('maze'\)"
     ):
         MapSpec.preset("maze")
 

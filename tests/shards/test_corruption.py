@@ -358,7 +358,7 @@ def test_the_command_repairs(
     (copied / shard_name(8, 11)).unlink()
     with pytest.raises(SystemExit, match="1"):
         main(["verify", str(copied)])
-    assert "mapdata: 2 found; --repair" in capsys.readouterr().err
+    assert "mapdata: 2 faults found; --repair" in capsys.readouterr().err
     main(["verify", str(copied), "--repair"])
     printed = capsys.readouterr()
     assert printed.out.splitlines()[-1] == f"{copied}: 2 repaired"
