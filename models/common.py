@@ -225,7 +225,8 @@ def _momentum(gradient: Tensor, state: dict[str, Any]) -> Tensor:
     if not state:
         state["step"] = 0
         state["mean"] = torch.zeros_like(gradient)
-        state["square"] = torch.zeros_like(gradient)
+        if gradient.ndim < 2:
+            state["square"] = torch.zeros_like(gradient)
     state["step"] += 1
     if gradient.ndim >= 2:
         state["mean"].lerp_(gradient, 0.05)

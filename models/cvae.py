@@ -122,7 +122,7 @@ class CVAE(Sampler):
     def draw(
         self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator
     ) -> Floats:
-        """Return the first n points that are free; what lacks after some rounds is uniform."""
+        """Return (B, n, 2): the first n points that are free; what lacks is uniform."""
         conditions = self(*self.tensors(grids[:, None], starts, goals))  # (B, code + 4)
         each = conditions[:, None].expand(-1, 2 * n, -1)
         found: list[list[Floats]] = [[] for _ in grids]
@@ -130,6 +130,7 @@ class CVAE(Sampler):
             latents = source.standard_normal((len(grids), 2 * n, self.hparams["latent"]))
             (latent,) = self.tensors(latents.astype(np.float32))  # (B, 2 n, z)
             unit = self.decoder(torch.cat([latent, each], dim=2))  # (B, 2 n, 2)
+            # numpy has no bfloat16
             points = unit.double().cpu().numpy() * grids.shape[1:]
             for grid, drawn, kept in zip(grids, points, found, strict=True):
                 kept.append(drawn[free_at(grid, drawn)])

@@ -140,6 +140,7 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
         if after_gap and problems and not words[0].isdecimal():
             break  # a citation ends the file
         problems.append(_problem(line, number, path))
+        after_gap = False
     lengths = [problem.length for problem in problems]
     decimals = {len(length.partition(".")[2]) for length in lengths}
     has_last_zero = any(re.search(r"\.\d*0$", length) for length in lengths)

@@ -178,7 +178,7 @@ def _checked(
     for key, value in options.items():
         if key not in accepted:
             raise ValueError(f"{key}: does nothing for format {name}")
-        kind = accepted[key].kind
-        if get_origin(kind) is Literal:
+        kind, default, _ = accepted[key]
+        if get_origin(kind) is Literal and value is not default:
             check_choice(key, value, get_args(kind))
     return known[name]

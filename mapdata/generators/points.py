@@ -25,7 +25,7 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
     maps = Maps.empty(spec.movement, spec.map_size, indices, most)
     key = np.uint64(seed)
     for k, grid in enumerate(grids):
-        cells = largest_component(grid, 0)
+        cells = largest_component(grid, 0)  # by straight steps, which every movement has
         points = spread_points(cells, maps.columns, key, np.uint64(indices[k]), most)
         maps.rooms[k] = len(points)
         maps.seed_points[k, : len(points)] = np.stack(np.divmod(points, maps.columns), axis=1)

@@ -152,7 +152,7 @@ def _tables(labels: Labels, chosen: Ints) -> dict[str, npt.NDArray[Any]]:
         "sizes": maps.sizes[chosen][used].reshape(-1),
         "directions": maps.directions[chosen][used[:, 1:]].reshape(-1),
         "reachable": labels.reachable[segments],
-        "astar_diagonal": labels.astar.costs[pairs, 1],
+        "astar_diagonal": labels.astar.costs[pairs, 1],  # BFS counts all moves as straight
     }
     for name in ("bfs", "astar"):
         search = labels.of(name)

@@ -192,13 +192,14 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
         threads() as pool,
     ):
         for header, entry in finished(pool, partial(make_shard, root, anew=True), again, 2 * CORES):
-            made.append(entry)
             before = stated.get(entry.name, entry.content_hash)
             if entry.content_hash != before:
                 what = (
                     f"made again with content hash {entry.content_hash}, the manifest said {before}"
                 )
                 left.append(Corruption(str(root / entry.name), what, header))
+            else:  # the manifest keeps what it said of the others
+                made.append(entry)
             advance(header.stop - header.start)
     repaired = replace(manifest, shards=(*manifest.shards, *made))
     if relisted:

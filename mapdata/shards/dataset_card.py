@@ -191,7 +191,7 @@ def _origin(place: str, rooms_known: bool) -> Section:
     try:
         values: dict[str, Any] = dict(json.loads(read_file(place, PROVENANCE)))
         sources = [str(source) for source in values.get("sources", ())]
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, RecursionError):
         return Section(
             "Where it comes from", "Imported; there is no record of the source beside the data."
         )

@@ -272,7 +272,7 @@ def _fetch(place: str, name: str, most: int) -> bytes:
     except ValueError as error:  # a protocol that fsspec does not know
         raise ValueError(f"root: {place}: {error}") from None
     except Exception as error:
-        # Each file system has its own errors, and what went wrong may lie behind one of them.
+        # fsspec's HTTP says FileNotFoundError whatever failed: only the cause tells a 404.
         cause = error.__cause__ or error
         missing = isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) == 404
         why = "was not found" if missing else f"could not be read: {cause}"

@@ -64,6 +64,17 @@ def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
     assert world(terrain, "W").tolist() == WATER
 
 
+def test_a_blank_line_hides_no_damage(tmp_path: Path) -> None:
+    """Words right after a blank line are a citation, which ends the file; later ones are damage."""
+    path = files(tmp_path)
+    head, problem = path.read_text().splitlines()[:2]
+    path.write_text(f"{head}\n{problem}\n\nPlease cite us.\n")
+    assert len(read_scen(path)) == 1
+    path.write_text(f"{head}\n{problem}\n\n{problem}\nPlease cite us.\n{problem}\n")
+    with pytest.raises(FormatError, match="line 5"):
+        read_scen(path)
+
+
 def test_scen_forms(tmp_path: Path) -> None:
     """Tabs, spaces, CRLF, the old form, names with spaces; x is the column."""
     new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2, 1e-4)

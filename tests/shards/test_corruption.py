@@ -286,8 +286,10 @@ def test_what_the_manifest_said_is_not_forgotten(finished: Path, copied: Path) -
         ),
     )
     (copied / MANIFEST).write_text(lie, encoding="utf-8")
-    (line,) = repair(copied)
-    assert f"made again with content hash {read_manifest(finished).shards[1].content_hash}" in line
+    said = f"made again with content hash {read_manifest(finished).shards[1].content_hash}"
+    for _ in range(2):  # nor is it the next time
+        (line,) = repair(copied)
+        assert said in line
 
 
 def total(values: dict[str, Any]) -> str:
