@@ -32,8 +32,8 @@ class EpochSampler(DistributedSampler[Any]):
     """Yields ``index + epoch * len(dataset)``, each rank its share, from where the Trainer is.
 
     Training: a permutation that is a function of (sampling seed, epoch); all ranks get equally
-    many, at most ranks - 1
-    samples are left out. Else: the order of the dataset, epoch 0, every sample on exactly one rank.
+    many, at most ranks - 1 samples are left out. Else: the order of the dataset, epoch 0, every
+    sample on exactly one rank.
     It asks for epoch, rank and position when it is first iterated over, so that a resumed epoch
     goes on where it stopped. Without a Trainer each pass is the next epoch, unless `set_epoch` says
     which.
@@ -57,6 +57,10 @@ class EpochSampler(DistributedSampler[Any]):
     def set_epoch(self, epoch: int) -> None:
         """Say which epoch the next pass is."""
         self._epoch = epoch
+
+    def __repr__(self) -> str:
+        arguments = f"batch_size={self.batch_size}, sampling_seed={self.sampling_seed}"
+        return f"EpochSampler({self.dataset}, {arguments})"
 
     def __len__(self) -> int:
         """Return how many samples this rank gets."""

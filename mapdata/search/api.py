@@ -36,6 +36,9 @@ class SearchResult(NamedTuple):
     cost: float
     iterations: int
 
+    def __repr__(self) -> str:
+        return summary(self)
+
 
 def bfs(
     grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
@@ -71,12 +74,11 @@ def astar(
     Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242,
     section 4.
 
-    >>> astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
-    SearchResult(path=array([[0, 0],
-           [1, 0],
-           [1, 1],
-           [1, 2],
-           [0, 2]]), cost=4.0, iterations=5)
+    >>> found = astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
+    >>> found
+    SearchResult(path=int64 (5, 2), cost=4.0, iterations=5)
+    >>> found.path.tolist()
+    [[0, 0], [1, 0], [1, 1], [1, 2], [0, 2]]
     """
     return _search(ASTAR, grid, start, goal, movement)
 

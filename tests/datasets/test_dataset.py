@@ -41,6 +41,7 @@ from mapdata import (
     generate,
     label,
 )
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.shards import MANIFEST, Manifest, read_manifest
 
 Array = npt.NDArray[Any]
@@ -1187,3 +1188,39 @@ def test_damaged_paths_are_refused(roots: dict[str, str], name: str) -> None:
                     assert all(0 <= column < dataset.map_size[1] for _, column in cells)
         assert refused > 20
         assert messages == {f"{shard}: a stored path of map is damaged"}
+
+
+def test_all_connected_is_judged_by_the_movement_that_is_served(tmp_path: Path) -> None:
+    """Two rooms that touch at a corner are apart, but for those who may cut it."""
+    grid = np.ones((8, 8), np.uint8)
+    grid[:4, :4] = 0
+    grid[4:, 4:] = 0
+    ends = np.array([[1, 1], [6, 6]])
+    maps = [ForeignMap("corner", grid, split=0, seed_points=ends, rooms_known=True)]
+    import_maps(tmp_path / "maps", Collection(maps))
+    problems = Route(unsolvable=True)
+    cutting = Movement(8, corner_cutting=True)
+    for movement, connected in ((Movement(), False), (cutting, True)):
+        dataset = MapDataset(tmp_path / "maps", problems=problems, movement=movement)
+        assert len(dataset.filter(all_connected=connected)) == 1
+        assert len(dataset.filter(all_connected=not connected)) == 0
+        assert len(dataset.filter(reachable=connected)) == 1
+
+
+def test_a_transform_of_no_samples_is_not_called(roots: dict[str, str]) -> None:
+    """An empty selection is an empty batch, with a transform as without; others are refused."""
+    root = next(iter(roots.values()))
+    batch = MapDataset(root, transform=lambda sample: sample.map)[5:5]
+    assert batch.start.shape == (0, 2)
+    with pytest.raises(ValueError, match="transform: got 3, expected a function"):
+        MapDataset(root, transform=3)  # type: ignore[arg-type]
+
+
+def test_an_unfinished_dataset_says_so(roots: dict[str, str], tmp_path: Path) -> None:
+    """It can be trained on, and its name tells."""
+    root = tmp_path / "maps"
+    shutil.copytree(next(iter(roots.values())), root)
+    assert "not finished" not in repr(MapDataset(root))
+    manifest = read_manifest(root)
+    (root / MANIFEST).write_text(replace(manifest, maps=manifest.maps + 1).to_json())
+    assert "not finished" in repr(MapDataset(root))
