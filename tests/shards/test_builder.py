@@ -512,7 +512,7 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
         ("papers", "is no preset"),
         ("{", "not JSON"),
         ("[]", "is no preset"),
-        ('{"maps": 5, "rooms": [2, 3]}', "expected an object with"),
+        ('{"maps": 5, "rooms": [2, 3]}', "recipe: got 'rooms', expected one of content_hash"),
         ('{"maps": 0}', "maps: got 0"),
         ('{"maps": "many"}', "maps: got 'many'"),
         ('{"seed": -1}', "seed: got -1"),
