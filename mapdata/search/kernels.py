@@ -619,11 +619,10 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
         if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
         for move in range(len(lattice.offsets)):
-            if not is_legal(came, cell, move, lattice):
-                continue
             to = cell + lattice.offsets[move]
             tentative = cost + (UNIT if move < 4 else lattice.step)
-            if tentative < costs[to]:
+            # most neighbours are no cheaper this way, so that their corners need no look
+            if tentative < costs[to] and is_legal(came, cell, move, lattice):
                 costs[to] = tentative
                 ahead = (tentative >> UNIT_BITS) % 3
                 pushed[pushes] = to
