@@ -93,7 +93,7 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
             except _UNSOUND as error:
                 raise ShardError(f"{path}: not a sound shard ({error})") from error
         if shard is not None:
-            if sha256 is not None and not _has_hash(mapping, status, sha256):
+            if sha256 is not None and not has_hash(mapping, status, sha256):
                 _check_content(shard)
             return shard
     raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
@@ -103,8 +103,8 @@ _compared: set[tuple[int | str, ...]] = set()
 """Files whose hash this process, or the one that it was forked from, found to be right."""
 
 
-def _has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
-    """Return whether a file has the hash that is expected; a file is hashed once a process."""
+def has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
+    """Return whether a file has the hash that is expected; it is read and hashed once a process."""
     # The time of the last change of any kind tells, too, where a copy kept the time of its bytes.
     times = (status.st_mtime_ns, status.st_ctime_ns)
     file = (status.st_dev, status.st_ino, status.st_size, *times, sha256)

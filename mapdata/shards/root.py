@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from mapdata.jit import cache_home
 from mapdata.search.labels import Labels
 from mapdata.shards.manifest import (
@@ -22,7 +24,7 @@ from mapdata.shards.manifest import (
     parse_manifest,
     read_manifest,
 )
-from mapdata.shards.reader import open_shard
+from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Header, Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement
@@ -243,7 +245,8 @@ def local_file(place: str, entry: Entry) -> Path:
     cache = cache_home() / "mapdata" / "remote" / folder
     # with the hash in its name, a shard that was replaced at the URL is another file here
     path = cache / f"{entry.sha256[:16]}-{entry.name}"
-    if not path.exists() or file_hash(path) != entry.sha256:
+    cached = path.exists() and path.stat().st_size == entry.bytes
+    if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
         data = read_file(place, entry.name, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise ShardError(

@@ -1,6 +1,4 @@
-"""What README.md shows is what happens, and so do the pages that it leads to first: the commands, the
-recipe, the table of presets.
-"""
+"""README.md and the pages that it leads to first show what happens: commands, recipe, presets."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
 
 
 def test_what_is_missing_is_named_itself() -> None:
-    """Nobody is sent to the other mapdata of the package index, nor from the wheel into a checkout."""
+    """Nobody is sent to the other mapdata of the package index, nor from the wheel to a clone."""
     for folder, suffixes in {
         "mapdata": {".py"},
         "models": {".py"},

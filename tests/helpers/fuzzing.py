@@ -1,9 +1,9 @@
 """Changes real files at random and reads them.
 
-`PYTHONPATH=tests python -m helpers.fuzzing shards` (or `formats`) runs it. A case is a function of (target, seed, number). Its files stand in the folder while it is read, so
-that a crash leaves them behind; a case that hangs ends the program with a traceback, one that takes
-more than 200 MB of address space runs out of memory. Expected are data, or the one error that the
-reader names.
+`PYTHONPATH=tests python -m helpers.fuzzing shards` (or `formats`) runs it. A case is a function of
+(target, seed, number). Its files stand in the folder while it is read, so that a crash leaves them
+behind; a case that hangs ends the program with a traceback, one that takes more than 200 MB of
+address space runs out of memory. Expected are data, or the one error that the reader names.
 """
 
 from __future__ import annotations

@@ -27,19 +27,10 @@ class Block(NamedTuple):
 
 
 def blocks(page: Path) -> list[Block]:
-    """Return the fenced blocks of a page, with the text of the files that it includes."""
+    """Return the fenced blocks of a page."""
     text = page.read_text(encoding="utf-8")
     found = re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-    return [Block(one[1], _included(one[2]), text.count("\n", 0, one.start()) + 2) for one in found]
-
-
-def _included(text: str) -> str:
-    return re.sub(
-        r'^--8<-- "(.*)"\n',
-        lambda one: (ROOT / one[1]).read_text(encoding="utf-8"),
-        text,
-        flags=re.MULTILINE,
-    )
+    return [Block(one[1], one[2], text.count("\n", 0, one.start()) + 2) for one in found]
 
 
 def run(page: Path) -> list[str]:

@@ -212,7 +212,7 @@ def heuristic(cell: Cell, goal: Cell, movement: Movement) -> Pair:
 
 
 class ReferenceResult(NamedTuple):
-    """A path and its cost (empty and -1 when there is none), and the cells taken off the frontier."""
+    """A path and its cost (empty and -1 when there is none), and the number of expansions."""
 
     path: list[Cell]
     cost: float

@@ -50,7 +50,7 @@ def test_vectors_take_steps_of_adam() -> None:
 
 @pytest.mark.parametrize("steps", [10, 50, 4000])
 def test_the_rate_rises_and_falls(steps: int) -> None:
-    """From near 0 over 100 steps or 15 % to the highest, and to 0 at the end; 10 steps work, too."""
+    """From near 0 over 100 steps or 15 % to the highest, then to 0; 10 steps work, too."""
     optimizer = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=0.5)
     schedule = one_cycle(optimizer, steps)["lr_scheduler"]["scheduler"]
     rates = []

@@ -148,7 +148,7 @@ def test_the_heuristic_is_that_of_the_searches(movement: Movement) -> None:
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_a_path_labels_its_own_cells(movement: Movement) -> None:
-    """With one of their optimal moves, and their heuristic ratio; all but the goal, and no other."""
+    """With one of their optimal moves, and their heuristic ratio; all cells but the goal."""
     fields = ("map", "start", "goal", "path", "optimal_moves", "heuristic_ratio", "path_mask")
     data = OnlineMapDataset(DUNGEON, 3, 20, fields=fields, problems="random", movement=movement)
     batch = next(iter(torch.utils.data.DataLoader(data, 20)))
@@ -388,7 +388,7 @@ EXPORT = """
     torch.manual_seed(0)
     model = PathPredictor.load("models/weights/path_predictor.pt")
     some, more = (
-        ((torch.rand(n, 1, 64, 64) < 0.3).to(torch.uint8), torch.randint(64, (n, 2))) for n in (2, 5)
+        ((torch.rand(n, 1, 64, 64) < 0.3).byte(), torch.randint(64, (n, 2))) for n in (2, 5)
     )
     if "warm" in sys.argv:
         model(*some)
@@ -396,7 +396,8 @@ EXPORT = """
     if "onnx" in sys.argv:
         import onnxruntime
 
-        torch.onnx.export(model, some, dynamo=True, dynamic_shapes=(batch, batch)).save(sys.argv[-1])
+        program = torch.onnx.export(model, some, dynamo=True, dynamic_shapes=(batch, batch))
+        program.save(sys.argv[-1])
         session = onnxruntime.InferenceSession(sys.argv[-1])
         names = [each.name for each in session.get_inputs()]
         run = lambda *x: session.run(None, {k: v.numpy() for k, v in zip(names, x, strict=True)})

@@ -1,4 +1,4 @@
-"""docs/format.md holds: a reader made from that page alone reads shards, and its tables are complete.
+"""docs/format.md holds: a reader made from that page alone reads shards; its tables are complete.
 
 mapdata builds the datasets and says what they should hold; h5py and numpy read them.
 """

@@ -1,4 +1,4 @@
-"""Hostile files to every loader: refused by name, in bounded memory and time, nothing in them run."""
+"""Hostile files to every loader: refused by name in bounded memory and time; nothing is run."""
 
 from __future__ import annotations
 
