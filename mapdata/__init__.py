@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from mapdata.datasets import Sample as Sample
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
+    from mapdata.generators import Cave as Cave
+    from mapdata.generators import Forest as Forest
     from mapdata.generators import Generator as Generator
     from mapdata.generators import Maps as Maps
     from mapdata.generators import MapSpec as MapSpec
@@ -47,7 +49,16 @@ if TYPE_CHECKING:
 _FACES = {
     "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
     "evaluation": ("Plan", "evaluate"),
-    "generators": ("Generator", "MapSpec", "Maps", "Maze", "generate", "identity"),
+    "generators": (
+        "Cave",
+        "Forest",
+        "Generator",
+        "MapSpec",
+        "Maps",
+        "Maze",
+        "generate",
+        "identity",
+    ),
     "problems": ("Pairs", "Problems", "Random", "Route"),
     "search": (
         "Labels",

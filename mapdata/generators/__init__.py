@@ -1,6 +1,8 @@
 """Where maps come from: families of maps, each a `Generator` in its own file, and their `Maps`."""
 
-from mapdata.generators import mazes, rooms
+from mapdata.generators import caves, forests, mazes, rooms
+from mapdata.generators.caves import Cave
+from mapdata.generators.forests import Forest
 from mapdata.generators.generator import (
     GENERATORS,
     PRESETS,
@@ -17,11 +19,15 @@ from mapdata.generators.splits import draw_splits, maps_of_split, split_threshol
 
 register(MapSpec, rooms.PRESETS)
 register(Maze, mazes.PRESETS)
+register(Cave, caves.PRESETS)
+register(Forest, forests.PRESETS)
 
 __all__ = [
     "GENERATORS",
     "PRESETS",
     "WORD",
+    "Cave",
+    "Forest",
     "Generator",
     "MapSpec",
     "Maps",

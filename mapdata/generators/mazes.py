@@ -10,7 +10,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import Maps
-from mapdata.generators.points import with_seed_points
+from mapdata.generators.points import check_seed_points, with_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block, bounded, threshold
 from mapdata.spec import MAX_ROOMS, Movement, Range, check_count, check_probability
@@ -41,13 +41,12 @@ class Maze(Generator):
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""
         super().__post_init__()
-        for name, least in (("corridor", 1), ("wall", 1), ("seed_points", 2)):
-            object.__setattr__(self, name, check_count(name, getattr(self, name), least))
+        for name in ("corridor", "wall"):
+            object.__setattr__(self, name, check_count(name, getattr(self, name)))
         object.__setattr__(self, "reopened", check_probability("reopened", self.reopened))
         pitch = self.corridor + self.wall
         most = min(int(np.prod([(side - self.wall) // pitch for side in self.map_size])), MAX_ROOMS)
-        if self.seed_points > most:
-            raise ValueError(f"seed_points: got {self.seed_points}, expected at most {most} here")
+        object.__setattr__(self, "seed_points", check_seed_points(self.seed_points, most))
 
     @property
     def most_seed_points(self) -> int:
@@ -91,13 +90,14 @@ def _carve(grid: Bytes, seed: np.uint64, index: np.uint64, widths: Range, reopen
             word, _, _, _ = block(seed, index, 0, MAP, number)
             number += 1
             moves[depth] = unseen[bounded(word, 0, count - 1)]
-            down, right = _STEPS[moves[depth]]
+            down = _STEPS[moves[depth], 0]
+            right = _STEPS[moves[depth], 1]
             depth += 1
-            # A wall belongs to the cell above it or to the left of it.
             _free(grid, row + min(down, 0), column + min(right, 0), abs(down), abs(right), widths)
         else:  # a dead end: one step back; at the first cell there is none, and the loop ends
             depth -= 1
-            down, right = -_STEPS[moves[depth]]
+            down = -_STEPS[moves[depth], 0]
+            right = -_STEPS[moves[depth], 1]
         row += down
         column += right
     # Each wall once, open already or not: that to the right of a cell, then that below it.
@@ -111,7 +111,7 @@ def _carve(grid: Bytes, seed: np.uint64, index: np.uint64, widths: Range, reopen
 
 @kernel
 def _free(grid: Bytes, row: Int, column: Int, down: Int, right: Int, widths: Range) -> None:
-    """Free a cell of the lattice, or its wall below (``down`` 1) or to the right (``right`` 1)."""
+    """Free a cell, or the wall that is its own: below (``down`` 1) or to the right (``right`` 1)."""
     corridor, wall = widths
     top = wall + row * (corridor + wall) + down * corridor
     left = wall + column * (corridor + wall) + right * corridor

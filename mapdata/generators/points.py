@@ -10,9 +10,21 @@ from mapdata.generators.maps import Maps, pack
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import Int, kernel
 from mapdata.rng import POINTS, block, bounded
+from mapdata.spec import MAX_ROOMS, check_count
+
+_EARLIER = np.array([(0, -1), (-1, 0), (-1, -1), (-1, 1)])
+"""Neighbours W, N, NW, NE of a cell as (row, col): those that come before it."""
 
 _CANDIDATES = 8
 """Cells that are drawn for each seed point, of which the one farthest from the others is taken."""
+
+
+def check_seed_points(count: object, most: int = MAX_ROOMS) -> int:
+    """Return how many seed points a map has, as an int; ValueError unless 2 to ``most``."""
+    points = check_count("seed_points", count, 2)
+    if points > most:
+        raise ValueError(f"seed_points: got {points}, expected at most {most} here")
+    return points
 
 
 def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:
@@ -43,48 +55,45 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
     beside two free cells join nothing that straight ones do not.
     """
     rows, columns = grid.shape
-    owner = np.zeros(rows * columns, np.int32)  # number of the component of a cell, from 1
-    stack = np.empty(rows * columns, np.int64)
-    best = 0
-    most = 0
-    number = 0
-    for first in range(rows * columns):
-        if grid[first // columns, first % columns] != 0 or owner[first] != 0:
-            continue
-        # Flood a new component from its first cell.
-        number += 1
-        owner[first] = number
-        stack[0] = first
-        height = 1
-        size = 0
-        while height:
-            height -= 1
-            size += 1
-            row = stack[height] // columns
-            column = stack[height] % columns
-            for down in range(-1, 2):
-                for right in range(-1, 2):
-                    if down != 0 and right != 0 and diagonals != 2:  # 2: no corner rule
-                        continue
-                    r = row + down
-                    c = column + right
-                    if r < 0 or r >= rows or c < 0 or c >= columns or grid[r, c] != 0:
-                        continue
-                    cell = r * columns + c
-                    if owner[cell] == 0:
-                        owner[cell] = number
-                        stack[height] = cell
-                        height += 1
-        if size > most:
-            best = number
-            most = size
-    cells = np.empty(most, np.int64)
+    # Union-find: of a free cell an earlier one of its component; the first one has itself.
+    owner = np.empty(rows * columns, np.int64)
+    earlier = 4 if diagonals == 2 else 2  # 2: diagonal moves without a corner rule
+    for row in range(rows):
+        for column in range(columns):
+            if grid[row, column] != 0:
+                continue
+            cell = row * columns + column
+            owner[cell] = cell
+            for down, right in _EARLIER[:earlier]:
+                r = row + down
+                c = column + right
+                if r >= 0 and 0 <= c < columns and grid[r, c] == 0:
+                    _join(owner, cell, r * columns + c)
+    sizes = np.zeros(rows * columns, np.int64)
+    for cell in range(rows * columns):
+        if grid[cell // columns, cell % columns] == 0:
+            # Its owner comes earlier and therefore has the first cell as its own already.
+            owner[cell] = owner[owner[cell]]
+            sizes[owner[cell]] += 1
+    best = np.argmax(sizes)  # the first of equal ones
+    cells = np.empty(sizes[best], np.int64)
     k = 0
     for cell in range(rows * columns):
-        if most and owner[cell] == best:  # without a free cell, best is 0, as all owners are
+        if grid[cell // columns, cell % columns] == 0 and owner[cell] == best:
             cells[k] = cell
             k += 1
     return cells
+
+
+@kernel
+def _join(owner: Ints, one: Int, other: Int) -> None:
+    """Make two components one, whose owner is the earlier of their first cells."""
+    while owner[one] != one:
+        one = owner[one]
+    while owner[other] != other:
+        owner[other] = owner[owner[other]]  # halves the way for those who come after
+        other = owner[other]
+    owner[max(one, other)] = min(one, other)
 
 
 @kernel
@@ -112,21 +121,29 @@ def spread_points(cells: Ints, columns: Int, seed: np.uint64, index: np.uint64, 
     """
     count = min(count, len(cells))
     points = np.empty(count, np.int64)
-    # Squared distance of each cell to the nearest point so far.
-    gaps = np.full(len(cells), np.int64(2**62))
     for k in range(count):
         best = np.int64(-1)
+        widest = np.int64(-1)
         for j in range(_CANDIDATES // 4):
             for word in block(seed, index, 0, POINTS, _CANDIDATES // 4 * k + j):
-                cell = bounded(word, 0, len(cells) - 1)
-                if best < 0 or gaps[cell] > gaps[best]:
-                    best = cell
+                place = bounded(word, 0, len(cells) - 1)
+                gap = _gap(cells[place], points[:k], columns)
+                if gap > widest:
+                    best = place
+                    widest = gap
         # If all candidates are points already: the next cell that is none.
-        while gaps[best] == 0:
+        while _gap(cells[best], points[:k], columns) == 0:
             best = (best + 1) % len(cells)
         points[k] = cells[best]
-        for cell in range(len(cells)):
-            rows = cells[cell] // columns - points[k] // columns
-            aside = cells[cell] % columns - points[k] % columns
-            gaps[cell] = min(gaps[cell], rows * rows + aside * aside)
     return points
+
+
+@kernel
+def _gap(cell: Int, points: Ints, columns: Int) -> Int:
+    """Return the squared distance of a cell to the nearest of ``points``; without any, 2**62."""
+    least = np.int64(2**62)
+    for point in points:
+        rows = cell // columns - point // columns
+        aside = cell % columns - point % columns
+        least = min(least, rows * rows + aside * aside)
+    return least
