@@ -263,11 +263,11 @@ def speed() -> Figure:
     return figure
 
 
-def presets() -> Figure:
-    """Show three maps of each preset."""
-    figure, axes = new_figure(1, len(PRESETS), (2.6 * len(PRESETS), 6.9))
+def worlds() -> Figure:
+    """Show two maps of each preset."""
+    figure, axes = new_figure(2, len(PRESETS) // 2, (11, 11.4))
     for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(mosaic(list(generate(spec, 0, range(3)).occupancy), 1), ax)
+        plot_grid(mosaic(list(generate(spec, 0, range(2)).occupancy), 1), ax)
         bare(ax, f"{name}, {spec.map_size[0]} x {spec.map_size[1]}")
     return figure
 
@@ -457,7 +457,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "overview": overview,
     "batch": batch,
     "speed": speed,
-    "presets": presets,
+    "worlds": worlds,
     "movements": movements,
     "figure-1": figure_1,
     "gallery": gallery,

@@ -43,7 +43,8 @@ def build_command(
         root: folder of the dataset
         maps: how many maps (default: 10000, or the recipe's)
         seed: 64-bit seed (default: 0, or the recipe's)
-        preset: paper, narrow, dungeon, dungeon128 or maze (default: paper)
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default:
+            paper)
         recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
         shard_size: maps a shard
         workers: threads (default: all cores)

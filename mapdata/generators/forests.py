@@ -49,10 +49,13 @@ class Forest(Generator):
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""
         super().__post_init__()
-        least, most = (check_number("cover", share) for share in self.cover)
-        if not 0 <= least <= most <= _MOST_COVER:
-            raise ValueError(f"cover: got {self.cover}, expected 0 <= least <= most <= 0.5")
-        object.__setattr__(self, "cover", (least, most))
+        given = self.cover if isinstance(self.cover, (tuple, list)) else ()
+        cover = tuple(check_number("cover", share) for share in given)
+        if len(cover) != 2 or not 0 <= cover[0] <= cover[1] <= _MOST_COVER:
+            raise ValueError(
+                f"cover: got {self.cover!r}, expected (least, most), 0 to {_MOST_COVER}"
+            )
+        object.__setattr__(self, "cover", cover)
         object.__setattr__(self, "sizes", check_integers("sizes", self.sizes))
         check_range("sizes", self.sizes, 1, min(self.map_size), ", the shorter side of the map")
         object.__setattr__(self, "seed_points", check_seed_points(self.seed_points))

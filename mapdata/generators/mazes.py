@@ -111,7 +111,7 @@ def _carve(grid: Bytes, seed: np.uint64, index: np.uint64, widths: Range, reopen
 
 @kernel
 def _free(grid: Bytes, row: Int, column: Int, down: Int, right: Int, widths: Range) -> None:
-    """Free a cell, or the wall that is its own: below (``down`` 1) or to the right (``right`` 1)."""
+    """Free a cell, or the wall that it owns: below (``down`` 1) or to the right (``right`` 1)."""
     corridor, wall = widths
     top = wall + row * (corridor + wall) + down * corridor
     left = wall + column * (corridor + wall) + right * corridor

@@ -355,7 +355,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
         ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
-        ("narrow, dungeon, dungeon128, maze; did you mean dungeon?", ["--preset", "dungoen"]),
+        ("dungeon128, maze, cave, forest, noise; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
 def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_path: Path) -> None:

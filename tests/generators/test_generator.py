@@ -12,21 +12,31 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import torch
+from helpers.samples import ALL_FIELDS, assert_same
 
 from mapdata import (
+    Cave,
+    Forest,
     Generator,
+    MapDataset,
     Maps,
     MapSpec,
     Maze,
     Movement,
+    OnlineMapDataset,
+    Problems,
     build,
     generate,
     identity,
+    label,
     read_shard,
     verify,
 )
 from mapdata.arrays import Ints
+from mapdata.cli import main
 from mapdata.generators import GENERATORS, PRESETS, register, with_seed_points
+from mapdata.shards import Recipe
 
 
 @dataclass(frozen=True)
@@ -80,7 +90,7 @@ def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: P
     GENERATORS.pop("stripes")
     try:
         with pytest.raises(
-            ValueError, match="generator: got 'stripes', expected one of rooms, maze"
+            ValueError, match="generator: got 'stripes', expected one of rooms, maze, cave, forest"
         ):
             read_shard(tmp_path / "maps" / manifest.shards[0].name)
     finally:
@@ -144,3 +154,59 @@ def test_version_1_says_what_it_always_said() -> None:
     assert (MapSpec().format_version, Maze().format_version) == (1, 2)
     assert MapSpec.from_dict({"generator": "rooms"}) == MapSpec()
     assert Generator.from_json(Maze(corridor=3).to_json()) == Maze(corridor=3)
+
+
+SEEDED = {"seed_points": 4, "splits": (0.5, 0.25, 0.25)}
+GOLDEN = {
+    Cave((20, 31), occupied=0.4, steps=3, **SEEDED): (  # type: ignore[arg-type]
+        "e7178de2e750b7b8e2c1eb57064c4b44af39a3890b5baec39a98ed323d7c78fe",
+        "2d9bae2ece32e41fa6c3a5cafe553ea568c95a23674591211e44a2f664af45eb",
+    ),
+    Forest((20, 31), cover=(0.2, 0.3), sizes=(1, 5), **SEEDED): (  # type: ignore[arg-type]
+        "b4fb9fa8796a90215e12fc74fbfa27557b07f64ea6ac78609df6a29b6f06855a",
+        "daee8d0cfa88cb54f409f48d51deb336d2d69edaf7276821b5a3bb0a63011043",
+    ),
+}
+"""Identity and content hash of maps 0 .. 29 with seed 7."""
+
+
+@pytest.mark.parametrize("spec", GOLDEN, ids=lambda spec: spec.name)
+def test_a_family_is_a_dataset_like_any_other(
+    spec: Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Golden hashes, that the page tells too; recipes, all fields, online maps, every verb."""
+    root = tmp_path / "maps"
+    manifest = build(root, spec, maps=30, seed=7, shard_size=12)
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
+    assert (manifest.identity, manifest.content_hash) == GOLDEN[spec]
+    assert all(f"`{value}`" in page for value in GOLDEN[spec])
+    recipe = Recipe.load(manifest.recipe())
+    assert (recipe.spec, recipe.seed, recipe.maps) == (spec, 7, 30)
+    for problems in ("route", "random"):
+        batch = MapDataset(root, "train", ALL_FIELDS, problems=problems)[:]
+        assert batch.map.shape[1:] == (1, 20, 31)
+        assert (batch.cost > 0).all()
+    fields = ("map", "start", "goal", "path")
+    stored = MapDataset(root, None, fields, problems="random")[:]
+    assert_same(stored, OnlineMapDataset(spec, 7, 30, fields=fields, problems="random")[:])
+    assert len(Problems.sample(spec, seed=3, maps=5)) == 5
+    for line in (
+        f"info {root}",
+        f"verify {root}",
+        f"show {root} --figure gallery -o {tmp_path}/gallery.png",
+        f"report {root} -o {tmp_path}/report.html",
+        f"export {root} {tmp_path}/paper --format paper",
+        f"import {tmp_path}/paper {tmp_path}/back",
+    ):
+        main(line.split())
+    assert "passages" not in capsys.readouterr().out
+    assert torch.equal(MapDataset(tmp_path / "back")[:].map, MapDataset(root)[:].map)
+
+
+def test_maps_without_room_for_seed_points() -> None:
+    """Maps of one or two cells have what fits, and labels."""
+    for spec in (Cave((1, 1)), Cave((4, 5), occupied=1.0), Forest((1, 2), (0.5, 0.5), (1, 1))):
+        maps = generate(spec, 1, range(50))
+        labels = label(maps)
+        assert 1 <= maps.rooms.min() <= maps.rooms.max() <= 2
+        assert labels.all_connected.all()

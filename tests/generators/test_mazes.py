@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.reference import reference_split
-from helpers.reference_mazes import reference_maze, reference_points
+from helpers.reference_families import reference_maze, reference_points
 from helpers.samples import ALL_FIELDS, assert_same
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,9 +1,11 @@
-"""Mazes and spread seed points once more in slow, plain Python, written from docs/format.md."""
+"""Families of maps and their seed points in slow, plain Python, written from docs/format.md."""
 
 from __future__ import annotations
 
+import math
+
 from helpers.reference import Cell, block, bounded, threshold
-from mapdata.generators import Maze
+from mapdata import Cave, Forest, Maze
 
 MAP, POINTS = 0, 5
 STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
@@ -55,6 +57,64 @@ def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
                 grid[spec.wall + row * pitch + r][spec.wall + column * pitch + c] = 0
         assert (other_row - row, other_column - column) in ((0, 1), (1, 0))
     return grid
+
+
+def reference_cave(spec: Cave, seed: int, index: int) -> list[list[int]]:
+    """Return a cave: noise whose cells take the side of most of their neighbours."""
+    rows, columns = spec.map_size
+    halves: list[int] = []
+    for number in range(-(-rows * columns // 8)):
+        for word in block(seed, index, 0, MAP, number):
+            halves += [word % 2**16, word // 2**16]
+    limit = round(spec.occupied * 2**16)
+    grid = [
+        [int(halves[row * columns + column] < limit) for column in range(columns)]
+        for row in range(rows)
+    ]
+    for _ in range(spec.steps):
+        before = grid
+        grid = []
+        for row in range(rows):
+            grid.append([])
+            for column in range(columns):
+                count = 0
+                for r in (row - 1, row, row + 1):
+                    for c in (column - 1, column, column + 1):
+                        inside = 0 <= r < rows and 0 <= c < columns
+                        count += before[r][c] if inside else 1
+                grid[row].append(int(count >= 5))
+    grid[rows // 2][columns // 2] = 0
+    return grid
+
+
+def reference_forest(spec: Forest, seed: int, index: int) -> list[list[int]]:
+    """Return a forest: the union of obstacles, as sets of cells, until enough are covered."""
+    rows, columns = spec.map_size
+    least, most = (round(share * rows * columns) for share in spec.cover)
+    target = bounded(block(seed, index, 0, MAP, 0)[0], least, most)
+    covered: set[Cell] = set()
+    number = 0
+    while len(covered) < target:
+        number += 1
+        place, first, second, shape = block(seed, index, 0, MAP, number)
+        row, column = divmod(bounded(place, 0, rows * columns - 1), columns)
+        tall = bounded(first, *spec.sizes)
+        wide = bounded(second, *spec.sizes)
+        if bounded(shape, 0, 1):
+            middle = (row - tall // 2 + tall / 2, column - tall // 2 + tall / 2)
+            cells = {
+                (r, c)
+                for r in range(rows)
+                for c in range(columns)
+                if math.dist((r + 0.5, c + 0.5), middle) <= tall / 2
+            }
+        else:
+            top = row - tall // 2
+            left = column - wide // 2
+            cells = {(r, c) for r in range(top, top + tall) for c in range(left, left + wide)}
+        covered |= {(r, c) for r, c in cells if 0 <= r < rows and 0 <= c < columns}
+    covered.discard((rows // 2, columns // 2))
+    return [[int((row, column) in covered) for column in range(columns)] for row in range(rows)]
 
 
 def reference_points(cells: list[Cell], seed: int, index: int, count: int) -> list[Cell]:
