@@ -196,13 +196,13 @@ def batch() -> Figure:
 
 def clearance() -> Figure:
     """Show the label of one's own that docs/howto/labels.md computes."""
-    field = run_first_block("docs/howto/labels.md")["clearance"]
+    field = run_first_block("docs/howto/labels.md")["room"]
     dataset = OnlineMapDataset(DUNGEON, 0, length=20, fields=("map", field), problems=Random())
     figure, axes = new_figure(1, 3, (10.2, 3.6))
     for ax, k in zip(axes, (3, 9, 12), strict=True):
         sample: Any = dataset[k]
         plot_grid(sample.map[0], ax)
-        values = np.asarray(sample.clearance[0])
+        values = np.asarray(sample.room[0])
         image = ax.imshow(np.ma.masked_equal(values, 0), cmap="viridis", interpolation="nearest")
         bare(ax)
     figure.colorbar(image, ax=axes, label="clearance, cells", shrink=0.8)

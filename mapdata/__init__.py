@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from mapdata.search import astar as astar
     from mapdata.search import bfs as bfs
     from mapdata.search import check_path as check_path
+    from mapdata.search import clearance as clearance
     from mapdata.search import distance_field as distance_field
+    from mapdata.search import inflate as inflate
     from mapdata.search import label as label
     from mapdata.search import search_batch as search_batch
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
@@ -66,7 +68,9 @@ _FACES = {
         "astar",
         "bfs",
         "check_path",
+        "clearance",
         "distance_field",
+        "inflate",
         "label",
         "search_batch",
     ),

@@ -26,6 +26,7 @@ from mapdata.datasets.field_kernels import (
 )
 from mapdata.datasets.sample import PATH_STEP
 from mapdata.search.api import search_batch
+from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, rule_of
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.spec import Movement
@@ -268,6 +269,12 @@ def heuristic_ratio(batch: Batch) -> Float32s:
     return batch.goal_fields.heuristic_ratio
 
 
+def clearance(batch: Batch) -> Float32s:
+    """``clearance``: (B, 1, H, W) float32, as `mapdata.clearance`, in cells."""
+    found: Float32s = clearances(batch.grids)[:, None]
+    return found
+
+
 def path_probability(batch: Batch) -> Float32s:
     """``path_probability``: (B, 1, H, W) float32, how near a shortest path passes.
 
@@ -322,6 +329,7 @@ FIELDS: dict[str, Field] = {
         optimal_moves,
         heuristic_ratio,
         path_probability,
+        clearance,
         connection_matrix,
         seed_points,
         problem,

@@ -12,6 +12,7 @@ from mapdata.search.api import (
     distance_field,
     search_batch,
 )
+from mapdata.search.footprint import clearance, clearances, inflate, inflate_all, least_squared
 from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.search.lattice import (
     MAX_CELLS,
@@ -45,14 +46,19 @@ __all__ = [
     "bfs",
     "cell_at",
     "check_path",
+    "clearance",
+    "clearances",
     "distance_field",
     "hardness",
     "heuristic",
     "heuristics",
     "in_cells",
+    "inflate",
+    "inflate_all",
     "is_legal",
     "label",
     "lattice_of",
+    "least_squared",
     "load",
     "position",
     "rule_of",

@@ -136,7 +136,7 @@ def solve_batch(
 ) -> BatchResult:
     """Solve B problems by any ``search``; else as `search_batch`."""
     array = np.asarray(grids)
-    stack = _grid(array if array.ndim == 3 else array[None], 3)
+    stack = as_grid(array if array.ndim == 3 else array[None], 3)
     begins = np.ascontiguousarray(_whole("starts", starts), np.int64)
     ends = np.ascontiguousarray(_whole("goals", goals), np.int64)
     count = len(begins)
@@ -179,7 +179,7 @@ def distance_field(
     array([[ 0., -1.,  4.],
            [ 1.,  2.,  3.]], dtype=float32)
     """
-    array = _grid(grid, 2)
+    array = as_grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
     good = write_field(array, row, column, rule_of(movement), out)
@@ -205,7 +205,7 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
     >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
     2.0
     """
-    array = _grid(grid, 2)
+    array = as_grid(grid, 2)
     cells = np.array(_whole("path", path), order="C")  # a copy: one flavour for the kernel
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
@@ -227,7 +227,7 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
 def _search(
     search: Weights, grid: npt.ArrayLike, start: object, goal: object, movement: Movement
 ) -> SearchResult:
-    array = _grid(grid, 2)
+    array = as_grid(grid, 2)
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
     path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))
@@ -237,7 +237,7 @@ def _search(
     return SearchResult(path, cost, iterations)
 
 
-def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
+def as_grid(grid: npt.ArrayLike, rank: int) -> Bytes:
     """Return ``grid`` as what the kernels are compiled for: writable, contiguous uint8."""
     try:
         array = np.asarray(grid)

@@ -334,6 +334,7 @@ TABLE: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
     "optimal_moves": ((B, 1, H, W), torch.uint8),
     "heuristic_ratio": ((B, 1, H, W), torch.float32),
     "path_probability": ((B, 1, H, W), torch.float32),
+    "clearance": ((B, 1, H, W), torch.float32),
     "connection_matrix": ((B, R, R), torch.float32),
     "seed_points": ((B, R, 2), torch.int64),
     "problem": ((B,), torch.int64),

@@ -53,6 +53,7 @@ ALL_FIELDS = (
     "optimal_moves",
     "heuristic_ratio",
     "path_probability",
+    "clearance",
     "connection_matrix",
     "seed_points",
     "problem",

@@ -1,0 +1,109 @@
+"""Clearance and inflation: equal to brute force and to scipy, exact where a disc just touches."""
+
+from __future__ import annotations
+
+import math
+import re
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy import ndimage
+
+from mapdata import Generator, clearance, generate, inflate
+
+Grid = npt.NDArray[np.uint8]
+
+GRIDS = arrays.arrays(np.uint8, arrays.array_shapes(min_dims=2, max_dims=2, max_side=20)).map(
+    lambda noise: (noise < 40).astype(np.uint8)
+)
+
+
+def squared_half_cells(grid: Grid) -> npt.NDArray[np.int64]:
+    """Return the squared clearance in half cells: every cell against every obstacle."""
+    rows, columns = grid.shape
+    found = np.zeros(grid.shape, np.int64)
+    for row, column in np.argwhere(grid == 0):
+        gaps = [2 * int(side) + 1 for side in (row, column, rows - 1 - row, columns - 1 - column)]
+        best = min(gaps) ** 2
+        for other in np.argwhere(grid):
+            down, right = (max(0, 2 * abs(int(step)) - 1) for step in other - (row, column))
+            best = min(best, down**2 + right**2)
+        found[row, column] = best
+    return found
+
+
+@settings(max_examples=200)
+@given(GRIDS)
+def test_clearance_equals_brute_force(grid: Grid) -> None:
+    """On any map, to the last bit of a float32."""
+    expected = np.sqrt(squared_half_cells(grid)) / 2
+    np.testing.assert_array_equal(clearance(grid), expected.astype(np.float32))
+
+
+@pytest.mark.parametrize("name", ["paper", "dungeon", "maze", "cave", "forest", "noise"])
+def test_clearance_agrees_with_scipy(name: str) -> None:
+    """With its exact distance transform between the corners of cells, nine times as many.
+
+    Each cell becomes 3 x 3 of them. The nearest of an obstacle lies half a fine cell inside its
+    edge, or a corner: at most 0.71 / 3 of a cell beyond the nearest point.
+    """
+    for grid in generate(Generator.preset(name), 5, range(20)).occupancy:
+        walled = np.kron(np.pad(grid, 1, constant_values=1), np.ones((3, 3)))
+        fine = ndimage.distance_transform_edt(walled == 0)[4:-4:3, 4:-4:3] / 3
+        excess = fine - clearance(grid)
+        assert (excess[grid == 0] > 0).all()
+        assert excess.max() <= math.sqrt(0.5) / 3 + 1e-6
+        assert (clearance(grid)[grid == 1] == 0).all()
+
+
+@settings(max_examples=200)
+@given(GRIDS, st.fractions(0, 6, max_denominator=20))
+def test_a_disc_may_touch_and_not_overlap(grid: Grid, radius: Fraction) -> None:
+    """Compared exactly, as fractions: occupied where the squared clearance is below (2 r)^2."""
+    least = math.ceil((2 * radius) ** 2)
+    inside = squared_half_cells(grid) < least
+    np.testing.assert_array_equal(inflate(grid, float(radius)), (inside | (grid == 1)).astype(int))
+
+
+def test_metres_over_resolution_count_as_meant() -> None:
+    """0.15 m at 0.1 m a cell is 1.5 cells, although the quotient of the floats is less."""
+    assert 0.15 / 0.1 < 1.5 < 0.1 * 15.000000000000002
+    corridor = np.ones((5, 9), np.uint8)
+    corridor[1:4] = 0
+    for radius in (1.5, 0.15 / 0.1, 0.1 * 15.000000000000002):
+        assert inflate(corridor, radius)[2, 1:-1].sum() == 0
+        assert inflate(corridor, radius)[[1, 3]].all()
+    assert inflate(corridor, 1.501).all()
+
+
+def test_inflating_leaves_the_grid_alone() -> None:
+    """Radius 0 is a copy; lists, bools and floats are grids, too."""
+    grid = np.array([[0, 1, 0]], np.uint8)
+    same = inflate(grid, 0)
+    same[:] = 7
+    assert grid.tolist() == [[0, 1, 0]]
+    assert inflate([[False, True]], 0.5).tolist() == [[0, 1]]
+    assert clearance(np.zeros((1, 1), np.float32)).tolist() == [[0.5]]
+    assert inflate(np.zeros((1, 1)), 0.51).tolist() == [[1]]
+
+
+@pytest.mark.parametrize("radius", [-1, math.nan, math.inf, "wide", True, None])
+def test_a_bad_radius_is_named(radius: object) -> None:
+    """With what was expected."""
+    with pytest.raises(ValueError, match="radius: got " + re.escape(repr(radius))):
+        inflate([[0]], radius)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("grid", [[[2]], [0, 1], [[[0]]], [[]], [["a"]]])
+def test_a_bad_grid_is_named(grid: Any) -> None:
+    """As by the searches."""
+    with pytest.raises(ValueError, match="grid: got"):
+        clearance(grid)
+    with pytest.raises(ValueError, match="grid: got"):
+        inflate(grid, 1)
