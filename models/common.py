@@ -153,19 +153,29 @@ def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
     return torch.stack(legal, dim=1)
 
 
+def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
+    """Return the number row * columns + column of each point's cell, (M,), of maps (B, 1, H, W)."""
+    rows, columns = occupied.shape[2:]
+    row, column = points.floor().long().unbind(1)  # (M,) both
+    return row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+
+
 def check_problems(
     maps: npt.ArrayLike, starts: npt.ArrayLike, goals: npt.ArrayLike
 ) -> tuple[Bytes, Ints, Ints]:
-    """Return B problems as new arrays: maps (B, H, W) of 0 and 1, starts and goals (B, 2).
+    """Return one problem or B of them as new arrays: (B, H, W) of 0 and 1, starts, goals (B, 2).
 
     Raises:
-        ValueError: a start or goal outside its map or on an occupied cell.
+        ValueError: a map without a free cell, a start or goal outside its map or on an occupied
+            cell.
     """
     cells = np.asarray(maps)
     grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
+    if grids.all(axis=(1, 2)).any():
+        raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
     ends: list[Ints] = []
     for name, given in (("start", starts), ("goal", goals)):
-        end = np.array(given, np.int64)
+        end = np.atleast_2d(np.array(given, np.int64))
         inside = ((end >= 0) & (end < grids.shape[1:])).all(axis=1)  # (B,)
         row, column = np.where(inside[:, None], end, 0).T
         free: Flags = inside & (grids[np.arange(len(grids)), row, column] == 0)  # (B,)
@@ -342,7 +352,7 @@ class Model(pl.LightningModule):
     saved_dtype: ClassVar[torch.dtype] = torch.float32
     """Type of the weights in files."""
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> Any:
         """Return Muon, since AdamW needs more steps here, and torch's OneCycleLR."""
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
         return one_cycle(optimizer, self.trainer.estimated_stepping_batches)

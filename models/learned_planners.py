@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -25,26 +24,11 @@ from mapdata.search import (
     rule_of,
     search_batch,
 )
-from mapdata.spec import Movement
+from models.common import check_problems
+from models.path_predictor import PathPredictor
 
 
-class Predictor(Protocol):
-    """What predicts moves, such as `path_predictor.PathPredictor`."""
-
-    movement: Movement
-
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W).
-
-        A score is a log probability, up to a constant a cell.
-
-        Args:
-            grids: (B, H, W), 0 free and 1 occupied.
-            goals: (B, 2), cells.
-        """
-
-
-def planners(model: Predictor) -> list[BatchPlanner]:
+def planners(model: PathPredictor) -> list[BatchPlanner]:
     """Return the planners of a model, as rows for `mapdata.evaluate`."""
     return [
         LearnedPlanner("path_predictor (walk)", model, fallback=False),
@@ -68,7 +52,7 @@ class LearnedPlanner(Batched):
     """
 
     name: str
-    model: Predictor
+    model: PathPredictor
     fallback: bool = True
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
@@ -77,7 +61,7 @@ class LearnedPlanner(Batched):
         Raises:
             ValueError: a start or goal outside its map or on an occupied cell.
         """
-        grids, starts, goals = _problems(grids, starts, goals)
+        grids, starts, goals = check_problems(grids, starts, goals)
         scores, _ = self.model.predict(grids, goals)
         movement = self.model.movement
         rule = rule_of(movement)
@@ -108,34 +92,18 @@ class GuidedSearch(Batched):
     """
 
     name: str
-    model: Predictor
+    model: PathPredictor
     trust: float = 2.0
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem, as `LearnedPlanner.plan_batch` does."""
-        grids, starts, goals = _problems(grids, starts, goals)
+        grids, starts, goals = check_problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals)
         rule = rule_of(self.model.movement)
         plans = []
         for each in zip(grids, scores, ratios, starts, goals, strict=True):
             plans.append(Plan(*_search(*each, rule, self.trust)))
         return plans
-
-
-def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:
-    """Return the problems as the kernels want them.
-
-    Raises:
-        ValueError: a start or goal outside its map or on an occupied cell.
-    """
-    grids = np.not_equal(grids, 0).astype(np.uint8)
-    starts = np.array(starts, np.int64)
-    goals = np.array(goals, np.int64)
-    for ends in (starts, goals):
-        outside = (ends < 0).any() or (ends >= grids.shape[1:]).any()
-        if outside or grids[np.arange(len(grids)), ends[:, 0], ends[:, 1]].any():
-            raise ValueError("a start or goal is outside its map or on an occupied cell")
-    return grids, starts, goals
 
 
 @kernel

@@ -248,7 +248,7 @@ class PathPredictor(Model):
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell.
         """
-        grids, starts, goals = check_problems(map, [start], [goal])  # a batch of one
+        grids, starts, goals = check_problems(map, start, goal)  # a batch of one
         scores, _ = self.predict(grids, goals)  # (1, moves, H, W)
         legal = legal_moves(torch.from_numpy(grids)[:, None], self.movement)  # (1, moves, H, W)
         path = [tuple(starts[0].tolist())]
