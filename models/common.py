@@ -175,7 +175,7 @@ def check_problems(
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
     ends: list[Ints] = []
     for name, given in (("start", starts), ("goal", goals)):
-        end = np.atleast_2d(np.array(given, np.int64))
+        end = np.atleast_2d(np.asarray(given).astype(np.int64))
         inside = ((end >= 0) & (end < grids.shape[1:])).all(axis=1)  # (B,)
         row, column = np.where(inside[:, None], end, 0).T
         free: Flags = inside & (grids[np.arange(len(grids)), row, column] == 0)  # (B,)

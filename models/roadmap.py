@@ -21,6 +21,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,9 @@ from scipy.stats import qmc
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import kernel
+
+Points: TypeAlias = Callable[[npt.ArrayLike, int, int], Floats]
+"""A sampler that sees the map alone: from a grid (H, W), n and a seed to (n, 2) free points."""
 
 REACH = 1.5
 """Vertices are joined within REACH * sqrt(log n / n) of the map's side."""
@@ -69,7 +73,8 @@ class Roadmap:
         """Return what `shortest_path` does, where an edge costs its length times a price.
 
         Args:
-            prices: (n,) that of an edge is the greater one of its ends. inf closes a vertex.
+            prices: (n,), positive; that of an edge is the greater one of its ends. inf closes a
+                vertex.
         """
         i, j = self.edges.T
         costs = self.graph.data * np.maximum(prices[i], prices[j])  # (m,)
@@ -287,7 +292,7 @@ def bridge(grid: npt.ArrayLike, n: int, seed: int = 0, spread: float = 6.0) -> F
     return _rounds(cells, n, seed, draw)
 
 
-SAMPLERS: dict[str, Callable[[npt.ArrayLike, int, int], Floats]] = {
+SAMPLERS: dict[str, Points] = {
     "halton": halton,
     "uniform": uniform,
     "gaussian": gaussian,

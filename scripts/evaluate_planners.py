@@ -16,9 +16,10 @@ from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
+from models.learned_planners import planners
+from models.path_predictor import PathPredictor
 
-MODELS = Path(__file__).parent.parent / "models"
-WEIGHTS = MODELS / "weights" / "path_predictor.pt"
+WEIGHTS = Path(__file__).parent.parent / "models" / "weights" / "path_predictor.pt"
 
 
 def evaluate_command(
@@ -61,8 +62,8 @@ def evaluate_command(
     learned = learned_planners(weights, movement)
     maps = 600 if not root and maps is None and until_hard is None else maps
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
-    planners: list[Planner] = [*classical(movement), *learned]
-    table = evaluate(planners, problems)
+    rows: list[Planner] = [*classical(movement), *learned]
+    table = evaluate(rows, problems)
     print(f"{problems.description}; {movement}\n\n{to_text(table)}")
     write_table(table, csv, json)
     if figure is not None:
@@ -72,17 +73,7 @@ def evaluate_command(
 
 
 def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlanner]:
-    """Return the rows of the path predictor.
-
-    None if the weights that ship are not there, or move otherwise.
-    """
-    if weights is None and not (WEIGHTS.exists() and (MODELS / "path_predictor.py").exists()):
-        return []
-    if weights is not None and not Path(weights).is_file():
-        raise ValueError(f"weights: there is no file {weights}")
-    from models.learned_planners import planners
-    from models.path_predictor import PathPredictor
-
+    """Return the rows of the path predictor; none if the weights that ship move otherwise."""
     model = PathPredictor.load(weights or WEIGHTS)
     if model.movement == movement:
         return planners(model)
