@@ -65,15 +65,14 @@ def reference_best_first(
         taken.add(cell)
         for neighbour, step in reference.neighbours(rows, cell, movement) if cell != goal else ():
             cost = reference.add(costs[cell], step)
-            known = neighbour in taken or neighbour in costs
-            if neighbour in taken or (
-                known
-                and reference.weigh(cost, movement) >= reference.weigh(costs[neighbour], movement)
+            if neighbour in costs and reference.weigh(cost, movement) >= reference.weigh(
+                costs[neighbour], movement
             ):
                 continue
             costs[neighbour], parents[neighbour] = cost, cell
-            pushes += 1
-            heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
+            if neighbour not in taken:  # else it only has a shorter way from now on
+                pushes += 1
+                heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
     path = reference.trace(parents, goal) if goal in taken else []
     return Plan(np.array(path, np.int64).reshape(-1, 2), len(taken))
 
