@@ -26,7 +26,7 @@ MOVEMENTS = [
     Movement(8, diagonal_cost=1),
 ]
 movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-cutting", "8-one"])
-WEIGHTS = [(0, True), (1, True), (1.5, True), (2, True), (1, False)]
+WEIGHTS = [(0, True), (1, True), (1.1, True), (1.5, True), (3, True), (1, False)]
 
 Grid = npt.NDArray[np.uint8]
 
@@ -156,8 +156,11 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
         "BFS",
         "Dijkstra",
         "A*",
+        "weighted A* (1.1)",
+        "weighted A* (1.25)",
         "weighted A* (1.5)",
         "weighted A* (2)",
+        "weighted A* (3)",
         "greedy best-first",
         "limit",
     ]
