@@ -1,9 +1,10 @@
-"""What the sample models share: their network, their optimizer, and weights in files.
+"""What the sample models share.
 
 - `Trunk`: a convolutional network that gives every cell features from near and far.
-- `transform_plane` and others: the symmetries of maps.
+- `offsets`, `heuristic`, `legal_moves`: the geometry of maps, on tensors.
+- `random_symmetry` and others: the symmetries of maps.
 - `Muon` and `one_cycle`: the optimizer and its learning rate.
-- `save_model` and `load_model`: files that are read without trust.
+- `Model` and `load_model`: predictions from arrays, and files of weights, read without trust.
 """
 
 from __future__ import annotations
@@ -12,15 +13,22 @@ import contextlib
 import math
 import zipfile
 from collections import defaultdict
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
+import numpy as np
+import numpy.typing as npt
 import pytorch_lightning as pl
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import OneCycleLR
+
+from mapdata import Movement
+from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.search import STEPS
 
 # --- the network --------------------------------------------------------------------------------
 
@@ -109,12 +117,75 @@ def padded(occupied: Tensor) -> Tensor:
     return F.pad(occupied, (0, right, 0, below), value=1)
 
 
-def bfloat16(device: torch.device) -> contextlib.AbstractContextManager[Any]:
-    """Return a context for predictions: half the time where the processor multiplies bfloat16."""
-    abilities: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
-    if device.type == "cpu" and (abilities.get("avx512_bf16") or abilities.get("amx_bf16")):
-        return torch.autocast("cpu", torch.bfloat16)
-    return contextlib.nullcontext()
+# --- geometry -----------------------------------------------------------------------------------
+
+
+def offsets(cells: Tensor, shape: torch.Size) -> tuple[Tensor, Tensor]:
+    """Return how far each row and each column is from cells (B, 2): (B, H, 1) and (B, 1, W)."""
+    rows, columns = shape
+    down = torch.arange(rows, device=cells.device) - cells[:, :1]  # (B, H)
+    right = torch.arange(columns, device=cells.device) - cells[:, 1:]  # (B, W)
+    return down[:, :, None].float(), right[:, None, :].float()
+
+
+def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
+    """Return the cost of going so far on an empty map: Manhattan, octile or Chebyshev distance."""
+    down = down.abs().float()
+    right = right.abs().float()
+    if movement.connectivity == 4:
+        return down + right
+    return (down - right).abs() + movement.diagonal_cost * torch.minimum(down, right)
+
+
+def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
+    """Return (B, moves, H, W) bool: which moves are allowed from each cell of (B, 1, H, W).
+
+    The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
+    """
+    free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))  # (B, H + 2, W + 2), a wall around the map
+    legal = []
+    for row, column in STEPS[: movement.connectivity].tolist():
+        # rolled, so that each cell has what its neighbour is; over the border come walls
+        allowed = free.roll((-row, -column), (1, 2))
+        if row and column and not movement.corner_cutting:  # diagonal: both sides must be free
+            allowed = allowed & free.roll(-row, 1) & free.roll(-column, 2)
+        legal.append(allowed[:, 1:-1, 1:-1])
+    return torch.stack(legal, dim=1)
+
+
+def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
+    """Return the number row * columns + column of each point's cell, (M,), of maps (B, 1, H, W)."""
+    rows, columns = occupied.shape[2:]
+    row, column = points.floor().long().unbind(1)  # (M,) both
+    return row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+
+
+def check_problems(
+    maps: npt.ArrayLike, starts: npt.ArrayLike, goals: npt.ArrayLike
+) -> tuple[Bytes, Ints, Ints]:
+    """Return one problem or B of them as new arrays: (B, H, W) of 0 and 1, starts, goals (B, 2).
+
+    Raises:
+        ValueError: a map without a free cell, a start or goal outside its map or on an occupied
+            cell.
+    """
+    cells = np.asarray(maps)
+    grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
+    if grids.all(axis=(1, 2)).any():
+        raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
+    ends: list[Ints] = []
+    for name, given in (("start", starts), ("goal", goals)):
+        end = np.atleast_2d(np.asarray(given).astype(np.int64))
+        inside = ((end >= 0) & (end < grids.shape[1:])).all(axis=1)  # (B,)
+        row, column = np.where(inside[:, None], end, 0).T
+        free: Flags = inside & (grids[np.arange(len(grids)), row, column] == 0)  # (B,)
+        if not free.all():
+            raise ValueError(
+                f"{name}: got {end[free.argmin()].tolist()}, outside its map or on an occupied "
+                f"cell, expected a free cell of a map of {grids.shape[1:]}"
+            )
+        ends.append(end)
+    return grids, ends[0], ends[1]
 
 
 # --- symmetries of a map ------------------------------------------------------------------------
@@ -155,6 +226,21 @@ def transform_points(points: Tensor, code: int, shape: torch.Size) -> Tensor:
 def transform_cells(cells: Tensor, code: int, shape: torch.Size) -> Tensor:
     """Return cells (M, 2) after a symmetry, which moves their centres."""
     return transform_points(cells + 0.5, code, shape).floor().long()
+
+
+def random_symmetry(fields: dict[str, Tensor], points: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+    """Return a batch and its points after a symmetry; start and goal may change places, too."""
+    code = int(torch.randint(8, ()))
+    shape = fields["map"].shape
+    start = transform_cells(fields["start"], code, shape)
+    goal = transform_cells(fields["goal"], code, shape)
+    if torch.rand(()) < 0.5:
+        start, goal = goal, start
+    changed = {"start": start, "goal": goal}
+    for name in ("map", "optimal_mask"):
+        if name in fields:
+            changed[name] = transform_plane(fields[name], code)
+    return changed, transform_points(points, code, shape)
 
 
 # --- the optimizer ------------------------------------------------------------------------------
@@ -249,7 +335,7 @@ def _orthogonal(x: Tensor) -> Tensor:
     return x
 
 
-# --- weights in files ---------------------------------------------------------------------------
+# --- models and their weights in files ----------------------------------------------------------
 
 M = TypeVar("M", bound=nn.Module)
 
@@ -257,20 +343,52 @@ MOST = 1024
 """Largest number among the arguments of a saved model: a layer's width, how many layers."""
 
 
-def save_model(model: pl.LightningModule, file: str | PathLike[str], dtype: torch.dtype) -> None:
-    """Write a model's class, arguments and weights, as plain types and tensors of ``dtype``."""
-    arguments = {}
-    for name, value in model.hparams.items():
-        if not name.startswith("_"):  # LightningCLI adds one of its own
-            arguments[name] = list(value) if isinstance(value, tuple) else value
-    weights = {}
-    for name, value in model.state_dict().items():
-        weights[name] = value.detach().to("cpu", dtype).contiguous()
-    torch.save({"class": type(model).__name__, "arguments": arguments, "weights": weights}, file)
+class Model(pl.LightningModule):
+    """What both sample models are, besides their network and loss.
+
+    Its hyperparameters have the highest ``learning_rate``.
+    """
+
+    saved_dtype: ClassVar[torch.dtype] = torch.float32
+    """Type of the weights in files."""
+
+    def configure_optimizers(self) -> Any:
+        """Return Muon, since AdamW needs more steps here, and torch's OneCycleLR."""
+        optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
+        return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
+
+    def tensors(self, *arrays: npt.ArrayLike) -> list[Tensor]:
+        """Return copies of arrays as tensors on the device of the model."""
+        return [torch.from_numpy(np.array(each)).to(self.device) for each in arrays]
+
+    @contextlib.contextmanager
+    def inference(self) -> Iterator[None]:
+        """Predict without gradients; half the time where the processor multiplies bfloat16."""
+        abilities: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()
+        fast = bool(abilities.get("avx512_bf16") or abilities.get("amx_bf16"))
+        on_cpu = self.device.type == "cpu"
+        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, on_cpu and fast):
+            yield
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write class, arguments and weights, as plain types and tensors."""
+        arguments = {}
+        for name, value in self.hparams.items():
+            if not name.startswith("_"):  # LightningCLI adds one of its own
+                arguments[name] = list(value) if isinstance(value, tuple) else value
+        weights = {}
+        for name, value in self.state_dict().items():
+            weights[name] = value.to("cpu", self.saved_dtype).contiguous()
+        torch.save({"class": type(self).__name__, "arguments": arguments, "weights": weights}, file)
+
+    @classmethod
+    def load(cls: type[M], file: str | PathLike[str]) -> M:
+        """Return the model of this class that `save` wrote; errors as of `load_model`."""
+        return load_model(file, cls)
 
 
 def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
-    """Return the model of one of ``classes`` that `save_model` wrote, ready to use.
+    """Return the model of one of ``classes`` that `Model.save` wrote, ready to use.
 
     Nothing in the file is run, and it takes no more memory than the file is long.
 

@@ -14,14 +14,17 @@ Their targets, training and files are those of `models.lego_sampler.Sampler`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
+from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
-from models.common import Trunk, padded
-from models.lego_sampler import CHANNELS, Sampler, cell_numbers, encode
+from models.common import Trunk, cell_numbers, one_cycle, padded
+from models.lego_sampler import Sampler, encode
 from models.roadmap import free_at, uniform
 
 POINTS = 6
@@ -44,15 +47,39 @@ def hidden_layers(inputs: int, width: int, outputs: int, dropout: float) -> nn.S
     )
 
 
+def to_unit(points: Tensor, occupied: Tensor) -> Tensor:
+    """Return points or cells (..., 2) of maps (B, 1, H, W) as parts of the map's sides."""
+    return points / torch.tensor(occupied.shape[2:], device=points.device)
+
+
 def draw_latent(code: Tensor) -> tuple[Tensor, Tensor]:
     """Return a draw (..., z) and the divergence (...) from the prior, of mean and log variance."""
     mean, log_variance = code.float().chunk(2, dim=-1)  # (..., z) both
-    latent = mean + torch.randn_like(mean) * (log_variance / 2).exp()
-    divergence = (log_variance.exp() + mean**2 - 1 - log_variance).sum(dim=-1) / 2
-    return latent, divergence
+    noise = torch.randn_like(mean)
+    latent = mean + noise * (log_variance / 2).exp()
+    terms = log_variance.exp() + mean**2 - 1 - log_variance
+    return latent, terms.sum(dim=-1) / 2
 
 
-class CVAE(Sampler):
+class Autoencoder(Sampler):
+    """What both have in common: ``latent`` numbers, and ``divergence_weight`` in the loss."""
+
+    def latents(self, count: int, n: int, source: Generator) -> Tensor:
+        """Return draws from the prior, (count, n, z)."""
+        draws = source.standard_normal((count, n, self.hparams["latent"]))
+        (latents,) = self.tensors(draws.astype(np.float32))
+        return latents
+
+    def total(self, errors: Tensor, divergences: Tensor) -> dict[str, Tensor]:
+        """Return the loss and its parts of points with these errors and divergences, (M,) both."""
+        count = max(len(errors), 1)  # a batch may have no point: no NaN
+        error = errors.sum() / count
+        divergence = divergences.sum() / count
+        loss = error + self.hparams["divergence_weight"] * divergence
+        return {"loss": loss, "error": error, "divergence": divergence}
+
+
+class CVAE(Autoencoder):
     """LEGO's conditional variational autoencoder: a point from a latent and a condition.
 
     Published: two hidden layers of 512 with ReLU and dropout 0.5 on both sides, a latent of 2,
@@ -82,10 +109,10 @@ class CVAE(Sampler):
         experience: str = "runs/experience",
     ) -> None:
         """Make the networks."""
-        super().__init__(targets, learning_rate, experience)
+        super().__init__(targets)
         self.save_hyperparameters()
         self.condition = nn.Sequential(
-            nn.Conv2d(4 * CHANNELS, 32, 3, padding=1),
+            nn.Conv2d(4 * 14, 32, 3, padding=1),
             nn.ReLU(),
             nn.Conv2d(32, 48, 3, stride=2, padding=1),
             nn.ReLU(),
@@ -102,50 +129,45 @@ class CVAE(Sampler):
 
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         """Return the condition of each problem, (B, code + 4): its code and its ends in [0, 1]."""
-        seen = F.pixel_unshuffle(encode(padded(occupied), starts, goals), 2)  # (B, 56, H/2, W/2)
-        size = torch.tensor(occupied.shape[2:], device=starts.device)
-        code = self.condition(seen).float()  # (B, code)
-        return torch.cat([code, starts / size, goals / size], dim=1)
+        seen = encode(padded(occupied), starts, goals)
+        code = self.condition(F.pixel_unshuffle(seen, 2)).float()  # (B, code)
+        return torch.cat([code, to_unit(starts, occupied), to_unit(goals, occupied)], dim=1)
 
     def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
         """Return the squared error and the divergence."""
         conditions = self(batch["map"], batch["start"], batch["goal"])[owners]  # (M, code + 4)
-        unit = points / torch.tensor(batch["map"].shape[2:], device=points.device)  # (M, 2)
-        latent, divergence = draw_latent(self.encoder(torch.cat([unit, conditions], dim=1)))
+        unit = to_unit(points, batch["map"])  # (M, 2)
+        latent, divergences = draw_latent(self.encoder(torch.cat([unit, conditions], dim=1)))
         decoded = self.decoder(torch.cat([latent, conditions], dim=1)).float()  # (M, 2)
-        count = max(len(points), 1)
-        error = ((decoded - unit) ** 2).mean(dim=1).sum() / count
-        apart = divergence.sum() / count
-        loss = error + self.hparams["divergence_weight"] * apart
-        return {"loss": loss, "error": error, "divergence": apart}
+        errors = ((decoded - unit) ** 2).mean(dim=1)  # (M,)
+        return self.total(errors, divergences)
 
-    def draw(
-        self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator
-    ) -> Floats:
+    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
         """Return (B, n, 2): the first n points that are free; what lacks is uniform."""
         conditions = self(*self.tensors(grids[:, None], starts, goals))  # (B, code + 4)
-        each = conditions[:, None].expand(-1, 2 * n, -1)
-        found: list[list[Floats]] = [[] for _ in grids]
+        each = conditions[:, None].expand(-1, 2 * n, -1)  # (B, 2 n, code + 4)
+        found = [np.empty((0, 2)) for _ in grids]
         for _ in range(ROUNDS):
-            latents = source.standard_normal((len(grids), 2 * n, self.hparams["latent"]))
-            (latent,) = self.tensors(latents.astype(np.float32))  # (B, 2 n, z)
-            unit = self.decoder(torch.cat([latent, each], dim=2))  # (B, 2 n, 2)
-            # numpy has no bfloat16
-            points = unit.double().cpu().numpy() * grids.shape[1:]
-            for grid, drawn, kept in zip(grids, points, found, strict=True):
-                kept.append(drawn[free_at(grid, drawn)])
-            if min(sum(map(len, kept)) for kept in found) >= n:
+            latents = self.latents(len(grids), 2 * n, source)
+            unit = self.decoder(torch.cat([latents, each], dim=2))  # (B, 2 n, 2)
+            points = unit.double().cpu().numpy() * grids.shape[1:]  # numpy has no bfloat16
+            for b, grid in enumerate(grids):
+                free = points[b][free_at(grid, points[b])]
+                found[b] = np.concatenate([found[b], free])
+            if min(map(len, found)) >= n:
                 break
-        for grid, kept in zip(grids, found, strict=True):
-            kept.append(uniform(grid, n, int(source.integers(2**31))))
-        return np.stack([np.concatenate(kept)[:n] for kept in found])
+        for b, grid in enumerate(grids):
+            spare = uniform(grid, n, int(source.integers(2**31)))
+            found[b] = np.concatenate([found[b], spare])[:n]
+        return np.stack(found)
 
-    def optimizer(self) -> torch.optim.Optimizer:
+    def configure_optimizers(self) -> Any:
         """Return Adam, as published."""
-        return torch.optim.Adam(self.parameters(), self.learning_rate)
+        optimizer = torch.optim.Adam(self.parameters(), self.hparams["learning_rate"])
+        return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
 
 
-class LocalCVAE(Sampler):
+class LocalCVAE(Autoencoder):
     """A conditional variational autoencoder whose decoder asks the cells.
 
     Latent and code become a query, each cell has a key. A point becomes a cell by the cell that
@@ -176,9 +198,9 @@ class LocalCVAE(Sampler):
         experience: str = "runs/experience",
     ) -> None:
         """Make the networks."""
-        super().__init__(targets, learning_rate, experience)
+        super().__init__(targets)
         self.save_hyperparameters()
-        self.trunk = Trunk(CHANNELS, keys, widths, passes)
+        self.trunk = Trunk(14, keys, widths, passes)
         nn.init.normal_(self.trunk.head.weight, std=0.02)
         self.encoder = hidden_layers(2 + keys + widths[2], width, 2 * latent, 0.0)
         self.decoder = hidden_layers(latent + widths[2], width, keys, 0.0)
@@ -189,6 +211,13 @@ class LocalCVAE(Sampler):
         keys, code = self.trunk(encode(padded(occupied), starts, goals))
         return keys[..., :rows, :columns].flatten(2).transpose(1, 2), code
 
+    def likelihoods(self, latent: Tensor, keys: Tensor, code: Tensor) -> Tensor:
+        """Return how likely, in log, each latent (B, n, z) makes each cell: (B, n, H * W)."""
+        codes = code[:, None].expand(-1, latent.shape[1], -1)  # (B, n, widths[2])
+        query = self.decoder(torch.cat([latent.to(code.dtype), codes], dim=2))  # (B, n, keys)
+        found: Tensor = query @ keys.transpose(1, 2)
+        return found
+
     def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
         """Return the cross entropy of the cells and the divergence.
 
@@ -197,39 +226,31 @@ class LocalCVAE(Sampler):
         counts = torch.bincount(owners, minlength=len(batch["map"]))  # (B,)
         first = counts.cumsum(0) - counts  # (B,) each problem's first point
         some = counts.nonzero()[:, 0]  # (S,)
-        chosen = (torch.rand(len(some), POINTS, device=points.device) * counts[some, None]).long()
+        shares = torch.rand(len(some), POINTS, device=points.device)
+        chosen = (shares * counts[some, None]).long()
         points = points[first[some, None] + chosen]  # (S, POINTS, 2)
         occupied = batch["map"][some]
         keys, code = self(occupied, batch["start"][some], batch["goal"][some])
         cells = cell_numbers(points.flatten(0, 1), occupied)  # (S * POINTS,)
-        places = cells.view(len(some), POINTS, 1).expand(-1, -1, keys.shape[2])
-        near = keys.gather(1, places)  # (S, POINTS, keys)
-        unit = points / torch.tensor(occupied.shape[2:], device=points.device)
-        codes = code[:, None].expand(-1, POINTS, -1)
-        latent, divergence = draw_latent(self.encoder(torch.cat([unit, near, codes], dim=2)))
-        query = self.decoder(torch.cat([latent.to(code.dtype), codes], dim=2))
-        scores = (query @ keys.transpose(1, 2)).float()  # (S, POINTS, H * W)
-        scores = scores.masked_fill(occupied.flatten(2) != 0, -30)
-        count = max(len(cells), 1)
-        error = F.cross_entropy(scores.flatten(0, 1), cells, reduction="sum") / count
-        apart = divergence.sum() / count
-        loss = error + self.hparams["divergence_weight"] * apart
-        return {"loss": loss, "error": error, "divergence": apart}
+        problems = torch.arange(len(some), device=points.device)[:, None]
+        near = keys[problems, cells.view(-1, POINTS)]  # (S, POINTS, keys)
+        codes = code[:, None].expand(-1, POINTS, -1)  # (S, POINTS, widths[2])
+        asked = torch.cat([to_unit(points, occupied), near, codes], dim=2)
+        latent, divergences = draw_latent(self.encoder(asked))  # (S, POINTS, z), (S, POINTS)
+        scores = self.likelihoods(latent, keys, code).float()
+        scores = scores.masked_fill(occupied.flatten(2) != 0, -30)  # as in `Heatmap.loss`
+        errors = F.cross_entropy(scores.flatten(0, 1), cells, reduction="none")
+        return self.total(errors, divergences.flatten())
 
-    def draw(
-        self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: np.random.Generator
-    ) -> Floats:
+    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
         """Return points, each of a latent of its own."""
-        occupied, *ends = self.tensors(grids[:, None], starts, goals)
-        keys, code = self(occupied, *ends)
-        (latents,) = self.tensors(
-            source.standard_normal((len(grids), n, self.hparams["latent"])).astype(np.float32)
-        )
-        codes = code[:, None].expand(-1, n, -1)
-        query = self.decoder(torch.cat([latents.to(code.dtype), codes], dim=2))  # (B, n, keys)
-        scores = (query @ keys.transpose(1, 2)).double()  # (B, n, H * W)
+        occupied, start, goal = self.tensors(grids[:, None], starts, goals)
+        keys, code = self(occupied, start, goal)
+        latents = self.latents(len(grids), n, source)
+        scores = self.likelihoods(latents, keys, code).double()  # (B, n, H * W)
         scores = scores.masked_fill(occupied.flatten(2) != 0, -torch.inf)
-        log_likely = scores.cpu().numpy()
-        cells = (log_likely + source.gumbel(size=log_likely.shape)).argmax(axis=2)  # (B, n)
-        corners = np.stack(np.divmod(cells, grids.shape[2]), axis=2)  # (B, n, 2)
+        # the greatest of log likelihood + Gumbel noise is a draw from their softmax
+        noisy = scores.cpu().numpy() + source.gumbel(size=scores.shape)
+        row, column = np.divmod(noisy.argmax(axis=2), grids.shape[2])  # (B, n) both
+        corners = np.stack([row, column], axis=2)  # (B, n, 2)
         return corners + source.random(corners.shape)

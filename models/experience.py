@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from io import BytesIO
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -198,15 +199,9 @@ class Bank:
         file = Path(folder) / f"{name[:16]}.npz"
         if file.exists():
             return Bank.read(file, name)
-        with (
-            ThreadPoolExecutor(workers or os.cpu_count()) as pool,
-            tqdm(total=len(grids), desc="experience", unit=" problems") as bar,
-        ):
-            mined = []
-            everything = [mining] * len(grids)
-            for targets in pool.map(mine, grids, starts, goals, everything, problem.tolist()):
-                mined.append(targets)
-                bar.update()
+        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+            found = pool.map(mine, grids, starts, goals, repeat(mining), problem.tolist())
+            mined = list(tqdm(found, "experience", len(grids), unit=" problems"))
         points = {}
         counts = {}
         for kind, each in zip(KINDS, zip(*mined, strict=True), strict=True):
@@ -281,15 +276,12 @@ class Bank:
 def _all_problems(dataset: Dataset[Sample]) -> list[npt.NDArray[Any]]:
     """Return maps (N, H, W), starts, goals and numbers of all problems, by their number."""
     names = ("map", "start", "goal", "problem")
-    found: list[list[npt.NDArray[Any]]] = []
-    for k in range(0, len(dataset), 1000):  # type: ignore[arg-type]
-        batch = dataset[k : k + 1000]
-        if missing := set(names) - set(batch._fields):
-            raise ValueError(
-                f"fields: the dataset has no {', '.join(sorted(missing))}, which a bank needs"
-            )
-        found.append([getattr(batch, name).numpy() for name in names])
-    maps, starts, goals, problem = (np.concatenate(each) for each in zip(*found, strict=True))
+    batch = dataset[:]
+    if missing := set(names) - set(batch._fields):
+        raise ValueError(
+            f"fields: the dataset has no {', '.join(sorted(missing))}, which a bank needs"
+        )
+    maps, starts, goals, problem = (getattr(batch, name).numpy() for name in names)
     order = np.argsort(problem)
     return [maps[order, 0], starts[order], goals[order], problem[order]]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Float32s, Ints
+from mapdata.arrays import Bytes, Float32s, Floats, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan
 from mapdata.jit import Int, kernel
 from mapdata.search import (
@@ -25,26 +25,11 @@ from mapdata.search import (
     rule_of,
     search_batch,
 )
-from mapdata.spec import Movement
+from models.common import check_problems
+from models.path_predictor import PathPredictor
 
 
-class Predictor(Protocol):
-    """What predicts moves, such as `path_predictor.PathPredictor`."""
-
-    movement: Movement
-
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W).
-
-        A score is a log probability, up to a constant a cell.
-
-        Args:
-            grids: (B, H, W), 0 free and 1 occupied.
-            goals: (B, 2), cells.
-        """
-
-
-def planners(model: Predictor) -> list[BatchPlanner]:
+def planners(model: PathPredictor) -> list[BatchPlanner]:
     """Return the planners of a model, as rows for `mapdata.evaluate`."""
     return [
         LearnedPlanner("path_predictor (walk)", model, fallback=False),
@@ -57,8 +42,8 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 class LearnedPlanner(Batched):
     """Follows the most probable legal move to a cell not yet visited, until the goal.
 
-    Every cell of the walk is one expansion: its neighbours are looked at, once, as in a search. The
-    path is the shortest one over the moves that were looked at.
+    Every cell of the walk is one expansion, as in a search: its neighbours are looked at, and take
+    it as their parent where that is a shorter way. The path is that of the parents.
 
     Attributes:
         name: its name in the table.
@@ -68,7 +53,7 @@ class LearnedPlanner(Batched):
     """
 
     name: str
-    model: Predictor
+    model: PathPredictor
     fallback: bool = True
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
@@ -77,7 +62,7 @@ class LearnedPlanner(Batched):
         Raises:
             ValueError: a start or goal outside its map or on an occupied cell.
         """
-        grids, starts, goals = _problems(grids, starts, goals)
+        grids, starts, goals = check_problems(grids, starts, goals)
         scores, _ = self.model.predict(grids, goals)
         movement = self.model.movement
         rule = rule_of(movement)
@@ -98,8 +83,8 @@ class GuidedSearch(Batched):
     """Best-first search by the cost so far, the predicted cost to go, and improbable moves.
 
     f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell
-    is expanded once; it finds a path where there is one, and needs no fallback. The path is the
-    shortest one over the moves that were looked at.
+    is expanded once; it finds a path where there is one, and needs no fallback. A cell that is
+    looked at again takes the shorter way as its own, and the path is that of the parents.
 
     Attributes:
         name: its name in the table.
@@ -108,34 +93,18 @@ class GuidedSearch(Batched):
     """
 
     name: str
-    model: Predictor
+    model: PathPredictor
     trust: float = 2.0
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem, as `LearnedPlanner.plan_batch` does."""
-        grids, starts, goals = _problems(grids, starts, goals)
+        grids, starts, goals = check_problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals)
         rule = rule_of(self.model.movement)
         plans = []
         for each in zip(grids, scores, ratios, starts, goals, strict=True):
             plans.append(Plan(*_search(*each, rule, self.trust)))
         return plans
-
-
-def _problems(grids: Bytes, starts: Ints, goals: Ints) -> tuple[Bytes, Ints, Ints]:
-    """Return the problems as the kernels want them.
-
-    Raises:
-        ValueError: a start or goal outside its map or on an occupied cell.
-    """
-    grids = np.not_equal(grids, 0).astype(np.uint8)
-    starts = np.array(starts, np.int64)
-    goals = np.array(goals, np.int64)
-    for ends in (starts, goals):
-        outside = (ends < 0).any() or (ends >= grids.shape[1:]).any()
-        if outside or grids[np.arange(len(grids)), ends[:, 0], ends[:, 1]].any():
-            raise ValueError("a start or goal is outside its map or on an occupied cell")
-    return grids, starts, goals
 
 
 @kernel
@@ -154,9 +123,9 @@ def _search(
     load(grid, came)
     first = cell_at(start[0], start[1], lattice)
     last = cell_at(goal[0], goal[1], lattice)
+    tree = _tree(first, lattice)
     # the cost of the best way so far and of its improbable moves; -inf once a cell is expanded
     best = np.full(lattice.cells, np.inf)
-    way = np.zeros(lattice.cells)  # its cost alone
     best[first] = 0.0
     heap = [(0.0, 0, first)]
     pushes = 0
@@ -176,59 +145,20 @@ def _search(
             if is_legal(came, cell, move, lattice):
                 top = max(top, scores[move, row, column])
         for move in range(len(lattice.offsets)):
-            to = cell + lattice.offsets[move]
-            if best[to] == -np.inf or not is_legal(came, cell, move, lattice):
+            if not is_legal(came, cell, move, lattice):
                 continue
-            step = 1.0 if move < 4 else in_cells(lattice.step)
+            to = cell + lattice.offsets[move]
+            step = _rewire(tree, cell, to, move, lattice)
             cost = so_far + step + trust * (top - scores[move, row, column])
             if cost < best[to]:
                 best[to] = cost
-                way[to] = way[cell] + step
                 i, j = position(to, lattice)
                 least = in_cells(heuristic(i - goal[0], j - goal[1], lattice))
                 pushes += 1
                 to_go = least / max(ratios[i, j], 0.05)  # a ratio near 0 would say nothing
-                f = cost + to_go - 0.001 * way[to]  # among equals the farthest first
+                f = cost + to_go - 0.001 * tree.way[to]  # among equals the farthest first
                 heapq.heappush(heap, (f, -pushes, to))
-    return _through(came, best == -np.inf, first, last, lattice), expansions
-
-
-@kernel
-def _through(came: Bytes, expanded: Flags, start: Int, goal: Int, lattice: Lattice) -> Ints:
-    """Return the shortest path over all moves that a search has looked at, (k, 2) or (0, 2).
-
-    Those are the moves from and to expanded cells. Among them there may be a shorter path than the
-    one that the search came by. Dijkstra's algorithm.
-    """
-    costs = np.full(lattice.cells, np.inf)
-    parents = np.full(lattice.cells, start)
-    costs[start] = 0.0
-    heap = [(0.0, start)]
-    while heap:
-        cost, cell = heapq.heappop(heap)
-        if cell == goal:
-            break
-        if cost > costs[cell]:
-            continue
-        for move in range(len(lattice.offsets)):
-            to = cell + lattice.offsets[move]
-            if not (expanded[cell] or expanded[to]) or not is_legal(came, cell, move, lattice):
-                continue
-            longer = cost + (1.0 if move < 4 else in_cells(lattice.step))
-            if longer < costs[to] - 1e-9:
-                costs[to] = longer
-                parents[to] = cell
-                heapq.heappush(heap, (longer, to))
-    path = np.empty((lattice.cells, 2), np.int64)
-    at = len(path)
-    cell = goal
-    while costs[cell] < np.inf:
-        at -= 1
-        path[at] = position(cell, lattice)
-        if cell == start:
-            break
-        cell = parents[cell]
-    return path[at:].copy()
+    return _path(tree, last, lattice), expansions
 
 
 @kernel
@@ -239,24 +169,74 @@ def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) ->
     load(grid, came)
     first = cell_at(start[0], start[1], lattice)
     last = cell_at(goal[0], goal[1], lattice)
+    tree = _tree(first, lattice)
     expanded = np.zeros(lattice.cells, np.bool_)
     cell = first
-    move = 0
     expansions = 0
-    while move >= 0:
+    while True:
         expanded[cell] = True
         expansions += 1
         if cell == last:
-            break
+            return _path(tree, last, lattice), expansions
         row, column = position(cell, lattice)
-        move = -1
+        most_probable = -1
         best = np.float32(-np.inf)
-        for k in range(len(lattice.offsets)):
-            if expanded[cell + lattice.offsets[k]] or not is_legal(came, cell, k, lattice):
+        for move in range(len(lattice.offsets)):
+            if not is_legal(came, cell, move, lattice):
                 continue
-            if scores[k, row, column] > best:
-                move = k
-                best = scores[k, row, column]
-        if move >= 0:
-            cell += lattice.offsets[move]
-    return _through(came, expanded, first, last, lattice), expansions
+            to = cell + lattice.offsets[move]
+            _rewire(tree, cell, to, move, lattice)
+            if not expanded[to] and scores[move, row, column] > best:
+                most_probable = to
+                best = scores[move, row, column]
+        if most_probable < 0:
+            return np.empty((0, 2), np.int64), expansions
+        cell = most_probable
+
+
+class _Tree(NamedTuple):
+    """The shortest ways that a search has found: (cells,) each.
+
+    Attributes:
+        way: cost of the way from the start to a cell.
+        parent: the cell before it on that way; -1 at the start and where no way is known.
+    """
+
+    way: Floats
+    parent: Ints
+
+
+@kernel
+def _tree(start: Int, lattice: Lattice) -> _Tree:
+    """Return the tree that holds the start alone."""
+    way = np.full(lattice.cells, np.inf)
+    way[start] = 0.0
+    return _Tree(way, np.full(lattice.cells, -1))
+
+
+@kernel
+def _rewire(tree: _Tree, cell: Int, to: Int, move: Int, lattice: Lattice) -> float:
+    """Make ``cell`` the parent of ``to`` if that is a shorter way; return the cost of the move.
+
+    A cell that was expanded already takes the shorter way, too, without being expanded again, as in
+    the classical planners. Ways only become shorter, and a cell's is longer than its parent's, so
+    parents never go round in a circle.
+    """
+    step: float = 1.0 if move < 4 else in_cells(lattice.step)
+    if tree.way[cell] + step < tree.way[to]:
+        tree.way[to] = tree.way[cell] + step
+        tree.parent[to] = cell
+    return step
+
+
+@kernel
+def _path(tree: _Tree, goal: Int, lattice: Lattice) -> Ints:
+    """Return the way to ``goal``, (k, 2) cells; (0, 2) if none is known."""
+    cells = np.empty((lattice.cells, 2), np.int64)
+    at = len(cells)
+    cell = goal if tree.way[goal] < np.inf else -1
+    while cell >= 0:
+        at -= 1
+        cells[at] = position(cell, lattice)
+        cell = tree.parent[cell]
+    return cells[at:].copy()

@@ -22,28 +22,24 @@ So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
 scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,500 steps of 40
 maps, 20 minutes of one core. `torch.export.export(model, (map, goal))` and ONNX take it as it is.
 
-This file reads from top to bottom: targets, what the network sees, loss, training, prediction. The
-network's layers, the optimizer and the files of weights are in models/common.py; searches that a
-prediction guides are in models/learned_planners.py.
+This file reads from top to bottom: targets, what the network sees, network, loss, training,
+prediction. models/common.py has the layers, the optimizer, the files of weights. Searches that
+follow predictions are in models/learned_planners.py.
 """
 
 from __future__ import annotations
 
 import math
-from os import PathLike
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytorch_lightning as pl
 import torch
-import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 
-from mapdata import Movement, Sample, check_path
+from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
-from models.common import Muon, Trunk, bfloat16, load_model, one_cycle, padded, save_model
+from models.common import Model, Trunk, check_problems, heuristic, legal_moves, offsets, padded
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The richer fields, which teach more than ``map, start, goal, path``."""
@@ -51,7 +47,31 @@ FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 PRIOR = 3.0
 """How much less probable a move is, in log, for each cell of its detour, before any training."""
 
-# --- data: a batch and its targets --------------------------------------------------------------
+# --- data: what each cell should predict --------------------------------------------------------
+
+
+def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
+    """Return the targets that a path gives its own cells, as `targets` does."""
+    cells = batch.path[:, :-1]  # (B, T - 1, 2)
+    following = batch.path[:, 1:]  # (B, T - 1, 2)
+    steps = following - cells
+    # (moves, 2): N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k
+    moves = torch.tensor(STEPS[: movement.connectivity], device=cells.device)
+    made = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
+    made[following[:, :, 0] < 0] = False  # not into the padding: from (0, 0) to (-1, -1) is NW
+    labelled = made.any(dim=2)  # (B, T - 1): all cells of a path but its goal
+    # the true cost to the goal: of all steps that follow, each of which costs its own heuristic
+    costs = heuristic(steps[:, :, 0], steps[:, :, 1], movement) * labelled  # (B, T - 1)
+    to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
+    down, right = (cells - batch.goal[:, None]).unbind(2)  # (B, T - 1) both
+    ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
+    problem, k = labelled.nonzero(as_tuple=True)  # (n,) both
+    row, column = cells[problem, k].unbind(1)  # (n,) both
+    optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
+    optimal[problem, row, column] = 2 ** made[problem, k].long().argmax(dim=1)
+    ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
+    ratio[problem, row, column] = ratios[problem, k]
+    return optimal, ratio
 
 
 def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
@@ -60,62 +80,9 @@ def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     - optimal moves, a bit set: bit k says that move k starts a shortest path to the goal.
     - the heuristic ratio in [0, 1]: heuristic over true cost to the goal.
     """
-    if "optimal_moves" not in batch._fields:
-        return targets_on_path(batch, movement)
-    return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
-
-
-def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return the targets that a path gives its own cells: the next move, and the ratio."""
-    # (moves, 2): N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k
-    moves = torch.tensor(STEPS[: movement.connectivity], device=batch.path.device)
-    steps = batch.path[:, 1:] - batch.path[:, :-1]  # (B, T - 1, 2)
-    made = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
-    made &= batch.path[:, 1:, :1] >= 0  # not into the padding: from (0, 0) to (-1, -1) is NW
-    # the true cost from each cell to the goal: that of the steps that follow, each of which costs
-    # its own heuristic
-    costs = (made * heuristic(moves[:, 0], moves[:, 1], movement)).sum(dim=2)  # (B, T - 1)
-    to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
-    # the n cells of all paths, without their goals
-    problem, k = made.any(dim=2).nonzero(as_tuple=True)  # (n,) both
-    row, column = batch.path[problem, k].unbind(1)  # (n,) both
-    down, right = (batch.path[problem, k] - batch.goal[problem]).unbind(1)  # (n,) both
-    optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
-    optimal[problem, row, column] = 2 ** made[problem, k].long().argmax(dim=1)
-    ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
-    ratio[problem, row, column] = heuristic(down, right, movement) / to_go[problem, k]
-    return optimal, ratio
-
-
-def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
-    """Return the cost of going so far on an empty map: Manhattan, octile or Chebyshev distance."""
-    down = down.abs().float()
-    right = right.abs().float()
-    if movement.connectivity == 4:
-        return down + right
-    return (down - right).abs() + movement.diagonal_cost * torch.minimum(down, right)
-
-
-def neighbour(plane: Tensor, row: int, column: int) -> Tensor:
-    """Return (B, H, W): of (B, H + 2, W + 2), the value beside each inner cell."""
-    rows = plane.shape[1] - 2
-    columns = plane.shape[2] - 2
-    return plane[:, 1 + row : 1 + row + rows, 1 + column : 1 + column + columns]
-
-
-def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
-    """Return (B, moves, H, W) bool: which moves are allowed from each cell of (B, 1, H, W).
-
-    The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
-    """
-    free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))  # (B, H + 2, W + 2), a wall around the map
-    legal = []
-    for row, column in STEPS[: movement.connectivity].tolist():
-        allowed = neighbour(free, row, column)
-        if row and column and not movement.corner_cutting:  # diagonal: both sides must be free
-            allowed = allowed & neighbour(free, row, 0) & neighbour(free, 0, column)
-        legal.append(allowed)
-    return torch.stack(legal, dim=1)
+    if "optimal_moves" in batch._fields:
+        return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
+    return targets_on_path(batch, movement)
 
 
 # --- what the network sees ----------------------------------------------------------------------
@@ -130,26 +97,20 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.
         goals: (B, 2), cells.
-        movement: how one moves; it has 4 or 8 moves.
+        movement: how one moves.
 
     Returns:
         (B, 8, H, W) and (B, moves, H, W), float32.
     """
-    rows, columns = occupied.shape[2:]
-    # one cell more on each side: a move from any cell leads to one whose heuristic is known
-    down = torch.arange(-1, rows + 1, device=goals.device) - goals[:, :1]  # (B, H + 2)
-    right = torch.arange(-1, columns + 1, device=goals.device) - goals[:, 1:]  # (B, W + 2)
-    around = heuristic(down[:, :, None], right[:, None, :], movement)  # (B, H + 2, W + 2)
-    least = neighbour(around, 0, 0)  # (B, H, W)
+    down, right = offsets(goals, occupied.shape[2:])  # from the goal: (B, H, 1) and (B, 1, W)
+    least = heuristic(down, right, movement)  # (B, H, W)
     detours = []
     for row, column in STEPS[: movement.connectivity].tolist():
         cost = movement.diagonal_cost if row and column else 1.0
-        detours.append(cost + neighbour(around, row, column) - least)
-    down = down[:, 1:-1, None].float()  # (B, H, 1)
-    right = right[:, None, 1:-1].float()  # (B, 1, W)
+        detours.append(cost + heuristic(down + row, right + column, movement) - least)
     planes = [
-        occupied[:, 0] == 0,  # free cells
-        least == 0,  # the goal
+        (occupied[:, 0] == 0).float(),  # free cells
+        (least == 0).float(),  # the goal
         least / 64,  # divisors bring all planes to a size of about 1
         down / 32,
         right / 32,
@@ -157,14 +118,14 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
         (right / 4).clamp(-1, 1),
         ((down.abs() - right.abs()) / 4).clamp(-1, 1),  # and near its diagonals
     ]
-    seen = torch.stack([plane.float().expand_as(least) for plane in planes], dim=1)
+    seen = torch.stack(torch.broadcast_tensors(*planes), dim=1)
     return seen, torch.stack(detours, dim=1)
 
 
 # --- network, loss and training -----------------------------------------------------------------
 
 
-class PathPredictor(pl.LightningModule):
+class PathPredictor(Model):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
     A batch has the fields ``map, start, goal, path`` or ``FIELDS``; its paths move as the model
@@ -220,16 +181,16 @@ class PathPredictor(pl.LightningModule):
         Accuracy is the share of cells whose most probable legal move is optimal.
         """
         batches = batch if isinstance(batch, list) else [batch]
-        sums = torch.stack([self._sums(each) for each in batches]).sum(dim=0)
-        move_loss, weight, squared_error, right, cells = sums
-        moves = move_loss / weight
-        loss = moves + self.hparams["ratio_weight"] * squared_error / cells
-        return {"loss": loss, "moves": moves, "accuracy": right / cells}
+        cells = torch.cat([self.cell_losses(each) for each in batches], dim=1)
+        move_loss, squared_error, right, weight = cells  # (n,) each
+        moves = (weight * move_loss).sum() / weight.sum()
+        loss = moves + self.hparams["ratio_weight"] * squared_error.mean()
+        return {"loss": loss, "moves": moves, "accuracy": right.mean()}
 
-    def _sums(self, batch: Sample) -> Tensor:
-        """Return (5,), sums over the cells with a target; those of several batches add up.
+    def cell_losses(self, batch: Sample) -> Tensor:
+        """Return (4, n) of the n cells that have a target.
 
-        Loss of the moves, its weight, squared error of the ratio, right answers, cells.
+        Loss of the moves, squared error of the ratio, 1 where the answer is right, weight.
         """
         scores, ratios = self(batch.map, batch.goal)  # (B, moves, H, W) and (B, H, W)
         scores = scores.masked_fill(~legal_moves(batch.map, self.movement), -math.inf)
@@ -241,13 +202,12 @@ class PathPredictor(pl.LightningModule):
         good = (optimal[cells][:, None] & bits) != 0  # (n, moves)
         # -log of the probability of making any of the optimal moves: ties need no decision
         good_scores = scores.masked_fill(~good, -math.inf)
-        loss = scores.logsumexp(1) - good_scores.logsumexp(1)  # (n,)
+        move_loss = scores.logsumexp(1) - good_scores.logsumexp(1)  # (n,)
+        squared_error = (ratios[cells] - ratio) ** 2  # (n,)
+        answer = scores.argmax(1, keepdim=True)  # (n, 1)
+        right = good.gather(1, answer)[:, 0].float()  # (n,)
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)  # (n,)
-        error = (ratios[cells] - ratio) ** 2  # (n,)
-        right = good.gather(1, scores.argmax(1, keepdim=True))  # (n, 1)
-        count = torch.ones_like(ratio)  # (n,)
-        parts = [loss * weight, weight, error, right[:, 0].float(), count]
-        return torch.stack(parts).sum(dim=1)
+        return torch.stack([move_loss, squared_error, right, weight])
 
     def training_step(self, batch: Sample | list[Sample], batch_idx: int) -> Tensor:
         """Return the loss of one step."""
@@ -260,11 +220,6 @@ class PathPredictor(pl.LightningModule):
         values = {f"val_{name}": value for name, value in self.losses(batch).items()}
         self.log_dict(values, batch_size=len(batch.map))
 
-    def configure_optimizers(self) -> Any:
-        """Return Muon, since AdamW needs more steps here, and torch's OneCycleLR."""
-        optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
-        return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
-
     # --- prediction -----------------------------------------------------------------------------
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
@@ -276,10 +231,8 @@ class PathPredictor(pl.LightningModule):
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
-        occupied = torch.from_numpy(np.array(grids, np.uint8))[:, None].to(self.device)
-        cells = torch.from_numpy(np.array(goals, np.int64)).to(self.device)
-        with torch.inference_mode(), bfloat16(self.device):
-            scores, ratios = self(occupied, cells)
+        with self.inference():
+            scores, ratios = self(*self.tensors(grids[:, None], goals))
         return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
@@ -295,36 +248,18 @@ class PathPredictor(pl.LightningModule):
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell.
         """
-        grid = np.asarray(map).astype(np.uint8).reshape(1, *np.shape(map)[-2:])  # (1, H, W)
-        for end in (start, goal):
-            # a path of one cell: refused unless it is a free cell of the map
-            check_path(grid[0], np.asarray(end)[None], self.movement)
-        scores = self.predict(grid, np.asarray(goal)[None])[0][0]  # (moves, H, W)
-        legal = legal_moves(torch.from_numpy(grid)[:, None], self.movement)[0]  # (moves, H, W)
-        last = tuple(np.asarray(goal).tolist())
-        path = [tuple(np.asarray(start).tolist())]
-        while path[-1] != last:
+        grids, starts, goals = check_problems(map, start, goal)  # a batch of one
+        scores, _ = self.predict(grids, goals)  # (1, moves, H, W)
+        legal = legal_moves(torch.from_numpy(grids)[:, None], self.movement)  # (1, moves, H, W)
+        path = [tuple(starts[0].tolist())]
+        while path[-1] != tuple(goals[0].tolist()):
             row, column = path[-1]
             options = []
-            for move, (down, right) in enumerate(STEPS[: len(scores)].tolist()):
+            for move, (down, right) in enumerate(STEPS[: self.movement.connectivity].tolist()):
                 cell = (row + down, column + right)
-                if legal[move, row, column] and cell not in path:
-                    options.append((scores[move, row, column], cell))
+                if legal[0, move, row, column] and cell not in path:
+                    options.append((scores[0, move, row, column], cell))
             if not options:
                 return np.empty((0, 2), np.int64)
             path.append(max(options)[1])
         return np.array(path)
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write weights and arguments, as plain types and tensors."""
-        save_model(self, file, torch.float32)
-
-    @staticmethod
-    def load(file: str | PathLike[str]) -> PathPredictor:
-        """Return the model that `save` wrote, ready to plan.
-
-        Raises:
-            FileNotFoundError: no such file.
-            ValueError: it holds no saved PathPredictor.
-        """
-        return load_model(file, PathPredictor)

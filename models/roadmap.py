@@ -17,20 +17,24 @@ cell. A path between cells is one between their centres.
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import kernel
+
+Points: TypeAlias = Callable[[npt.ArrayLike, int, int], Floats]
+"""A sampler that sees the map alone: from a grid (H, W), n and a seed to (n, 2) free points."""
 
 REACH = 1.5
 """Vertices are joined within REACH * sqrt(log n / n) of the map's side."""
@@ -41,29 +45,22 @@ REACH = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Vertices, and the neighbours of each as in a compressed sparse row matrix.
-
-    Every edge is there both ways.
+    """Vertices and the edges between them.
 
     Attributes:
         points: (n, 2) float64; of a roadmap between two cells, vertex 0 is the start and vertex 1
             the goal.
-        offsets: (n + 1,): the neighbours of vertex v are ``neighbours[offsets[v]:offsets[v + 1]]``.
-        neighbours: (2 m,) int64.
-        lengths: (2 m,) float64, in cells.
+        graph: (n, n), the lengths of edges in cells, each once: at (i, j) with i below j.
     """
 
     points: Floats
-    offsets: Ints
-    neighbours: Ints
-    lengths: Floats
+    graph: csr_matrix
 
     @property
     def edges(self) -> Ints:
-        """(m, 2) int64, each edge once."""
-        sources = np.repeat(np.arange(len(self.points)), np.diff(self.offsets))
-        once = sources < self.neighbours
-        return np.stack([sources[once], self.neighbours[once]], axis=1)
+        """(m, 2) integers, the vertices that each edge joins."""
+        edges = self.graph.tocoo()
+        return np.stack([edges.row, edges.col], axis=1)
 
     def shortest_path(self) -> tuple[float, Ints]:
         """Return the length of the shortest path from vertex 0 to 1, and its vertices (k,).
@@ -76,10 +73,19 @@ class Roadmap:
         """Return what `shortest_path` does, where an edge costs its length times a price.
 
         Args:
-            prices: (n,) at least 1; that of an edge is the greater one of its ends. inf closes a
+            prices: (n,), positive; that of an edge is the greater one of its ends. inf closes a
                 vertex.
         """
-        return _astar(self.points, self.offsets, self.neighbours, self.lengths, prices)
+        i, j = self.edges.T
+        costs = self.graph.data * np.maximum(prices[i], prices[j])  # (m,)
+        graph = csr_matrix((costs, self.graph.indices, self.graph.indptr), self.graph.shape)
+        found, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
+        path = []
+        vertex = 1 if found[1] < np.inf else -1
+        while vertex >= 0:  # backwards from the target; a negative number is before the start
+            path.append(vertex)
+            vertex = int(before[vertex])
+        return float(found[1]), np.array(path[::-1], np.int64)
 
 
 def radius(vertices: int, shape: tuple[int, ...]) -> float:
@@ -116,12 +122,7 @@ def build_roadmap(grid: npt.ArrayLike, points: npt.ArrayLike, reach: float) -> R
     pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")  # (p, 2)
     edges = pairs[_all_see(cells, places[pairs[:, 0]], places[pairs[:, 1]])]  # (m, 2)
     lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)  # (m,)
-    sources = np.concatenate([edges[:, 0], edges[:, 1]])
-    targets = np.concatenate([edges[:, 1], edges[:, 0]])
-    shape = (len(places), len(places))
-    graph = csr_matrix((np.tile(lengths, 2), (sources, targets)), shape)
-    offsets = graph.indptr.astype(np.int64)
-    return Roadmap(places, offsets, graph.indices.astype(np.int64), graph.data)
+    return Roadmap(places, csr_matrix((lengths, edges.T), (len(places), len(places))))
 
 
 def between(
@@ -229,45 +230,6 @@ def _all_see(grid: Bytes, first: Floats, second: Floats) -> Flags:
     return seen
 
 
-@kernel
-def _astar(
-    points: Floats, offsets: Ints, neighbours: Ints, lengths: Floats, prices: Floats
-) -> tuple[float, Ints]:
-    """Return cost and vertices of a cheapest path from vertex 0 to 1.
-
-    A* with the distance to the target, which no cost is below: prices are at least 1.
-    """
-    n = len(points)
-    best = np.full(n, np.inf)
-    before = np.full(n, -1)
-    expanded = np.zeros(n, np.bool_)
-    best[0] = 0.0
-    heap = [(0.0, 0)]
-    while heap:
-        _, v = heapq.heappop(heap)
-        if v == 1:
-            break
-        if expanded[v]:
-            continue
-        expanded[v] = True
-        for k in range(offsets[v], offsets[v + 1]):
-            u = neighbours[k]
-            cost = best[v] + lengths[k] * max(prices[u], prices[v])
-            if cost < best[u]:
-                best[u] = cost
-                before[u] = v
-                to_go = math.hypot(points[u, 0] - points[1, 0], points[u, 1] - points[1, 1])
-                heapq.heappush(heap, (cost + to_go, u))
-    path = np.empty(n, np.int64)
-    at = n
-    v = 1 if best[1] < np.inf else -1
-    while v >= 0:  # backwards from the target; nothing is before the start
-        at -= 1
-        path[at] = v
-        v = before[v]
-    return best[1], path[at:].copy()
-
-
 # --- samplers -----------------------------------------------------------------------------------
 
 
@@ -330,7 +292,7 @@ def bridge(grid: npt.ArrayLike, n: int, seed: int = 0, spread: float = 6.0) -> F
     return _rounds(cells, n, seed, draw)
 
 
-SAMPLERS: dict[str, Callable[[npt.ArrayLike, int, int], Floats]] = {
+SAMPLERS: dict[str, Points] = {
     "halton": halton,
     "uniform": uniform,
     "gaussian": gaussian,

@@ -25,7 +25,7 @@ from mapdata.evaluation import confidence_intervals
 from mapdata.plotting import MARKERS, PALETTE, plot_roadmap
 from mapdata.problems import HARD, Problems
 from models.lego_sampler import Sampler
-from models.roadmap import SAMPLERS, between, halton, path_lengths
+from models.roadmap import SAMPLERS, Points, between, halton, path_lengths, uniform
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,34 +53,32 @@ def contenders(learned: Mapping[str, Sampler]) -> dict[str, Contender]:
 
     All but Halton's and uniform points come with as many of Halton's.
     """
-    rows: dict[str, Contender] = {}
-    for name in SAMPLERS:
-        rows[name] = partial(_classical, name)
-    for name, model in learned.items():
-        rows[name] = partial(_learned, model)
-    return rows
+    sources: dict[str, Sampler | Points] = {**SAMPLERS, **learned}
+    return {name: partial(_vertices, source) for name, source in sources.items()}
 
 
-def _classical(
-    name: str, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+def _vertices(
+    source: Sampler | Points,
+    grids: Bytes,
+    starts: Ints,
+    goals: Ints,
+    n: int,
+    seeds: Sequence[int],
 ) -> Floats:
-    own = n if name in ("halton", "uniform") else n // 2
-    sampler = SAMPLERS[name]
-    points = [sampler(grid, own, seed) for grid, seed in zip(grids, seeds, strict=True)]
-    return np.concatenate([_halton(grids, n - own, seeds), np.stack(points)], axis=1)
+    """Return what a `Contender` does: the points of one source, and of Halton's what lacks."""
+    own = n if source in (halton, uniform) else n // 2
+    if isinstance(source, Sampler):
+        points = source.sample_batch(grids, starts, goals, own, seeds[0])
+    else:
+        points = _each(source, grids, own, seeds)
+    if own == n:
+        return points
+    return np.concatenate([_each(halton, grids, n - own, seeds), points], axis=1)
 
 
-def _learned(
-    model: Sampler, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
-) -> Floats:
-    points = model.sample_batch(grids, starts, goals, n // 2, seeds[0])
-    return np.concatenate([_halton(grids, n - n // 2, seeds), points], axis=1)
-
-
-def _halton(grids: Bytes, n: int, seeds: Sequence[int]) -> Floats:
-    if n == 0:
-        return np.empty((len(grids), 0, 2))
-    return np.stack([halton(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
+def _each(sampler: Points, grids: Bytes, n: int, seeds: Sequence[int]) -> Floats:
+    """Return (B, n, 2) points of a sampler that sees the map alone."""
+    return np.stack([sampler(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
 
 
 class RoadmapSuccess(Callback):
@@ -96,7 +94,8 @@ class RoadmapSuccess(Callback):
         grids = batch.map[:, 0].cpu().numpy().astype(np.uint8)
         starts = batch.start.cpu().numpy()
         goals = batch.goal.cpu().numpy()
-        points = np.concatenate([_halton(grids, 25, range(len(grids))), outputs.numpy()], axis=1)
+        first = _each(halton, grids, 25, range(len(grids)))
+        points = np.concatenate([first, outputs.numpy()], axis=1)
         solved = np.isfinite(path_lengths(grids, starts, goals, points))
         pl_module.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
 
@@ -137,24 +136,22 @@ def compare(
             "expected at least one sampler, problem and resample, and sizes of 2 or more"
         )
     # seeds of their own: no sampler is compared with a roadmap that holds its points
-    dense, _ = _lengths(partial(_classical, "halton"), problems, DENSE, 10_000_019)
+    dense, _ = _lengths(partial(_vertices, halton), problems, DENSE, 10_000_019)
     subsets = {"all": np.ones(len(problems), bool), "hard": problems.hard}
-    table: list[dict[str, object]] = []
+    entries = []
     outcomes: list[Floats] = []
     for n in sizes:
         for name, contender in rows.items():
             lengths, ms = _lengths(contender, problems, n)
             for subset, mask in subsets.items():
-                count = int(mask.sum())
-                table.append({"sampler": name, "subset": subset, "n": n, "problems": count})
-                table[-1]["ms"] = ms
+                row = {"sampler": name, "subset": subset, "n": n, "problems": mask.sum(), "ms": ms}
+                entries.append(row)
                 outcomes.append(_outcomes(lengths, dense, mask))
     found = confidence_intervals(np.stack(outcomes, axis=1), _metrics, bootstrap, seed)
+    table = pd.DataFrame(entries)
     for ending, values in zip(("", "_low", "_high"), found, strict=True):
-        for row, pair in zip(table, values.tolist(), strict=True):
-            for metric, value in zip(METRICS, pair, strict=True):
-                row[f"{metric}{ending}"] = value
-    return pd.DataFrame(table)
+        table[[f"{metric}{ending}" for metric in METRICS]] = values
+    return table
 
 
 def _lengths(
@@ -221,9 +218,7 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
         axes.plot(n, part["success"], style, marker=marker, color=colour, label=str(name))
         low = part["success_low"]
         axes.fill_between(n, low, part["success_high"], color=colour, alpha=0.12, linewidth=0)
-    axes.set_xlabel("vertices of the roadmap")
-    axes.set_ylabel("problems solved")
-    axes.set_title(f"{subset} problems")
+    axes.set(xlabel="vertices of the roadmap", ylabel="problems solved", title=f"{subset} problems")
     axes.set_ylim(None, 1.01)
     axes.set_xscale("log", base=2)
     sizes = sorted(rows["n"].unique())

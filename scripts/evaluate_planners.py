@@ -16,9 +16,10 @@ from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
+from models.learned_planners import planners
+from models.path_predictor import PathPredictor
 
-MODELS = Path(__file__).parent.parent / "models"
-WEIGHTS = MODELS / "weights" / "path_predictor.pt"
+WEIGHTS = Path(__file__).parent.parent / "models" / "weights" / "path_predictor.pt"
 
 
 def evaluate_command(
@@ -31,6 +32,7 @@ def evaluate_command(
     connectivity: Literal[4, 8] = 8,
     corner_cutting: bool = False,
     diagonal_cost: float = math.sqrt(2),
+    save: str | None = None,
     csv: str | None = None,
     json: str | None = None,
     figure: str | None = None,
@@ -43,7 +45,7 @@ def evaluate_command(
       python scripts/evaluate_planners.py data/maps --csv planners.csv
 
     Args:
-        root: datasets, in place of --preset and --seed
+        root: datasets or a saved set of problems, in place of --preset and --seed
         preset: paper, narrow, dungeon, dungeon128 or maze (default: dungeon)
         seed: 64-bit seed of maps and problems (default: 77)
         maps: how many maps (default: 600; of a dataset, all)
@@ -51,19 +53,25 @@ def evaluate_command(
         connectivity: moves
         corner_cutting: diagonal moves beside occupied cells too
         diagonal_cost: of diagonal moves: 1 or sqrt 2
+        save: write the problems to an .npz, which takes the place of a dataset another time
         csv: write the table to a file
         json: write the table as a list of rows
         figure: draw cost ratio against expansions on the hard problems
         weights: of the path predictor (default: those that ship)
     """
-    check_outputs(csv, json, figure)
+    check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
-    learned = learned_planners(weights, movement)
     maps = 600 if not root and maps is None and until_hard is None else maps
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
-    planners: list[Planner] = [*classical(movement), *learned]
-    table = evaluate(planners, problems)
-    print(f"{problems.description}; {movement}\n\n{to_text(table)}")
+    if save is not None:
+        problems.save(save)
+    rows: list[Planner] = [
+        *classical(problems.movement),
+        *learned_planners(weights, problems.movement),
+    ]
+    table = evaluate(rows, problems)
+    print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
+    print(to_text(table))
     write_table(table, csv, json)
     if figure is not None:
         canvas = Figure(figsize=(7, 6), layout="constrained")
@@ -72,17 +80,7 @@ def evaluate_command(
 
 
 def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlanner]:
-    """Return the rows of the path predictor.
-
-    None if the weights that ship are not there, or move otherwise.
-    """
-    if weights is None and not (WEIGHTS.exists() and (MODELS / "path_predictor.py").exists()):
-        return []
-    if weights is not None and not Path(weights).is_file():
-        raise ValueError(f"weights: there is no file {weights}")
-    from models.learned_planners import planners
-    from models.path_predictor import PathPredictor
-
+    """Return the rows of the path predictor; none if the weights that ship move otherwise."""
     model = PathPredictor.load(weights or WEIGHTS)
     if model.movement == movement:
         return planners(model)

@@ -45,11 +45,8 @@ class Figures(Callback):
         canvas = Figure(figsize=(16, 5 * len(batches)), layout="constrained")
         axes = canvas.subplots(len(batches), 4, squeeze=False)
         for batch, line in zip(batches, axes, strict=True):
-            for k, each in enumerate(line):
-                if k < len(batch[0]):
-                    draw(pl_module, row(batch, k), each)
-                else:
-                    each.axis("off")
+            for k in range(min(len(batch.map), len(line))):
+                draw(pl_module, row(batch, k), line[k])
         folder = Path(trainer.log_dir)
         folder.mkdir(parents=True, exist_ok=True)
         canvas.savefig(folder / f"predictions-{trainer.global_step:06d}.png", dpi=80)

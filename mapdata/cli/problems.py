@@ -18,7 +18,7 @@ def given_problems(
     maps: int | None,
     **how: Any,
 ) -> Problems:
-    """Return one problem a map, of new maps or of the test split of a dataset.
+    """Return one problem a map, of new maps or of the test split of a dataset, or a saved set.
 
     Raises:
         ValueError: a preset or seed beside a root; what `Problems.sample` and `Problems.read`
@@ -34,6 +34,10 @@ def given_problems(
         )
     if preset is not None or seed is not None:
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
+    if len(root) == 1 and root[0].endswith(".npz"):
+        if maps is not None or how.get("until_hard") is not None:
+            raise ValueError("maps, until_hard: would do nothing beside a saved set of problems")
+        return Problems.load(root[0])
     return Problems.read(root, maps, **how)
 
 

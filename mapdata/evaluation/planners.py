@@ -23,14 +23,14 @@ def classical(movement: Movement = Movement(8)) -> list[BatchPlanner]:
     do with less.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
-    ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.5)', 'weighted A* (2)', 'greedy best-first', 'limit']
+    ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
+     'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'limit']
     """
     return [
         Search("BFS", movement, "bfs"),
         BestFirst("Dijkstra", movement, weight=0),
         Search("A*", movement, "astar"),
-        BestFirst("weighted A* (1.5)", movement, weight=1.5),
-        BestFirst("weighted A* (2)", movement, weight=2),
+        *(BestFirst(f"weighted A* ({w})", movement, weight=w) for w in (1.1, 1.25, 1.5, 2, 3)),
         BestFirst("greedy best-first", movement, weight=1, counts_way=False),
         Limit("limit", movement),
     ]
@@ -76,9 +76,11 @@ class BestFirst(Batched):
     """Best-first search by f = g + weight * h, or f = weight * h alone.
 
     The order is that of mapdata's A* (docs/format.md) with another f: least f, among equal f the
-    most recently pushed; a cell is pushed again for a smaller g, and expanded once. The cost is at
-    most ``max(weight, 1)`` times the optimal one (Pohl 1970; without re-expansion: Likhachev et al.
-    2003), unless the way so far does not count.
+    most recently pushed. A cell is pushed again for a smaller g, and expanded once; a smaller g
+    that is found later still gives it another parent, and so the path is shorter.
+
+    The cost is at most ``max(weight, 1)`` times the optimal one (Pohl 1970; without re-expansion:
+    Likhachev et al. 2003), unless the way so far does not count.
 
     Attributes:
         name: its name in the table.

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
+import zipfile
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,12 +21,14 @@ from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.root import Places, Root
-from mapdata.spec import SPLITS, Movement, check_choice, check_count, check_seed
+from mapdata.shards.shard import StrPath
+from mapdata.spec import SPLITS, Movement, canonical_json, check_choice, check_count, check_seed
 
 HARD = 1.05
 """Hardness (optimal cost over heuristic) from which on a problem is hard."""
 
 _MAPS_A_CHUNK = 256
+_ARRAYS = ("grids", "starts", "goals")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +64,7 @@ class Problems:
         for bad_cost, why in ((-1, "has no path"), (0, "starts at its goal")):
             if (cost == bad_cost).any():
                 raise ValueError(f"problem {int(np.argmax(cost == bad_cost))} {why}: leave it out")
-        for name, dtype in (("grids", np.uint8), ("starts", np.int64), ("goals", np.int64)):
+        for name, dtype in zip(_ARRAYS, (np.uint8, np.int64, np.int64), strict=True):
             array: npt.NDArray[np.generic] = np.array(getattr(self, name), dtype, order="C")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -84,6 +89,44 @@ class Problems:
     def hard(self) -> Flags:
         """(N,) bool: the hardness is at least ``HARD``."""
         return np.asarray(self.hardness >= HARD)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of the problems, as hex: whoever has the same hash compared on the same set."""
+        digest = hashlib.sha256(canonical_json(asdict(self.movement)).encode())
+        for name in _ARRAYS:
+            array = getattr(self, name)
+            digest.update(f"{name} {array.shape}".encode())
+            digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
+        return digest.hexdigest()
+
+    def save(self, path: StrPath) -> None:
+        """Write the problems to a compressed .npz; the same problems are the same bytes.
+
+        It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: JSON of the rest.
+        """
+        about = {"movement": asdict(self.movement), "description": self.description}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        with open(path, "wb") as file:  # a name would get another ending
+            np.savez_compressed(file, about=np.array(canonical_json(about)), **arrays)
+
+    @staticmethod
+    def load(path: StrPath) -> Problems:
+        """Read what `save` wrote.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: it holds no problems, or what `Problems` refuses.
+        """
+        try:
+            with np.load(path) as file:
+                about = json.loads(str(file["about"]))
+                arrays = {name: file[name] for name in _ARRAYS}
+                movement = Movement(**about["movement"])
+                description = str(about["description"])
+        except (KeyError, TypeError, ValueError, AttributeError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{path}: holds no saved problems ({error})") from None
+        return Problems(**arrays, movement=movement, description=description)
 
     @staticmethod
     def sample(

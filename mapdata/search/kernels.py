@@ -297,6 +297,11 @@ def astar_heap(
                 _insert(heap, f, size, pushes, g_weight * tentative + h)
                 pushes += 1
                 size += 1
+            elif g[to] > tentative:
+                # Expanded before a shorter way to it was found, which happens under other weights
+                # than those of A*: it takes the shorter way, and is not expanded again.
+                came[to] = move | CLOSED
+                g[to] = tentative
     return expansions, pushes
 
 

@@ -12,7 +12,7 @@ DIAGONAL, being odd, has an inverse modulo UNIT, a power of two.
 
 The legal moves, the heuristic and hardness are defined here. The corner rule is written twice more,
 each for a reason that is given there: `flood` in kernels.py, and on tensors `legal_moves` in
-models/path_predictor.py; tests hold all three together.
+models/common.py; tests hold all three together.
 """
 
 from __future__ import annotations

@@ -169,13 +169,13 @@ def test_the_table() -> None:
     planners: list[Planner] = [*classical(Movement()), Scripted([(DETOUR, 1), ([], 1), ([], 1)])]
     table = evaluate(planners, three(), bootstrap=10)
     assert table["planner"].tolist() == [planner.name for planner in planners] * 2
-    assert table["subset"].tolist() == ["all"] * 8 + ["hard"] * 8
+    assert table["subset"].tolist() == ["all"] * 11 + ["hard"] * 11
     columns = ["planner", "subset", "n", *METRICS, "ms", "ms_batched"]
     assert table.columns.tolist() == columns + [
         f"{name}_{end}" for name in METRICS for end in ("low", "high")
     ]
     assert (table["ms"] > 0).all()
-    assert table["ms_batched"].isna().tolist() == ([False] * 7 + [True]) * 2
+    assert table["ms_batched"].isna().tolist() == ([False] * 10 + [True]) * 2
     text = to_text(table)
     assert "all: 3 problems" in text
     assert "hard: 1 problems, hardness at least 1.05" in text
@@ -318,7 +318,7 @@ def test_the_script_writes_a_list_of_rows(
     of_all = {found["planner"]: found["n"] for found in rows if found["subset"] == "all"}
     learned = {name for name in of_all if name.startswith("path_predictor")}
     assert learned
-    assert len(set(of_all) - learned) == 7
+    assert len(set(of_all) - learned) == 10
     assert set(of_all.values()) == {12}
     table = pd.read_csv(outputs["csv"])
     assert table["planner"].tolist() == [found["planner"] for found in rows]

@@ -26,7 +26,7 @@ MOVEMENTS = [
     Movement(8, diagonal_cost=1),
 ]
 movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-cutting", "8-one"])
-WEIGHTS = [(0, True), (1, True), (1.5, True), (2, True), (1, False)]
+WEIGHTS = [(0, True), (1, True), (1.1, True), (1.5, True), (3, True), (1, False)]
 
 Grid = npt.NDArray[np.uint8]
 
@@ -65,15 +65,14 @@ def reference_best_first(
         taken.add(cell)
         for neighbour, step in reference.neighbours(rows, cell, movement) if cell != goal else ():
             cost = reference.add(costs[cell], step)
-            known = neighbour in taken or neighbour in costs
-            if neighbour in taken or (
-                known
-                and reference.weigh(cost, movement) >= reference.weigh(costs[neighbour], movement)
+            if neighbour in costs and reference.weigh(cost, movement) >= reference.weigh(
+                costs[neighbour], movement
             ):
                 continue
             costs[neighbour], parents[neighbour] = cost, cell
-            pushes += 1
-            heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
+            if neighbour not in taken:  # else it only has a shorter way from now on
+                pushes += 1
+                heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
     path = reference.trace(parents, goal) if goal in taken else []
     return Plan(np.array(path, np.int64).reshape(-1, 2), len(taken))
 
@@ -157,8 +156,11 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
         "BFS",
         "Dijkstra",
         "A*",
+        "weighted A* (1.1)",
+        "weighted A* (1.25)",
         "weighted A* (1.5)",
         "weighted A* (2)",
+        "weighted A* (3)",
         "greedy best-first",
         "limit",
     ]

@@ -21,7 +21,7 @@ import pytorch_lightning as pl
 import torch
 
 from mapdata import MapDataModule, MapSpec, Problems
-from models.common import load_model
+from models.common import load_model, random_symmetry
 from models.cvae import CVAE, LocalCVAE
 from models.experience import (
     KINDS,
@@ -32,7 +32,7 @@ from models.experience import (
     mine,
     near_optimal_paths,
 )
-from models.lego_sampler import FIELDS, Heatmap, Sampler, encode, random_symmetry, select
+from models.lego_sampler import FIELDS, Heatmap, Sampler, encode, select
 from models.roadmap import build_roadmap, free_at, halton, radius, sees
 from models.sampler_table import (
     RoadmapSuccess,

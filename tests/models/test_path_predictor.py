@@ -35,8 +35,9 @@ from mapdata import (
 )
 from mapdata.evaluation import BatchPlanner, classical
 from mapdata.search import STEPS, heuristics
+from models.common import heuristic, legal_moves
 from models.learned_planners import LearnedPlanner, planners
-from models.path_predictor import FIELDS, PathPredictor, heuristic, legal_moves, targets_on_path
+from models.path_predictor import FIELDS, PathPredictor, targets_on_path
 from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]

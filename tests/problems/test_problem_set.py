@@ -4,6 +4,7 @@ answer is refused.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -185,3 +186,53 @@ def test_a_sample_without_problems_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=why):
             Problems.sample(spec, 0, maps, until_hard=until_hard)
+
+
+def test_a_saved_set_is_the_same(tmp_path: Path) -> None:
+    """To the last array, with movement and words; its bytes and hash are those of the problems."""
+    for movement in (Movement(), CUTTING):
+        problems = Problems.sample(DUNGEON, 77, 20, movement=movement)
+        problems.save(tmp_path / "set.npz")
+        again = Problems.load(tmp_path / "set.npz")
+        assert same(problems, again)
+        assert again.description == problems.description
+        assert again.content_hash == problems.content_hash
+        again.save(tmp_path / "other")
+        assert (tmp_path / "other").read_bytes() == (tmp_path / "set.npz").read_bytes()
+
+
+def test_the_hash_tells_sets_apart() -> None:
+    """By maps, ends and movement; not by words. One is golden."""
+    problems = Problems(
+        np.array([[[0, 0, 0], [0, 1, 0]]]), np.array([[0, 0]]), np.array([[1, 2]]), Movement()
+    )
+    golden = "1bf9f5c51756f669d05ec4ffbeb97619ba32f691e8c76b05aa62cc8bbf2c8ad1"
+    assert problems.content_hash == golden
+    assert replace(problems, description="others").content_hash == golden
+    for change in (
+        {"starts": np.array([[1, 0]])},
+        {"goals": np.array([[0, 2]])},
+        {"grids": np.zeros((1, 2, 3), int)},
+        {"movement": Movement(8)},
+    ):
+        assert replace(problems, **change).content_hash != golden
+
+
+def test_what_is_no_saved_set_is_refused(tmp_path: Path) -> None:
+    """By name: text, another archive, arrays that do not fit, pickles."""
+    path = tmp_path / "set.npz"
+    contents: list[dict[str, object]] = [
+        {"grids": np.zeros((1, 2, 2))},
+        {"about": np.array("[]"), "grids": 1, "starts": 1, "goals": 1},
+        {"about": np.array("{"), "grids": 1, "starts": 1, "goals": 1},
+        {"about": np.array({"a": 1}, object)},
+    ]
+    for arrays in contents:
+        np.savez(path, **arrays)  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
+            Problems.load(path)
+    path.write_text("text")
+    with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
+        Problems.load(path)
+    with pytest.raises(FileNotFoundError):
+        Problems.load(tmp_path / "none.npz")
