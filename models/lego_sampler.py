@@ -40,6 +40,7 @@ from torch import Tensor, nn
 from mapdata import Sample
 from mapdata.arrays import Bytes, Floats, Ints
 from models import common
+from models.common import Tensors
 
 FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
@@ -61,9 +62,10 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     for cells in (starts, goals):
         down, right = common.offsets(cells, free.shape[1:])  # (B, H, 1) and (B, 1, W)
         distance = torch.hypot(down, right)  # (B, H, W)
-        # divisors bring all planes to a size of about 1; the finer ones are for cells nearby
-        planes += [(distance == 0).float(), down / 32, right / 32]
-        planes += [(down / 4).clamp(-1, 1), (right / 4).clamp(-1, 1), distance / 64]
+        here = (distance == 0).float()
+        fine = [(each / 4).clamp(-1, 1) for each in (down, right)]  # nearby
+        # divisors bring all planes to a size of about 1
+        planes += [here, down / 32, right / 32, *fine, distance / 64]
         way += distance
     straight = torch.linalg.vector_norm((starts - goals).float(), dim=1)  # (B,)
     planes.append((way - straight[:, None, None]) / 32)  # the detour over each cell
@@ -87,7 +89,7 @@ class Sampler(common.Model, ABC):
         self.bank: Any = None  # a `models.experience.Bank`
 
     @abstractmethod
-    def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
+    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the loss and its parts: points (M, 2) belong to the problems ``owners`` (M,)."""
 
     @abstractmethod
@@ -141,12 +143,12 @@ class Sampler(common.Model, ABC):
         return self.sample_batch(map, start, goal, n, seed).squeeze(0)
 
     def sample_batch(
-        self, maps: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
+        self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
     ) -> Floats:
-        """Return (B, n, 2) points, as `sample`: maps (B, H, W), starts and goals (B, 2)."""
+        """Return (B, n, 2) points, as `sample`: grids (B, H, W), starts and goals (B, 2)."""
         if n < 1:
             raise ValueError(f"n: got {n}, expected at least 1 sample")
-        problems = common.check_problems(maps, starts, goals)
+        problems = common.check_problems(grids, starts, goals)
         with self.inference():
             return self.draw(*problems, n, np.random.default_rng(seed))
 
@@ -200,7 +202,7 @@ class Heatmap(Sampler):
         scores: Tensor = out[..., :rows, :columns].float()
         return scores
 
-    def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
+    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the cross entropy of the shares, and of the second prediction."""
         occupied = batch["map"].flatten(1) != 0  # (B, H * W)
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
