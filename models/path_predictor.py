@@ -23,8 +23,8 @@ scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`:
 maps, 20 minutes of one core. `torch.export.export(model, (map, goal))` and ONNX take it as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
-prediction. models/common.py has the layers, the optimizer, the files of weights. Searches that
-follow predictions are in models/learned_planners.py.
+prediction. It needs models/common.py alone, which has the layers, the moves on a map, the
+optimizer, the files of weights. models/learned_planners.py searches with predictions.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     down, right = (cells - batch.goal[:, None]).unbind(2)  # (B, T - 1) both
     ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
     bits = 2 ** made.long().argmax(dim=2)  # (B, T - 1)
-    problem, k = labelled.nonzero(as_tuple=True)  # (n,) both: from paths to maps
-    row, column = cells[problem, k].unbind(1)  # (n,) both
+    problem, k = labelled.nonzero(as_tuple=True)  # (n,) both, of the cells of all paths
+    row, column = cells[problem, k].unbind(1)  # (n,) both: where on its map each of them is
     optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
     optimal[problem, row, column] = bits[problem, k]
     ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
@@ -92,7 +92,7 @@ def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
 
 
 def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return what the network sees of each cell, and the detour of each move.
+    """Return what the network sees, (B, 8, H, W), and the detours of the moves, (B, moves, H, W).
 
     A move's detour is its cost plus the change of the heuristic: 0 for the moves that are optimal
     on an empty map. Scores start from it, so that only what walls change is left to learn.
@@ -101,9 +101,6 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
         occupied: (B, 1, H, W), 0 free and anything else occupied.
         goals: (B, 2), cells.
         movement: how one moves.
-
-    Returns:
-        (B, 8, H, W) and (B, moves, H, W), float32.
     """
     down, right = offsets(goals, occupied.shape[2:])  # from the goal: (B, H, 1) and (B, 1, W)
     least = heuristic(down, right, movement)  # (B, H, W)
@@ -231,8 +228,9 @@ class PathPredictor(common.Model):
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
+        occupied, cells = self.tensors(np.asarray(grids, np.uint8)[:, None], goals)
         with self.inference():
-            scores, ratios = self(*self.tensors(grids[:, None], goals))
+            scores, ratios = self(occupied, cells)
         return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
