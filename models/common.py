@@ -16,7 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,9 @@ from torch.optim.lr_scheduler import OneCycleLR
 from mapdata import Movement
 from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.search import STEPS
+
+Tensors: TypeAlias = dict[str, Tensor]
+"""Tensors by name: the fields of a batch, or a loss and its parts."""
 
 # --- the network --------------------------------------------------------------------------------
 
@@ -228,7 +231,7 @@ def transform_cells(cells: Tensor, code: int, shape: torch.Size) -> Tensor:
     return transform_points(cells + 0.5, code, shape).floor().long()
 
 
-def random_symmetry(fields: dict[str, Tensor], points: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+def random_symmetry(fields: Tensors, points: Tensor) -> tuple[Tensors, Tensor]:
     """Return a batch and its points after a symmetry; start and goal may change places, too."""
     code = int(torch.randint(8, ()))
     shape = fields["map"].shape

@@ -23,7 +23,7 @@ from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
-from models.common import Trunk, cell_numbers, one_cycle, padded
+from models.common import Tensors, Trunk, cell_numbers, one_cycle, padded
 from models.lego_sampler import Sampler, encode
 from models.roadmap import free_at, uniform
 
@@ -36,15 +36,10 @@ ROUNDS = 8
 
 def hidden_layers(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequential:
     """Return the published encoder or decoder: two hidden layers with ReLU and dropout."""
-    return nn.Sequential(
-        nn.Linear(inputs, width),
-        nn.ReLU(),
-        nn.Dropout(dropout),
-        nn.Linear(width, width),
-        nn.ReLU(),
-        nn.Dropout(dropout),
-        nn.Linear(width, outputs),
-    )
+    layers: list[nn.Module] = []
+    for size in (inputs, width):
+        layers += [nn.Linear(size, width), nn.ReLU(), nn.Dropout(dropout)]
+    return nn.Sequential(*layers, nn.Linear(width, outputs))
 
 
 def to_unit(points: Tensor, occupied: Tensor) -> Tensor:
@@ -70,7 +65,7 @@ class Autoencoder(Sampler):
         (latents,) = self.tensors(draws.astype(np.float32))
         return latents
 
-    def total(self, errors: Tensor, divergences: Tensor) -> dict[str, Tensor]:
+    def total(self, errors: Tensor, divergences: Tensor) -> Tensors:
         """Return the loss and its parts of points with these errors and divergences, (M,) both."""
         count = max(len(errors), 1)  # a batch may have no point: no NaN
         error = errors.sum() / count
@@ -111,19 +106,12 @@ class CVAE(Autoencoder):
         """Make the networks."""
         super().__init__(targets)
         self.save_hyperparameters()
-        self.condition = nn.Sequential(
-            nn.Conv2d(4 * 14, 32, 3, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(32, 48, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(48, 64, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.AdaptiveAvgPool2d(8),
-            nn.Conv2d(64, 32, 1),
-            nn.Flatten(),
-            nn.Linear(32 * 64, code),
-            nn.ReLU(),
-        )
+        layers: list[nn.Module] = []
+        for inputs, outputs, stride in ((4 * 14, 32, 1), (32, 48, 2), (48, 64, 2)):
+            layers += [nn.Conv2d(inputs, outputs, 3, stride, padding=1), nn.ReLU()]
+        layers += [nn.AdaptiveAvgPool2d(8), nn.Conv2d(64, 32, 1), nn.Flatten()]  # any map size
+        layers += [nn.Linear(32 * 8 * 8, code), nn.ReLU()]
+        self.condition = nn.Sequential(*layers)
         self.encoder = hidden_layers(2 + code + 4, width, 2 * latent, dropout)
         self.decoder = hidden_layers(latent + code + 4, width, 2, dropout)
 
@@ -133,7 +121,7 @@ class CVAE(Autoencoder):
         code = self.condition(F.pixel_unshuffle(seen, 2)).float()  # (B, code)
         return torch.cat([code, to_unit(starts, occupied), to_unit(goals, occupied)], dim=1)
 
-    def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
+    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the squared error and the divergence."""
         conditions = self(batch["map"], batch["start"], batch["goal"])[owners]  # (M, code + 4)
         unit = to_unit(points, batch["map"])  # (M, 2)
@@ -218,7 +206,7 @@ class LocalCVAE(Autoencoder):
         found: Tensor = query @ keys.transpose(1, 2)
         return found
 
-    def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
+    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the cross entropy of the cells and the divergence.
 
         For ``POINTS`` random points of each of the S problems that have any.

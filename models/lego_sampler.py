@@ -19,9 +19,8 @@ weights that ship were made, by the commands in scripts/train_lego_sampler.py:
     points = Heatmap.load("models/weights/lego_heatmap.pt").sample(grid, start, goal, 25)
     roadmap = between(grid, start, goal, points)  # of models/roadmap.py
 
-This file reads from top to bottom: what the network sees; targets, training and sampling, which
-models/cvae.py shares; the heat map: network, loss, prediction. models/common.py has the layers, the
-symmetries of maps, the optimizer, the files of weights.
+This file reads from top to bottom: what the network sees; targets, training, sampling; the heat
+map: network, loss, prediction. It needs models/common.py alone: layers, symmetries, optimizer.
 """
 
 from __future__ import annotations
@@ -40,6 +39,7 @@ from torch import Tensor, nn
 from mapdata import Sample
 from mapdata.arrays import Bytes, Floats, Ints
 from models import common
+from models.common import Tensors
 
 FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
@@ -57,13 +57,14 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     """
     free = (occupied[:, 0] == 0).float()  # (B, H, W)
     planes = [free]
-    way = torch.zeros_like(free)  # from start to goal over each cell
+    way = torch.zeros_like(free)  # how long the way from start to goal over each cell is
     for cells in (starts, goals):
         down, right = common.offsets(cells, free.shape[1:])  # (B, H, 1) and (B, 1, W)
         distance = torch.hypot(down, right)  # (B, H, W)
-        # divisors bring all planes to a size of about 1; the finer ones are for cells nearby
-        planes += [(distance == 0).float(), down / 32, right / 32]
-        planes += [(down / 4).clamp(-1, 1), (right / 4).clamp(-1, 1), distance / 64]
+        here = (distance == 0).float()
+        fine = [(each / 4).clamp(-1, 1) for each in (down, right)]  # for cells nearby
+        # divisors bring all planes to a size of about 1
+        planes += [here, down / 32, right / 32, *fine, distance / 64]
         way += distance
     straight = torch.linalg.vector_norm((starts - goals).float(), dim=1)  # (B,)
     planes.append((way - straight[:, None, None]) / 32)  # the detour over each cell
@@ -87,7 +88,7 @@ class Sampler(common.Model, ABC):
         self.bank: Any = None  # a `models.experience.Bank`
 
     @abstractmethod
-    def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
+    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the loss and its parts: points (M, 2) belong to the problems ``owners`` (M,)."""
 
     @abstractmethod
@@ -96,20 +97,19 @@ class Sampler(common.Model, ABC):
 
     def on_fit_start(self) -> None:
         """Mine the bank of experience of the training problems, or read it if it is there."""
-        if self.targets == "path" or self.bank is not None:
-            return
-        data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
-        if not hasattr(data, "mine"):
-            expected = "models.experience.FixedProblems, which has a bank of experience"
-            raise ValueError(f"targets: {self.targets!r} need the data module {expected}")
-        self.bank = data.mine(self.hparams["experience"])
+        if self.targets != "path" and self.bank is None:
+            data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
+            if not hasattr(data, "mine"):
+                expected = "models.experience.FixedProblems, or targets='path'"
+                raise ValueError(f"targets: got {self.targets!r}, which need {expected}")
+            self.bank = data.mine(self.hparams["experience"])
 
     def target_points(self, batch: Sample) -> tuple[Tensor, Tensor]:
         """Return where to sample, points (M, 2), and to which problem each belongs, (M,)."""
         if self.targets == "path":
             owners, k = (batch.path[:, :, 0] >= 0).nonzero(as_tuple=True)  # padding is -1
-            return batch.path[owners, k] + 0.5, owners  # centres of cells
-        ends = torch.cat([batch.start, batch.goal], dim=1)  # (B, 4): the bank refuses others
+            return batch.path[owners, k] + 0.5, owners  # the centres of the path's cells
+        ends = torch.cat([batch.start, batch.goal], dim=1)  # (B, 4), for the bank to compare
         found, counts = self.bank.targets(self.targets, batch.problem.cpu(), ends.cpu())
         numbers = np.repeat(np.arange(len(counts)), counts)  # (M,)
         points, owners = self.tensors(found.astype(np.float32), numbers)
@@ -141,20 +141,17 @@ class Sampler(common.Model, ABC):
         return self.sample_batch(map, start, goal, n, seed).squeeze(0)
 
     def sample_batch(
-        self, maps: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
+        self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
     ) -> Floats:
-        """Return (B, n, 2) points, as `sample`: maps (B, H, W), starts and goals (B, 2)."""
+        """Return (B, n, 2) points, as `sample`: grids (B, H, W), starts and goals (B, 2)."""
         if n < 1:
             raise ValueError(f"n: got {n}, expected at least 1 sample")
-        problems = common.check_problems(maps, starts, goals)
+        problems = common.check_problems(grids, starts, goals)
         with self.inference():
             return self.draw(*problems, n, np.random.default_rng(seed))
 
 
 # --- the heat map: network, loss, prediction ----------------------------------------------------
-
-# symmetries, in the order in which a heat map adds them: none, half a turn, both diagonals, ...
-VIEWS = (0, 3, 4, 7, 1, 2, 5, 6)
 
 
 class Heatmap(Sampler):
@@ -196,11 +193,11 @@ class Heatmap(Sampler):
         The second one is the logit of lying on a shortest path. Arguments as of `encode`.
         """
         rows, columns = occupied.shape[2:]
-        out, _ = self.trunk(encode(common.padded(occupied), starts, goals))
-        scores: Tensor = out[..., :rows, :columns].float()
-        return scores
+        seen = encode(common.padded(occupied), starts, goals)  # (B, 14, H, W), up to 7 cells more
+        scores: Tensor = self.trunk(seen)[0]
+        return scores[..., :rows, :columns].float()
 
-    def loss(self, batch: dict[str, Tensor], points: Tensor, owners: Tensor) -> dict[str, Tensor]:
+    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the cross entropy of the shares, and of the second prediction."""
         occupied = batch["map"].flatten(1) != 0  # (B, H * W)
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
@@ -220,14 +217,14 @@ class Heatmap(Sampler):
     def heat_map(self, grids: Bytes, starts: Ints, goals: Ints) -> Floats:
         """Return (B, H, W) shares of the cells, 0 in occupied ones."""
         occupied, start, goal = self.tensors(grids[:, None], starts, goals)
-        views = VIEWS[: self.hparams["views"]]
+        # as many symmetries: none, half a turn, mirrored at both diagonals, the others
+        views = (0, 3, 4, 7, 1, 2, 5, 6)[: self.hparams["views"]]
         total = torch.zeros(grids.shape, dtype=torch.float64)
         with self.inference():
             for code in views:
                 seen = common.transform_plane(occupied, code)
-                first = common.transform_cells(start, code, occupied.shape)
-                last = common.transform_cells(goal, code, occupied.shape)
-                scores = self(seen, first, last)[:, 0]
+                ends = [common.transform_cells(end, code, occupied.shape) for end in (start, goal)]
+                scores = self(seen, *ends)[:, 0]
                 scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
                 shares = scores.flatten(1).double().softmax(1).view(scores.shape)
                 total += common.restore_plane(shares, code).cpu()

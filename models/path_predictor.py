@@ -23,8 +23,8 @@ scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`:
 maps, 20 minutes of one core. `torch.export.export(model, (map, goal))` and ONNX take it as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
-prediction. models/common.py has the layers, the optimizer, the files of weights. Searches that
-follow predictions are in models/learned_planners.py.
+prediction. It needs models/common.py alone, which has the layers, the moves on a map, the
+optimizer, the files of weights. models/learned_planners.py searches with predictions.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ from torch import Tensor, nn
 from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
-from models.common import Model, Trunk, check_problems, heuristic, legal_moves, offsets, padded
+from models import common
+from models.common import Tensors, Trunk, heuristic, legal_moves, offsets
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The richer fields, which teach more than ``map, start, goal, path``."""
@@ -61,14 +62,16 @@ def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     made[following[:, :, 0] < 0] = False  # not into the padding: from (0, 0) to (-1, -1) is NW
     labelled = made.any(dim=2)  # (B, T - 1): all cells of a path but its goal
     # the true cost to the goal: of all steps that follow, each of which costs its own heuristic
-    costs = heuristic(steps[:, :, 0], steps[:, :, 1], movement) * labelled  # (B, T - 1)
+    down, right = steps.unbind(2)  # (B, T - 1) both
+    costs = heuristic(down, right, movement) * labelled  # (B, T - 1)
     to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
     down, right = (cells - batch.goal[:, None]).unbind(2)  # (B, T - 1) both
     ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
-    problem, k = labelled.nonzero(as_tuple=True)  # (n,) both
-    row, column = cells[problem, k].unbind(1)  # (n,) both
+    bits = 2 ** made.long().argmax(dim=2)  # (B, T - 1)
+    problem, k = labelled.nonzero(as_tuple=True)  # (n,) both, of the cells of all paths
+    row, column = cells[problem, k].unbind(1)  # (n,) both: where on its map each of them is
     optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
-    optimal[problem, row, column] = 2 ** made[problem, k].long().argmax(dim=1)
+    optimal[problem, row, column] = bits[problem, k]
     ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
     ratio[problem, row, column] = ratios[problem, k]
     return optimal, ratio
@@ -89,7 +92,7 @@ def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
 
 
 def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return what the network sees of each cell, and the detour of each move.
+    """Return what the network sees, (B, 8, H, W), and the detours of the moves, (B, moves, H, W).
 
     A move's detour is its cost plus the change of the heuristic: 0 for the moves that are optimal
     on an empty map. Scores start from it, so that only what walls change is left to learn.
@@ -98,9 +101,6 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
         occupied: (B, 1, H, W), 0 free and anything else occupied.
         goals: (B, 2), cells.
         movement: how one moves.
-
-    Returns:
-        (B, 8, H, W) and (B, moves, H, W), float32.
     """
     down, right = offsets(goals, occupied.shape[2:])  # from the goal: (B, H, 1) and (B, 1, W)
     least = heuristic(down, right, movement)  # (B, H, W)
@@ -108,16 +108,13 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
     for row, column in STEPS[: movement.connectivity].tolist():
         cost = movement.diagonal_cost if row and column else 1.0
         detours.append(cost + heuristic(down + row, right + column, movement) - least)
-    planes = [
-        (occupied[:, 0] == 0).float(),  # free cells
-        (least == 0).float(),  # the goal
-        least / 64,  # divisors bring all planes to a size of about 1
-        down / 32,
-        right / 32,
-        (down / 4).clamp(-1, 1),  # finer, near the goal's row and column
-        (right / 4).clamp(-1, 1),
-        ((down.abs() - right.abs()) / 4).clamp(-1, 1),  # and near its diagonals
-    ]
+    free = (occupied[:, 0] == 0).float()
+    at_goal = (least == 0).float()
+    # finer ones, near the goal's row, its column and its diagonals
+    apart = (down, right, down.abs() - right.abs())
+    fine = [(each / 4).clamp(-1, 1) for each in apart]
+    # divisors bring all planes to a size of about 1
+    planes = [free, at_goal, least / 64, down / 32, right / 32, *fine]
     seen = torch.stack(torch.broadcast_tensors(*planes), dim=1)
     return seen, torch.stack(detours, dim=1)
 
@@ -125,7 +122,7 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
 # --- network, loss and training -----------------------------------------------------------------
 
 
-class PathPredictor(Model):
+class PathPredictor(common.Model):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
     A batch has the fields ``map, start, goal, path`` or ``FIELDS``; its paths move as the model
@@ -168,14 +165,14 @@ class PathPredictor(Model):
             goals: (B, 2), cells.
         """
         rows, columns = occupied.shape[2:]
-        seen, detour = encode(padded(occupied), goals, self.movement)
+        seen, detour = encode(common.padded(occupied), goals, self.movement)
         out, _ = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
         out = out[..., :rows, :columns].float()
         # before it has learned anything, the most probable moves lead straight to the goal
         scores = out[:, :-1] - PRIOR * detour[..., :rows, :columns]
         return scores, torch.sigmoid(out[:, -1])
 
-    def losses(self, batch: Sample | list[Sample]) -> dict[str, Tensor]:
+    def losses(self, batch: Sample | list[Sample]) -> Tensors:
         """Return ``loss``, its part for ``moves``, and ``accuracy``.
 
         Accuracy is the share of cells whose most probable legal move is optimal.
@@ -231,8 +228,9 @@ class PathPredictor(Model):
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
+        occupied, cells = self.tensors(np.asarray(grids, np.uint8)[:, None], goals)
         with self.inference():
-            scores, ratios = self(*self.tensors(grids[:, None], goals))
+            scores, ratios = self(occupied, cells)
         return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
@@ -248,7 +246,7 @@ class PathPredictor(Model):
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell.
         """
-        grids, starts, goals = check_problems(map, start, goal)  # a batch of one
+        grids, starts, goals = common.check_problems(map, start, goal)  # a batch of one
         scores, _ = self.predict(grids, goals)  # (1, moves, H, W)
         legal = legal_moves(torch.from_numpy(grids)[:, None], self.movement)  # (1, moves, H, W)
         path = [tuple(starts[0].tolist())]

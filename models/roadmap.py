@@ -258,38 +258,33 @@ def uniform(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     return np.asarray(corners + source.random((n, 2)))
 
 
-def gaussian(grid: npt.ArrayLike, n: int, seed: int = 0, spread: float = 3.0) -> Floats:
+def gaussian(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points near obstacles: free ones of pairs of which the other is not free.
 
-    Boor, Overmars, van der Stappen, ICRA 1999. ``spread`` is the pair's standard deviation in
-    cells; the border of the map is an obstacle. What 100 rounds do not find is uniform.
+    Boor, Overmars, van der Stappen, ICRA 1999. The standard deviation of a pair is 3 cells; the
+    border of the map is an obstacle. What 100 rounds do not find is uniform.
     """
-    cells = _free(grid, n)
 
-    def draw(source: np.random.Generator, count: int) -> Floats:
-        first = source.random((count, 2)) * cells.shape
-        second = first + source.normal(0, spread, (count, 2))
+    def choose(cells: Bytes, first: Floats, second: Floats) -> Floats:
         first_free = free_at(cells, first)
         chosen = first_free != free_at(cells, second)
         return np.asarray(np.where(first_free[:, None], first, second)[chosen])
 
-    return _rounds(cells, n, seed, draw)
+    return _rounds(grid, n, seed, 3.0, choose)
 
 
-def bridge(grid: npt.ArrayLike, n: int, seed: int = 0, spread: float = 6.0) -> Floats:
+def bridge(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points in narrow passages: free middles of pairs of which neither is free.
 
-    Hsu, Jiang, Reif, Sun, ICRA 2003; as `gaussian` otherwise.
+    Hsu, Jiang, Reif, Sun, ICRA 2003; as `gaussian` otherwise, with 6 cells.
     """
-    cells = _free(grid, n)
 
-    def draw(source: np.random.Generator, count: int) -> Floats:
-        first = source.random((count, 2)) * cells.shape
-        second = first + source.normal(0, spread, (count, 2))
+    def choose(cells: Bytes, first: Floats, second: Floats) -> Floats:
         middle = (first + second) / 2
-        return middle[~free_at(cells, first) & ~free_at(cells, second) & free_at(cells, middle)]
+        neither_free = ~free_at(cells, first) & ~free_at(cells, second)
+        return middle[neither_free & free_at(cells, middle)]
 
-    return _rounds(cells, n, seed, draw)
+    return _rounds(grid, n, seed, 6.0, choose)
 
 
 SAMPLERS: dict[str, Points] = {
@@ -302,12 +297,20 @@ SAMPLERS: dict[str, Points] = {
 
 
 def _rounds(
-    cells: Bytes, n: int, seed: int, draw: Callable[[np.random.Generator, int], Floats]
+    grid: npt.ArrayLike,
+    n: int,
+    seed: int,
+    spread: float,
+    choose: Callable[[Bytes, Floats, Floats], Floats],
 ) -> Floats:
+    """Return (n, 2) points that ``choose`` makes of many pairs, whose second is near the first."""
+    cells = _free(grid, n)
     source = np.random.default_rng(seed)
     found = np.empty((0, 2))
     for _ in range(100):
-        found = np.concatenate([found, draw(source, 16 * n + 256)])
+        first = source.random((16 * n + 256, 2)) * cells.shape
+        second = first + source.normal(0, spread, first.shape)
+        found = np.concatenate([found, choose(cells, first, second)])
         if len(found) >= n:
             return found[:n]
     return np.concatenate([found, uniform(cells, n - len(found), seed)])
