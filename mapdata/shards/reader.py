@@ -86,6 +86,9 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
         _check_arrays(arrays, header)
     except ShardError as error:
         raise ShardError(f"{path}: {error}") from None
+    except KeyError as error:
+        why = f"attribute {error} is missing, or neither text of fixed length nor numbers"
+        raise ShardError(f"{path}: {why}") from None
     except _UNSOUND as error:
         raise ShardError(f"{path}: not a sound shard ({error})") from error
     shard = Shard(path, header, content, arrays)
@@ -94,7 +97,7 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
     return shard
 
 
-_UNSOUND = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
+_UNSOUND = (TypeError, ValueError, ArithmeticError, RecursionError)
 """What `hdf5.py`, JSON and our own checks of a spec raise on files that are no sound shards."""
 
 
@@ -174,28 +177,10 @@ def map_file(descriptor: int, size: int) -> Bytes:
     return np.asarray(_Mapping(descriptor, size))
 
 
-ATTRIBUTES = (
-    "format_version",
-    "identity",
-    "content_hash",
-    "spec",
-    "seed",
-    "start",
-    "stop",
-    "map_size",
-    "movement",
-    "resolution",
-)
-"""The root attributes that a reader needs."""
-
-
 def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     """Return the header and the content hash that the root attributes state."""
     if attributes.get("format") != "mapdata":
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
-    for name in ATTRIBUTES:
-        if name not in attributes:
-            raise ShardError(f"attribute {name!r} is missing, or neither text nor numbers")
     version = int(attributes["format_version"])
     check_version(version)
     rows, columns = (int(side) for side in attributes["map_size"])
@@ -319,3 +304,12 @@ def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
     seed_points = arrays["seeds"]
     if ((seed_points < 0) | (seed_points >= header.map_size)).any():
         raise ShardError("dataset 'seeds' holds cells outside the map")
+    # every search begins at a seed point, and none on an occupied cell
+    maps = np.repeat(np.arange(len(rooms)), rooms)
+    row, column = seed_points.T
+    occupied = arrays["maps"][maps, row, column // 8] & (1 << column % 8)
+    for number in maps[occupied > 0][:1]:
+        raise ShardError(
+            f"a seed point of map {header.start + number} is on an occupied cell (datasets 'maps' "
+            "and 'seeds')"
+        )

@@ -185,11 +185,13 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
         libver=("v110", "v110"),
         alignment_threshold=1,
         alignment_interval=64,
+        track_order=False,
     ) as file:
         for name, value in attributes.items():
             _write_attribute(file, name, value)
         for field in FIELDS:
-            dataset = file.create_dataset(field.name, data=arrays[field.name])
+            array = arrays[field.name]
+            dataset = file.create_dataset(field.name, data=array, track_order=False)
             for name in ("description", "units", "encoding"):
                 _write_attribute(dataset, name, getattr(field, name))
     image = buffer.getvalue()
@@ -209,7 +211,7 @@ def _check_image(image: bytes, attributes: dict[str, Any], arrays: dict[str, Arr
     if not same:
         raise ShardError(
             f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than "
-            "it was asked to; try another version"
+            "it was asked to; try another version, or a spec of less than 4,000 characters"
         )
 
 
@@ -223,17 +225,16 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
     attributes, addresses = read_root(image)
     arrays = {}
     for field in FIELDS:
-        name = f"dataset {field.name!r}"
         if field.name not in addresses:
-            raise ShardError(f"{name} is missing, or is a link to somewhere else")
+            raise ShardError(f"dataset {field.name!r} is missing, or is a link to somewhere else")
         try:
-            array = read_dataset(image, addresses[field.name], field.dtype, field.rank)
-        except ValueError:
+            address = addresses[field.name]
+            arrays[field.name] = read_dataset(image, address, field.dtype, field.rank)
+        except ValueError as error:
             raise ShardError(
-                f"{name} is not plain contiguous data of type {field.dtype} in {field.rank} "
-                "dimensions inside the file"
+                f"dataset {field.name!r} is not plain contiguous data of type {field.dtype} and "
+                f"rank {field.rank} inside the file ({error})"
             ) from None
-        arrays[field.name] = array
     return attributes, arrays
 
 
@@ -397,7 +398,8 @@ def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) 
     make it loop for ever; those of fixed length lie in metadata that have checksums.
     """
     if not isinstance(value, str):
-        owner.attrs[name] = value
+        kind = "<f8" if isinstance(value, float) else "<i8"
+        owner.attrs[name] = np.array(value, kind)
         return
     data = value.encode()
     size = max(len(data), 1)  # HDF5 has no strings of length 0
