@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from helpers import hostile
 from helpers.builds import SOUND_SEED, SOUND_SPEC
-from helpers.specs import movements
+from helpers.specs import Noted, movements
 
-from mapdata import Generator, Maze, Movement, ShardError, build, generate, label, read_shard
+from mapdata import Generator, Movement, ShardError, build, generate, label, read_shard
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import PRESETS
 from mapdata.shards import content_hash, open_shard
@@ -89,14 +89,6 @@ def test_a_shard_of_no_maps_reads_as_by_h5py(tmp_path: Path) -> None:
     path.write_bytes(image_of(SOUND_SPEC, 0))
     assert_reads_as_h5py(path)
     assert len(read_shard(path).maps) == 0
-
-
-@dataclass(frozen=True)
-class Noted(Maze):
-    """Mazes with a remark."""
-
-    name: ClassVar[str] = "noted"
-    note: str = ""
 
 
 @pytest.mark.parametrize("letters", [0, 100, 400, 1000, 2000, 3000, 3700])

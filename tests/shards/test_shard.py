@@ -27,8 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
-from mapdata.shards import content_hash, open_shard, reader, write_file
-from mapdata.shards.reader import map_file
+from mapdata.shards import content_hash, open_shard, write_file
 from mapdata.shards.shard import (
     FIELDS,
     Header,
@@ -461,12 +460,13 @@ def test_a_file_replaced_while_it_is_opened(
     labels = label(generate(SPEC, 5, range(3)))
     image = shard_image(labels, header_of(SPEC, 5, 0, 3))[0]
 
-    def map_and_replace(descriptor: int, size: int) -> object:
-        mapping = map_file(descriptor, size)
-        write_file(path, image)
-        return mapping
+    true_fstat = os.fstat
 
-    monkeypatch.setattr(reader, "map_file", map_and_replace)
+    def fstat(descriptor: int) -> os.stat_result:
+        write_file(path, image)  # after the file was opened, and before it is mapped
+        return true_fstat(descriptor)
+
+    monkeypatch.setattr(os, "fstat", fstat)
     shard = open_shard(path)
     assert shard.header == header_of(SPEC, SEED, 0, 3)
     assert_same_labels(decode(shard), sound.labels)
