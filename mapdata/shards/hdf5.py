@@ -1,15 +1,16 @@
 r"""The bytes of a shard: a strict reader of what h5py writes for one, and of nothing else.
 
 HDF5 has many ways to say one thing, and `shard_image` always has it said in the same. So each
-structure of a shard is one pattern here, which leads to the next:
+structure of a shard is one pattern here, and its addresses lead to the next ones:
 
-    superblock -> root group -> B-tree and fractal heap of the attributes
-                             -> B-tree and fractal heap of the links -> datasets -> arrays
+    superblock -> root group -> B-tree and fractal heap -> attributes
+                             -> B-tree and fractal heap -> links -> headers of datasets -> arrays
 
-In a pattern, ``\x08`` is a byte that must be there, ``.`` is any byte, and what stands in
-parentheses is a field; unsigned integers, little-endian. A file is refused where it does not fit,
-so nothing that it says can make the reader crash, loop, or look outside of it. Checksums are not
-compared: the hash in the manifest covers each byte of a file, the content hash all maps and labels.
+In a pattern ``\x08`` is a byte that must be there, ``.`` is any byte, and parentheses hold a field:
+an unsigned integer, little-endian, unless it is a name or a value. White space stands for nothing.
+A file is refused where it does not fit, so nothing that it says can make this reader crash, loop or
+look outside of it. Checksums are not compared: the hash in the manifest covers all bytes of a file,
+and the content hash all maps and labels.
 
 Source: HDF5 File Format Specification 3.0, whose sections are named beside the patterns,
 https://docs.hdfgroup.org/archive/support/HDF5/doc/H5.format.html
@@ -40,25 +41,27 @@ _ROOT_GROUP = rb"""                             # IV.A.1.b, an object header
     \x15 \x12\x00 \x04 \x00\x00 (.{8}) (.{8})   # IV.A.2.v, heap and B-tree of the attributes
 """
 
-_HEAP = rb"""                     # III.G, the header of a fractal heap
-    FRHP \x00 .. \x00\x00 .{101}  # version, bytes of an ID, no filters, sizes and numbers
-    \x04\x00 .{16} (.)\x00 ..     # blocks in a row, sizes of blocks, bits of an offset
-    (.{8}) ([\x00-\x08])\x00      # address of the root block; its rows, 0 if it is the only block
+_HEAP = rb"""                      # III.G, the header of a fractal heap
+    FRHP \x00 .. \x00\x00 .{101}   # version, bytes of an ID, no filters, sizes and numbers
+    \x04\x00 .{16} (.)\x00 ..      # blocks in a row, sizes of blocks, bits of an offset
+    (.{8}) ([\x00-\x08])\x00       # address of the root block; its rows, 0 if it is the only block
 """
-_INDIRECT_BLOCK = rb"FHIB \x00 .{8} \x00{%d}"  # III.G: version, header, offset in the heap; blocks
-_DIRECT_BLOCK = rb"FHDB \x00 .{8} (.{4})"  # III.G: version, header, offset in the heap; objects
+_INDIRECT_BLOCK = rb"FHIB \x00 .{8} \x00{%d}"  # version, heap, offset; addresses of blocks follow
+_DIRECT_BLOCK = rb"FHDB \x00 .{8} (.{4})"  # version, heap, offset in the heap; objects follow
 
-_TREE = rb"""                     # III.A.2, the header of a B-tree
-    BTHD \x00 [\x05\x08] .{6}     # version, type of its records, size of a node and of a record
-    \x00\x00 .. (.{8}) (.)\x00    # depth 0, when to split and merge; address of the leaf, records
+_TREE = rb"""                      # III.A.2, the header of a B-tree
+    BTHD \x00 [\x05\x08] .{6}      # version, type of its records, size of a node and of a record
+    \x00\x00 .. (.{8}) (.)\x00     # depth 0, when to split and merge; address of the leaf, records
 """
-_LEAF = rb"BTLF \x00 [\x05\x08]"  # III.A.2: version, type of its records; records
+_LEAF = rb"BTLF \x00 [\x05\x08]"  # version, type of its records, which follow
 _LINK_RECORD = rb".{4} . (.{4}) (..)"  # hash of the name; type, offset and length in the heap
-_ATTRIBUTE_RECORD = rb". (.{4})\x00 (..) .{9}"  # type, offset and length; flags, order, hash
+_ATTRIBUTE_RECORD = (
+    rb". (.{4})\x00 (..) .{9}"  # type, offset, length; flags, order of creation, hash
+)
 
-_LINK = rb"\x01 \x00 . (.+) (.{8}) \Z"  # IV.A.2.g: version, hard link, name, address
+_LINK = rb"\x01 \x00 . (.+) (.{8}) \Z"  # IV.A.2.g: version, hard link, length; name, address
 
-_TYPES = {  # IV.A.2.d: integers; signed or not, little-endian; bytes; first bit, number of bits
+_TYPES = {  # IV.A.2.d: an integer; signed or not, little-endian; bytes; first bit, number of bits
     "u1": rb"\x10 \x00\x00\x00 \x01\x00\x00\x00 \x00\x00 \x08\x00",
     "i1": rb"\x10 \x08\x00\x00 \x01\x00\x00\x00 \x00\x00 \x08\x00",
     "<i2": rb"\x10 \x08\x00\x00 \x02\x00\x00\x00 \x00\x00 \x10\x00",
@@ -66,16 +69,19 @@ _TYPES = {  # IV.A.2.d: integers; signed or not, little-endian; bytes; first bit
     "<i8": rb"\x10 \x08\x00\x00 \x08\x00\x00\x00 \x00\x00 \x40\x00",
 }
 
-_ATTRIBUTE = rb"""                                # IV.A.2.m
-    \x03 \x00 .{7} ([^\x00]+) \x00                # version, flags, sizes, encoding; name
-    (?: \x13 \x11\x00\x00 .{4}                    # IV.A.2.d, a text of fixed length in UTF-8
-        \x02 \x00\x00\x00                         # IV.A.2.b, one of them
-        (?P<text> [^\x00]* ) \x00*
-      | %b                                        # an int64
-        \x02 (?: \x00\x00\x00 | \x01\x01\x01 .{16} )  # one or some of them
+_ATTRIBUTE = rb"""                      # IV.A.2.m
+    \x03 \x00 .{7} ([^\x00]+) \x00      # version, flags, sizes, encoding of the name; name
+    (?:
+        \x13 \x11\x00\x00 .{4}          # IV.A.2.d, a text of fixed length in UTF-8
+        \x02 \x00\x00\x00               # IV.A.2.b, one of them
+        (?P<text> [^\x00]*) \x00*
+    |
+        %b                              # an int64
+        \x02 (?: \x00\x00\x00 | \x01\x01\x01 .{16} )  # one of them, or some
         (?P<i8> .{8} | .{16} )
-      | \x11 \x20\x3f\x00 \x08\x00\x00\x00 \x00\x00 \x40\x00 \x34\x0b\x00\x34 \xff\x03\x00\x00
-        \x02 \x00\x00\x00                         # a float64, one of them
+    |
+        \x11 \x20\x3f\x00 \x08\x00\x00\x00 \x00\x00 \x40\x00 \x34\x0b\x00\x34 \xff\x03\x00\x00
+        \x02 \x00\x00\x00               # a float64, one of them
         (?P<f8> .{8} )
     ) \Z
 """ % _TYPES["<i8"]
@@ -85,7 +91,7 @@ _DATASET = rb"""                                 # IV.A.1.b, an object header
     \x01 .. \x00  \x02 \x%02x \x01\x01 %b .{%d}  # IV.A.2.b, rank, shape; how far it may grow
     \x03 \x0c\x00 \x01  %b                       # IV.A.2.d, type
     \x05 \x02\x00 \x01  \x03\x0a                 # IV.A.2.f, no fill value
-    \x08 \x12\x00 \x00  [\x03\x04] \x01          # IV.A.2.i, contiguous:
+    \x08 \x12\x00 \x00  [\x03\x04] \x01          # IV.A.2.i, version 3 or 4, contiguous
     ([\x00\x40\x80\xc0] .{7} | \xff{8}) (.{8})   # address, a multiple of 64 or none; bytes
 """
 
@@ -134,6 +140,7 @@ def _objects(
     leaf, count = _fields(_TREE, file, tree)
     places = _fields(_LEAF + count * record, file, leaf)
     for offset, length in zip(places[::2], places[1::2], strict=True):
+        # What is over 4,096 bytes lies elsewhere; in the place read here nothing fits a pattern.
         first = max(each for each in blocks if each <= offset)
         begin = blocks[first] + offset - first
         if found := _match(pattern, file[begin : begin + length]):

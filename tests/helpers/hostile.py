@@ -831,12 +831,10 @@ patched("leaf-beyond", b"BTHD", 16, FAR)
 patched("leaf-of-another-version", b"BTLF", 4, b"\x01")
 
 
-def write_beyond_the_end(path: Path, sound: Contents) -> None:
-    """Write a shard whose dataset ``maps`` begins inside the file, and ends behind it."""
-    image = bytearray(sound.image)
+def write_moved(path: Path, sound: Contents, address: int) -> None:
+    """Write a shard whose dataset ``maps`` lies elsewhere, as its header says."""
     with h5py.File(io.BytesIO(sound.image), "r") as file:
-        address = file["maps"].id.get_offset().to_bytes(8, "little")
-    # The layout is the only one to say where the data lie.
-    place = image.index(address + sound.arrays["maps"].nbytes.to_bytes(8, "little"))
-    image[place : place + 8] = (len(image) // 64 * 64 - 64).to_bytes(8, "little")
-    path.write_bytes(image)
+        layout = file["maps"].id.get_offset().to_bytes(8, "little")
+    # followed by the size, it stands in no other place
+    layout += sound.arrays["maps"].nbytes.to_bytes(8, "little")
+    path.write_bytes(sound.image.replace(layout, address.to_bytes(8, "little") + layout[8:]))

@@ -106,16 +106,23 @@ def test_a_spec_that_is_too_long_is_refused_when_it_is_written() -> None:
 
 
 def test_what_is_written_is_read_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An HDF5 that lays out files in another way is named before a shard gets its name."""
+    """An HDF5 that lays out files in another way, or writes other values, is named at once."""
     true_file = h5py.File
+    true_create = h5py.File.create_dataset
 
     def file(*arguments: Any, **options: Any) -> h5py.File:
         options["libver"] = ("earliest", "v110")
         return true_file(*arguments, **options)
 
-    monkeypatch.setattr(h5py, "File", file)
-    with pytest.raises(ShardError, match=r"HDF5 .* \(h5py .*\) wrote another file"):
-        image_of(SOUND_SPEC, 1)
+    def create(group: h5py.File, name: str, data: hostile.Array, **options: Any) -> h5py.Dataset:
+        return true_create(group, name, data=data + (name == "sizes"), **options)
+
+    for name, fault in (("File", file), ("File.create_dataset", create)):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"h5py.{name}", fault)
+            with pytest.raises(ShardError, match=r"HDF5 .* \(h5py .*\) wrote another file"):
+                image_of(SOUND_SPEC, 1)
+    assert image_of(SOUND_SPEC, 1)
 
 
 @pytest.fixture

@@ -345,9 +345,17 @@ def test_files_that_are_no_shards_are_refused(name: str, sound: Sound, tmp_path:
 
 
 def test_data_beyond_the_end_are_refused(sound: Sound, tmp_path: Path) -> None:
-    """An array that begins inside the file."""
-    hostile.write_beyond_the_end(tmp_path / "shard.h5", sound.contents)
-    refused(tmp_path / "shard.h5", r"'maps'.*cannot reshape")
+    """An array that begins inside the file, or far behind it; at a multiple of 64 bytes."""
+    for address in (len(sound.contents.image) // 64 * 64 - 64, 2**62, 2**64 - 64):
+        hostile.write_moved(tmp_path / "shard.h5", sound.contents, address)
+        refused(tmp_path / "shard.h5", r"'maps'.*cannot reshape")
+
+
+def test_data_that_are_not_aligned_are_refused(sound: Sound, tmp_path: Path) -> None:
+    """Kernels read words where arrays begin."""
+    for address in (129, 132, 136, 160):
+        hostile.write_moved(tmp_path / "shard.h5", sound.contents, address)
+        refused(tmp_path / "shard.h5", r"'maps'.*not plain contiguous data")
 
 
 class Opens:
