@@ -68,6 +68,7 @@ TESTED_IN = {
     "mapdata/shards/recipe.py": ("shards/test_builder.py", "cli/test_app.py"),
     "mapdata/shards/shard.py": (
         "shards/test_shard.py",
+        "shards/test_hdf5.py",
         "shards/test_faults.py",
         "datasets/test_batches.py",
     ),

@@ -421,11 +421,6 @@ class MapDataset(ProblemDataset):
         def paths() -> Paths:
             if isinstance(self.serving.problems, Route) and self.movement == self.reader.movement:
                 return Paths(*self.reader.paths(shards, maps, first, self.serving.search))
-            for cells in (starts, goals):
-                for k in np.flatnonzero(grids[np.arange(len(grids)), cells[:, 0], cells[:, 1]])[:1]:
-                    raise self.reader.damage(
-                        shards[k], maps[k], "a seed point of map {} is on an occupied cell"
-                    )
             return self._solve(grids, starts, goals)
 
         return self._as_batch(indices, indices, grids, starts, goals, paths)

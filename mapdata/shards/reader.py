@@ -1,7 +1,6 @@
 """Opening a shard without trusting it: all is checked once, then arrays are views of the file.
 
-HDF5 is asked only where each array lies; the data are read through one memory mapping, never
-through HDF5.
+A file is read through one memory mapping, and by no library: `hdf5.py` knows its bytes.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from h5py import h5a, h5d, h5f, h5l, h5o, h5p, h5t
 
 from mapdata.arrays import Bytes
 from mapdata.generators.generator import Generator, identity
@@ -29,10 +27,8 @@ from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
 from mapdata.shards.shard import (
-    FIELDS,
     SEARCHES,
     Array,
-    Field,
     Header,
     Shard,
     ShardError,
@@ -40,6 +36,7 @@ from mapdata.shards.shard import (
     bits_of,
     check_version,
     decode,
+    read_image,
 )
 from mapdata.spec import Movement
 
@@ -73,30 +70,35 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
         OSError: too many files are open or mapped.
     """
     path = Path(path)
-    for _ in range(_ATTEMPTS):
-        # before it is opened, since opening a pipe waits for its writer
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise ShardError(f"{path}: not a file")
-        with open(path, "rb", buffering=0) as file:
-            status = os.fstat(file.fileno())
-            if size is not None and status.st_size != size:
-                raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
-            if status.st_size == 0:
-                raise ShardError(f"{path}: empty file")
-            mapping = map_file(file.fileno(), status.st_size)
-            try:
-                shard = _parse(path, status, mapping)
-            except ShardError as error:
-                raise ShardError(f"{path}: {error}") from None
-            except FileNotFoundError:
-                raise
-            except _UNSOUND as error:
-                raise ShardError(f"{path}: not a sound shard ({error})") from error
-        if shard is not None:
-            if sha256 is not None and not has_hash(mapping, status, sha256):
-                _check_content(shard)
-            return shard
-    raise ShardError(f"{path}: was replaced each of the {_ATTEMPTS} times that it was opened")
+    # before it is opened, since opening a pipe waits for its writer
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise ShardError(f"{path}: not a file")
+    with open(path, "rb", buffering=0) as file:
+        status = os.fstat(file.fileno())
+        if size is not None and status.st_size != size:
+            raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
+        if status.st_size == 0:
+            raise ShardError(f"{path}: empty file")
+        mapping = map_file(file.fileno(), status.st_size)
+    try:
+        attributes, arrays = read_image(mapping.data)
+        header, content = _read_header(attributes)
+        _check_arrays(arrays, header)
+    except ShardError as error:
+        raise ShardError(f"{path}: {error}") from None
+    except KeyError as error:
+        why = f"attribute {error} is missing, or neither text of fixed length nor numbers"
+        raise ShardError(f"{path}: {why}") from None
+    except _UNSOUND as error:
+        raise ShardError(f"{path}: not a sound shard ({error})") from error
+    shard = Shard(path, header, content, arrays)
+    if sha256 is not None and not has_hash(mapping, status, sha256):
+        _check_content(shard)
+    return shard
+
+
+_UNSOUND = (TypeError, ValueError, ArithmeticError, RecursionError)
+"""What `hdf5.py`, JSON and our own checks of a spec raise on files that are no sound shards."""
 
 
 _compared: set[tuple[int | str, ...]] = set()
@@ -124,37 +126,6 @@ def _check_content(shard: Shard) -> None:
             f"{shard.path}: damaged (its content hash does not fit); 'mapdata verify' with "
             "--repair makes it again where there is a recipe"
         )
-
-
-def _parse(path: Path, status: os.stat_result, mapping: Bytes) -> Shard | None:
-    """Return the shard in a mapping; None if another file took its name after it was mapped."""
-    file = h5f.open(os.fsencode(path), h5f.ACC_RDONLY, _ACCESS)
-    try:
-        # HDF5 opens by name, so a builder may have replaced the file since it was mapped
-        if not os.path.samestat(os.stat(path), status):
-            return None
-        header, content = _read_header(_read_attributes(file))
-        return Shard(path, header, content, _checked_arrays(file, mapping, header))
-    finally:
-        file.close()
-
-
-_UNSOUND = (OSError, RuntimeError, KeyError, TypeError, ValueError, ArithmeticError)
-"""What HDF5, JSON and our own checks of a spec raise on files that are no sound shards."""
-
-_ATTEMPTS = 10
-"""How often a file is opened that is replaced at that very moment, before we give up."""
-
-
-def _access() -> h5p.PropFAID:
-    """Return how HDF5 opens files: without locks, and closing all that is open inside with them."""
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_fclose_degree(h5f.CLOSE_STRONG)
-    access.set_file_locking(False, ignore_when_disabled=False)
-    return access
-
-
-_ACCESS = _access()
 
 
 @lru_cache(maxsize=1)
@@ -206,58 +177,9 @@ def map_file(descriptor: int, size: int) -> Bytes:
     return np.asarray(_Mapping(descriptor, size))
 
 
-ATTRIBUTES = (
-    "format",
-    "format_version",
-    "identity",
-    "content_hash",
-    "spec",
-    "seed",
-    "start",
-    "stop",
-    "map_size",
-    "movement",
-    "resolution",
-)
-"""The root attributes that a reader needs."""
-
-
-def _read_attributes(file: h5f.FileID) -> dict[str, Any]:
-    """Return the root attributes that a reader needs by name."""
-    return {name: _read_attribute(file, name) for name in ATTRIBUTES}
-
-
-def _read_attribute(file: h5f.FileID, name: str) -> Any:
-    """Return a root attribute: text of fixed length, or one or two numbers; others are not read."""
-    try:
-        attribute = h5a.open(file, name.encode())
-    except KeyError:
-        if h5a.exists(file, name.encode()):
-            raise  # it is there, and damaged
-        what = f"attribute {name!r} is missing"
-        if name == "format":
-            what = "not a mapdata shard (it has no attribute 'format')"
-        raise ShardError(what) from None
-    kind = attribute.get_type()
-    size = kind.get_size()
-    count = attribute.get_storage_size() // size
-    is_text = isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str()
-    is_number = isinstance(kind, (h5t.TypeIntegerID, h5t.TypeFloatID))
-    if not (is_text or is_number) or count not in (1, 2) or size > _LONGEST_TEXT:
-        raise ShardError(f"attribute {name!r} is not a number or a text of fixed length")
-    shape = () if count == 1 else (2,)
-    array = np.empty(shape, f"S{size}" if is_text else kind.dtype)
-    attribute.read(array, mtype=kind)
-    return bytes(array.item()).decode() if is_text else array[()]
-
-
-_LONGEST_TEXT = 65536
-"""Most bytes of a root attribute: a hostile file must not make us allocate more."""
-
-
 def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     """Return the header and the content hash that the root attributes state."""
-    if attributes["format"] != "mapdata":
+    if attributes.get("format") != "mapdata":
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
     version = int(attributes["format_version"])
     check_version(version)
@@ -307,9 +229,8 @@ def is_hash(text: str) -> bool:
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
-def _checked_arrays(file: h5f.FileID, mapping: Bytes, header: Header) -> dict[str, Array]:
-    """Return the arrays of a shard, each of them plain data inside this very file."""
-    arrays = {field.name: _plain(file, field, mapping) for field in FIELDS}
+def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:
+    """Check that the arrays have the shapes that the header and the offsets tell."""
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
         raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
@@ -317,7 +238,6 @@ def _checked_arrays(file: h5f.FileID, mapping: Bytes, header: Header) -> dict[st
         if arrays[name].shape != shape:
             raise ShardError(f"dataset {name!r} has shape {arrays[name].shape}, expected {shape}")
     _check_tables(arrays, header)
-    return arrays
 
 
 def head(shard: Shard, maps: int) -> Shard:
@@ -370,57 +290,6 @@ def _last(offsets: Array) -> int:
     return int(offsets[-1]) if len(offsets) else 0
 
 
-def _plain(file: h5f.FileID, field: Field, mapping: Bytes) -> Array:
-    """Return a dataset as a view of the mapping, unless it is a link, filtered or elsewhere."""
-    name = field.name.encode()
-    try:
-        link = file.links.get_info(name)
-    except (KeyError, RuntimeError):
-        raise ShardError(f"dataset {field.name!r} is missing") from None
-    # a soft or external link would make HDF5 open what it points to
-    if link.type != h5l.TYPE_HARD:
-        raise ShardError(f"dataset {field.name!r} is a link to somewhere else")
-    dataset = h5o.open(file, name)
-    if not isinstance(dataset, h5d.DatasetID):
-        raise ShardError(f"{field.name!r} is not a dataset")
-    offset = dataset.get_offset()
-    # without an offset it has no values yet, or they lie in chunks, in the header, in other files
-    if offset is None and not _is_contiguous(dataset):
-        raise ShardError(f"dataset {field.name!r} is not plain contiguous data in this file")
-    if not dataset.get_type().equal(_TYPES[field.dtype]):
-        raise ShardError(f"dataset {field.name!r} is not of type {field.dtype}")
-    shape = dataset.shape
-    if shape is None or len(shape) != field.rank:
-        raise ShardError(
-            f"dataset {field.name!r} has {len(shape or ())} dimensions, expected {field.rank}"
-        )
-    itemsize = np.dtype(field.dtype).itemsize
-    size = math.prod(shape) * itemsize
-    if size == 0:
-        return np.empty(shape, field.dtype)
-    if offset is None or offset < 0 or offset + size > len(mapping) or offset % itemsize:
-        raise ShardError(f"dataset {field.name!r} reaches outside the file")
-    return mapping[offset : offset + size].view(field.dtype).reshape(shape)
-
-
-def _is_contiguous(dataset: h5d.DatasetID) -> bool:
-    """Return whether a dataset is declared as one unfiltered block in its own file."""
-    properties = dataset.get_create_plist()
-    if properties.get_nfilters() or properties.get_external_count():
-        return False
-    return bool(properties.get_layout() == h5d.CONTIGUOUS)
-
-
-_TYPES = {
-    "u1": h5t.STD_U8LE,
-    "i1": h5t.STD_I8LE,
-    "<i2": h5t.STD_I16LE,
-    "<i4": h5t.STD_I32LE,
-    "<i8": h5t.STD_I64LE,
-}
-"""The types of `FIELDS` in HDF5."""
-
-
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
     """Check what keeps readers inside the arrays: offsets that grow, seed points inside the map."""
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
@@ -435,3 +304,12 @@ def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
     seed_points = arrays["seeds"]
     if ((seed_points < 0) | (seed_points >= header.map_size)).any():
         raise ShardError("dataset 'seeds' holds cells outside the map")
+    # every search begins at a seed point, and none on an occupied cell
+    maps = np.repeat(np.arange(len(rooms)), rooms)
+    row, column = seed_points.T
+    occupied = arrays["maps"][maps, row, column // 8] & (1 << column % 8)
+    for number in maps[occupied > 0][:1]:
+        raise ShardError(
+            f"a seed point of map {header.start + number} is on an occupied cell (datasets 'maps' "
+            "and 'seeds')"
+        )

@@ -26,6 +26,7 @@ from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
+from mapdata.shards.hdf5 import read_dataset, read_root
 from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json
 
 Array = npt.NDArray[Any]
@@ -170,6 +171,7 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
         ShardError: what HDF5 wrote does not read back as what it was given.
     """
     content = content_hash(labels)
+    attributes = _attributes(header, content)
     encoded = encode(labels)
     arrays = {
         field.name: np.ascontiguousarray(encoded[field.name], field.dtype) for field in FIELDS
@@ -183,30 +185,57 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
         libver=("v110", "v110"),
         alignment_threshold=1,
         alignment_interval=64,
+        track_order=False,
     ) as file:
-        for name, value in _attributes(header, content).items():
+        for name, value in attributes.items():
             _write_attribute(file, name, value)
         for field in FIELDS:
-            dataset = file.create_dataset(field.name, data=arrays[field.name])
+            array = arrays[field.name]
+            dataset = file.create_dataset(field.name, data=array, track_order=False)
             for name in ("description", "units", "encoding"):
                 _write_attribute(dataset, name, getattr(field, name))
     image = buffer.getvalue()
-    _check_image(image, arrays)
+    _check_image(image, attributes, arrays)
     return image, content
 
 
-def _check_image(image: bytes, arrays: dict[str, Array]) -> None:
-    """Refuse the bytes of a file that does not hold these arrays."""
+def _check_image(image: bytes, attributes: dict[str, Any], arrays: dict[str, Array]) -> None:
+    """Refuse the bytes of a file that does not hold these attributes and arrays."""
     try:
-        with h5py.File(io.BytesIO(image), "r") as file:
-            same = all(np.array_equal(file[name], array) for name, array in arrays.items())
-    except (OSError, RuntimeError, KeyError):
+        found, found_arrays = read_image(memoryview(image))
+        same = found == attributes
+        for name, array in arrays.items():
+            same &= np.array_equal(found_arrays[name], array)
+    except ValueError:
         same = False
     if not same:
         raise ShardError(
             f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than "
-            "it was asked to; try another version"
+            "it was asked to; try another version, or a spec of less than 4,000 characters"
         )
+
+
+def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return the root attributes and the arrays in the bytes of a shard file.
+
+    Raises:
+        ShardError: a dataset is missing or not plain.
+        ValueError: the bytes are not those of a shard.
+    """
+    attributes, addresses = read_root(image)
+    arrays = {}
+    for field in FIELDS:
+        if field.name not in addresses:
+            raise ShardError(f"dataset {field.name!r} is missing, or is a link to somewhere else")
+        try:
+            address = addresses[field.name]
+            arrays[field.name] = read_dataset(image, address, field.dtype, field.rank)
+        except ValueError as error:
+            raise ShardError(
+                f"dataset {field.name!r} is not plain contiguous data of type {field.dtype} and "
+                f"rank {field.rank} inside the file ({error})"
+            ) from None
+    return attributes, arrays
 
 
 def encode(labels: Labels) -> dict[str, Array]:
@@ -344,7 +373,7 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _attributes(header: Header, content: str) -> dict[str, object]:
+def _attributes(header: Header, content: str) -> dict[str, Any]:
     """Return the root attributes of a shard."""
     return {
         "format": "mapdata",
@@ -356,7 +385,7 @@ def _attributes(header: Header, content: str) -> dict[str, object]:
         "seed": "" if header.seed is None else str(header.seed),
         "start": header.start,
         "stop": header.stop,
-        "map_size": np.array(header.map_size, "<i8"),
+        "map_size": header.map_size,
         "movement": canonical_json(asdict(header.movement)),
         "resolution": header.resolution,
     }
@@ -369,7 +398,8 @@ def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) 
     make it loop for ever; those of fixed length lie in metadata that have checksums.
     """
     if not isinstance(value, str):
-        owner.attrs[name] = value
+        kind = "<f8" if isinstance(value, float) else "<i8"
+        owner.attrs[name] = np.array(value, kind)
         return
     data = value.encode()
     size = max(len(data), 1)  # HDF5 has no strings of length 0

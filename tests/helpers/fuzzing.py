@@ -12,6 +12,7 @@ import argparse
 import faulthandler
 import hashlib
 import random
+import re
 import resource
 import shutil
 import sys
@@ -23,12 +24,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
-import h5py
-
 from helpers.samples import ALL_FIELDS
+from helpers.specs import Noted
 from mapdata import MapDataset, MapSpec, ShardError, build
 from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.movingai import check_scen
+from mapdata.generators import register
 from mapdata.shards import MANIFEST, open_shard, read_manifest
 from mapdata.shards.shard import decode
 from mapdata.spec import Movement
@@ -90,41 +91,44 @@ def changed(draw: random.Random, data: bytes) -> bytes:
 
 
 def shard_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each kind of shard: both movements, as written and in HDF5's old form.
-
-    The old form has no checksums, so that more of the changes reach the reader.
+    """Yield the cases of each kind of shard: both movements, built, and of a spec so long that its
+    attributes lie in several blocks.
     """
     for connectivity in (4, 8):
         root = folder / f"maps{connectivity}"
         build(root, replace(SPEC, movement=Movement(connectivity)), maps=4, seed=1)
         yield f"{connectivity}-connected", _shard_case(root)
-        old = folder / f"old{connectivity}"
-        shutil.copytree(root, old)
-        _in_old_form(old)
-        yield f"{connectivity}-connected, old form", _shard_case(old)
+    register(Noted)
+    build(folder / "long", Noted((12, 20), note="x" * 2000), maps=4, seed=1)
+    yield "a long spec", _shard_case(folder / "long")
 
 
-def _in_old_form(root: Path) -> None:
-    """Write the shard of ``root`` again as HDF5 1.6 would have."""
-    manifest = read_manifest(root)
-    path = root / manifest.shards[0].name
-    with h5py.File(path, "r") as source:
-        attributes = dict(source.attrs)
-        arrays = {name: source[name][()] for name in source}
-    path.unlink()
-    with h5py.File(
-        path, "w", libver=("earliest", "v110"), alignment_threshold=1, alignment_interval=64
-    ) as target:
-        for name, value in attributes.items():
-            dtype = None
-            if isinstance(value, bytes):
-                dtype = h5py.string_dtype("utf-8", max(len(value), 1))
-            target.attrs.create(name, value, dtype=dtype)
-        for name, array in arrays.items():
-            target.create_dataset(name, data=array)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    entry = replace(manifest.shards[0], bytes=path.stat().st_size, sha256=digest)
-    (root / MANIFEST).write_text(replace(manifest, shards=(entry,)).to_json())
+_SEALED = 28
+"""Where the superblock says how long the file is."""
+
+
+def sealed(draw: random.Random, image: bytes) -> bytes:
+    """Return a shard that is changed, and most often says that it is as long as it is.
+
+    One in two is changed in its metadata alone, where no byte moves.
+    """
+    data = bytearray(image)
+    if draw.random() < 0.5:
+        data[:] = changed(draw, image)
+    else:
+        for _ in range(draw.randint(1, 6)):
+            # structures begin with their signature; a header leads to the next within 150 bytes
+            signature = draw.choice(
+                (b"OHDR", b"FRHP", b"FHDB", b"FHIB", b"BTHD", b"BTLF", b"\x89HDF")
+            )
+            begins = [found.start() for found in re.finditer(re.escape(signature), image)] or [0]
+            at = draw.choice(begins) + draw.randrange(4, 150)
+            size = draw.choice((1, 1, 2, 8))
+            word = draw.choice((*_ODD_INTEGERS, len(image), at, *begins, draw.randrange(256)))
+            data[at : at + size] = (word % 256**size).to_bytes(size, "little")
+    if draw.random() < 0.9 and len(data) > _SEALED + 8:
+        data[_SEALED : _SEALED + 8] = len(data).to_bytes(8, "little")
+    return bytes(data)
 
 
 def _read_all(root: Path, search: str, movement: Movement) -> None:
@@ -144,7 +148,7 @@ def _shard_case(root: Path) -> Case:
         _read_all(root, *choice)
 
     def case(draw: random.Random, folder: Path) -> str:
-        data = changed(draw, image)
+        data = sealed(draw, image)
         (folder / entry.name).write_bytes(data)
         # The hash fits: who publishes a hostile shard publishes its manifest, too.
         digest = hashlib.sha256(data).hexdigest()

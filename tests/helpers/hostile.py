@@ -8,6 +8,7 @@ what is wrong; all of a kind are in one dict, by these names: `ELSEWHERE`, `DATA
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -195,19 +196,19 @@ def virtual_of_itself(file: h5py.File, name: str, array: Array) -> None:
     file.create_virtual_dataset(name, layout)
 
 
-@stored("maps", "is not a dataset")
+@stored("maps", PLAIN)
 def group(file: h5py.File, name: str, _: Array) -> None:
     """A group."""
     file.create_group(name)
 
 
-@stored("maps", "is not a dataset")
+@stored("maps", PLAIN)
 def root_again(file: h5py.File, name: str, _: Array) -> None:
     """The root group under another name, so that the file holds itself."""
     file[name] = file["/"]
 
 
-@stored("maps", "is not a dataset")
+@stored("maps", PLAIN)
 def named_type(file: h5py.File, name: str, array: Array) -> None:
     """A type without data."""
     file[name] = array.dtype
@@ -265,13 +266,13 @@ def compact(file: h5py.File, name: str, array: Array) -> None:
     dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, array)
 
 
-@stored("maps", "reaches outside the file")
+@stored("maps", "cannot reshape")
 def never_written(file: h5py.File, name: str, array: Array) -> None:
     """A dataset that was declared, and has no place in the file."""
     file.create_dataset(name, array.shape, array.dtype)
 
 
-@stored("maps", "reaches outside the file")
+@stored("maps", "cannot reshape")
 def huge(file: h5py.File, name: str, array: Array) -> None:
     """A billion maps, and no data."""
     file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype)
@@ -289,33 +290,33 @@ def huge_gzip(file: h5py.File, name: str, array: Array) -> None:
     file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype, compression="gzip")
 
 
-@stored("split", "has 0 dimensions")
+@stored("split", "and rank 1 ")
 def scalar(file: h5py.File, name: str, array: Array) -> None:
     """One number instead of an array."""
     file[name] = array.flat[0]
 
 
-@stored("split", "has 0 dimensions")
+@stored("split", "and rank 1 ")
 def null(file: h5py.File, name: str, array: Array) -> None:
     """A type without any value."""
     file[name] = h5py.Empty(array.dtype)
 
 
-@stored("bfs_offsets", "not of type <i8")
+@stored("bfs_offsets", "not plain contiguous data of type <i8")
 def reference(file: h5py.File, name: str, array: Array) -> None:
     """References to objects of the file."""
     dataset = file.create_dataset(name, array.shape, h5py.ref_dtype)
     dataset[0] = h5py.Reference()
 
 
-@stored("bfs_moves", "not of type u1")
+@stored("bfs_moves", "not plain contiguous data of type u1")
 def vlen(file: h5py.File, name: str, array: Array) -> None:
     """Arrays of variable length, whose values lie in HDF5's heap."""
     dataset = file.create_dataset(name, array.shape, h5py.vlen_dtype("u1"))
     dataset[0] = np.zeros(4, np.uint8)
 
 
-@stored("bfs_moves", "not of type u1")
+@stored("bfs_moves", "not plain contiguous data of type u1")
 def vlen_string(file: h5py.File, name: str, array: Array) -> None:
     """Strings of variable length, whose letters lie in HDF5's heap."""
     dataset = file.create_dataset(name, array.shape, h5py.string_dtype())
@@ -331,7 +332,7 @@ def typed(name: str, dataset: str, expected: str, dtype: npt.DTypeLike) -> None:
     def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
         file.create_dataset(name, data=np.zeros(array.shape, dtype))
 
-    DATASETS[name] = DatasetFault(dataset, f"not of type {expected}", member)
+    DATASETS[name] = DatasetFault(dataset, f"not plain contiguous data of type {expected}", member)
 
 
 typed("float", "maps", "u1", "f4")
@@ -369,13 +370,13 @@ def valued(dataset: str, says: str, blamed: str = "") -> Callable[[Change], Chan
     return register
 
 
-@valued("maps", "has 1 dimensions")
+@valued("maps", "and rank 3 ")
 def flat(array: Array) -> Array:
     """All values in one row."""
     return array.ravel()
 
 
-@valued("seeds", "has 3 dimensions")
+@valued("seeds", "and rank 2 ")
 def deep(array: Array) -> Array:
     """One axis more."""
     return array[None]
@@ -475,6 +476,12 @@ def no_rooms(array: Array) -> Array:
 def last_offset_beyond(array: Array) -> Array:
     """No moves, though the offsets promise some."""
     return array[:0]
+
+
+@valued("maps", "and 'seeds'")
+def all_walls(array: Array) -> Array:
+    """Maps whose seed points are occupied, where no search can begin."""
+    return np.full_like(array, 255)
 
 
 @valued("seeds", "cells outside the map")
@@ -781,25 +788,53 @@ def first_half_twice(image: bytes) -> bytes:
     return image[: len(image) // 2] * 2
 
 
-def write_beyond_the_end(path: Path, sound: Contents) -> None:
-    """Write a shard whose dataset ``maps`` declares a gigabyte that lies past the end of the file.
+def patched(fault: str, signature: bytes, at: int, value: bytes) -> None:
+    """Add a fault of a structure: another value ``at`` bytes behind where its signature begins.
 
-    HDF5 itself believes the file: its old superblock has no checksum, and says that the file is as
-    long as it is.
+    HDF5 2.0 crashes on some of them, or hangs, once their checksums are computed anew.
     """
-    with h5py.File(path, "w", libver=("earliest", "v110")) as file:
-        _write_attributes(file, sound)
-        for name, array in sound.arrays.items():
-            if name != "maps":
-                file.create_dataset(name, data=array)
-        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-        properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-        space = h5py.h5s.create_simple((10**9 // 320, 20, 16))
-        h5py.h5d.create(file.id, b"maps", h5py.h5t.STD_U8LE, space, properties)
-        file.flush()
-        end = file["maps"].id.get_offset()
-    with open(path, "r+b") as raw:
-        raw.truncate(end + 1)
-        raw.seek(40)  # the address of the end of the file, in a superblock of version 0
-        raw.write((end + 1).to_bytes(8, "little"))
+
+    def rewrite(image: bytes) -> bytes:
+        begin = image.index(signature) + at
+        return image[:begin] + value + image[begin + len(value) :]
+
+    BYTES[fault] = ("not a sound shard|not plain contiguous data", rewrite)
+
+
+FAR = b"\xf0" + b"\xff" * 7
+"""An address far behind the end of any file, and below 2**64."""
+
+patched("superblock-of-version-0", SIGNATURE, 8, b"\x00")
+patched("superblock-of-short-addresses", SIGNATURE, 9, b"\x04")
+patched("open-for-writing", SIGNATURE, 11, b"\x01")
+patched("user-block", SIGNATURE, 12, b"\x40")
+patched("superblock-extension", SIGNATURE, 20, bytes(8))
+patched("another-end-of-file", SIGNATURE, 28, b"\x01")
+patched("root-is-the-superblock", SIGNATURE, 36, bytes(8))
+patched("root-beyond", SIGNATURE, 36, FAR)
+patched("root-nowhere", SIGNATURE, 36, b"\xff" * 8)
+patched("root-of-version-1", b"OHDR", 4, b"\x01")
+patched("root-with-creation-order", b"OHDR", 5, b"\x05")
+patched("heap-beyond", b"OHDR", 16, FAR)
+patched("heap-nowhere", b"OHDR", 16, b"\xff" * 8)
+patched("tree-beyond", b"OHDR", 24, FAR)
+patched("heap-with-filters", b"FRHP", 7, b"\x08")
+patched("heap-of-no-columns", b"FRHP", 110, b"\x00")
+patched("heap-block-beyond", b"FRHP", 132, FAR)
+patched("heap-of-many-rows", b"FRHP", 140, b"\xff\xff")
+patched("heap-of-one-row", b"FRHP", 140, b"\x01")
+patched("heap-block-at-the-end-of-the-heap", b"FHDB", 13, b"\xff" * 4)
+patched("tree-of-depth-1", b"BTHD", 12, b"\x01")
+patched("tree-of-many-records", b"BTHD", 24, b"\xff\xff")
+patched("tree-of-too-many-records", b"BTHD", 24, b"\xff")
+patched("leaf-beyond", b"BTHD", 16, FAR)
+patched("leaf-of-another-version", b"BTLF", 4, b"\x01")
+
+
+def write_moved(path: Path, sound: Contents, address: int) -> None:
+    """Write a shard whose dataset ``maps`` lies elsewhere, as its header says."""
+    with h5py.File(io.BytesIO(sound.image), "r") as file:
+        layout = file["maps"].id.get_offset().to_bytes(8, "little")
+    # followed by the size, it stands in no other place
+    layout += sound.arrays["maps"].nbytes.to_bytes(8, "little")
+    path.write_bytes(sound.image.replace(layout, address.to_bytes(8, "little") + layout[8:]))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import pytest
 from hypothesis import strategies as st
 
-from mapdata import MapSpec, Movement
+from mapdata import MapSpec, Maze, Movement
 
 MOVEMENTS = [
     Movement(),
@@ -17,6 +20,14 @@ MOVEMENTS = [
 movements = pytest.mark.parametrize(
     "movement", MOVEMENTS, ids=["4", "8", "8-one", "8-cutting", "8-cutting-one"]
 )
+
+
+@dataclass(frozen=True)
+class Noted(Maze):
+    """Mazes with a remark, whose JSON may be long."""
+
+    name: ClassVar[str] = "noted"
+    note: str = ""
 
 
 @st.composite

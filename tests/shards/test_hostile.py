@@ -58,7 +58,7 @@ def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
         hostile.write(folder / f"attribute{k}.h5", contents, shard, attributes=fault.values)
     for k, (_, change) in enumerate(hostile.BYTES.values()):
         (folder / f"bytes{k}.h5").write_bytes(change(contents.image))
-    hostile.write_beyond_the_end(folder / "beyond.h5", contents)
+    hostile.write_moved(folder / "beyond.h5", contents, 2**62)
     os.mkfifo(folder / "pipe.h5")
     for path in sorted(folder.glob("*.h5")):
         yield "shard", path, "ShardError"

@@ -1,0 +1,186 @@
+"""The strict reader of a shard's bytes beside h5py: what h5py writes for shards, and no more."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from helpers import hostile
+from helpers.builds import SOUND_SEED, SOUND_SPEC
+from helpers.specs import Noted, movements
+
+from mapdata import Generator, Movement, ShardError, build, generate, label, read_shard
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.generators import PRESETS
+from mapdata.shards import content_hash, open_shard
+from mapdata.shards.hdf5 import read_dataset, read_root
+from mapdata.shards.shard import FIELDS, Header, shard_image
+
+DATA = Path(__file__).parents[1] / "data"
+KEPT = sorted(DATA.glob("*/maps-*.h5"))
+
+
+def assert_reads_as_h5py(path: Path) -> None:
+    """Every attribute of the root and every dataset: names, types, shapes, values."""
+    image = memoryview(path.read_bytes())
+    attributes, addresses = read_root(image)
+    with h5py.File(path, "r") as file:
+        assert set(attributes) == set(file.attrs)
+        for name, value in file.attrs.items():
+            plain = value.decode() if isinstance(value, bytes) else np.asarray(value).tolist()
+            expected = tuple(plain) if isinstance(plain, list) else plain
+            assert type(attributes[name]) is type(expected)
+            assert attributes[name] == expected
+        assert set(addresses) == set(file)
+        for field in FIELDS:
+            array = read_dataset(image, addresses[field.name], field.dtype, field.rank)
+            np.testing.assert_array_equal(array, file[field.name][()], strict=True)
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.name[5:17]}")
+def test_kept_shards_read_as_by_h5py(path: Path) -> None:
+    """Shards of all format versions, of h5py 3.9 over HDF5 1.12 and of 3.16 over 2.0."""
+    assert_reads_as_h5py(path)
+
+
+@movements
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_built_shards_read_as_by_h5py(name: str, movement: Movement, tmp_path: Path) -> None:
+    """All presets, all rules of moving."""
+    spec = Generator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
+    manifest = build(tmp_path, spec, maps=2)
+    assert_reads_as_h5py(tmp_path / manifest.shards[0].name)
+
+
+def test_imported_shards_read_as_by_h5py(tmp_path: Path) -> None:
+    """Imported maps have no recipe, and texts of no letters."""
+    maps = [ForeignMap("free", np.zeros((5, 7), np.uint8))]
+    import_maps(tmp_path / "root", Collection(maps), seed_points=2)
+    (path,) = (tmp_path / "root").glob("*.h5")
+    assert_reads_as_h5py(path)
+
+
+def header_of(spec: Generator, maps: int) -> Header:
+    """Return the header of the first maps of a spec."""
+    return Header(
+        spec=spec,
+        seed=SOUND_SEED,
+        start=0,
+        stop=maps,
+        map_size=spec.map_size,
+        movement=spec.movement,
+        resolution=spec.resolution,
+    )
+
+
+def image_of(spec: Generator, maps: int) -> bytes:
+    """Return the bytes of a shard."""
+    labels = label(generate(spec, SOUND_SEED, range(maps)))
+    return shard_image(labels, header_of(spec, maps))[0]
+
+
+def test_a_shard_of_no_maps_reads_as_by_h5py(tmp_path: Path) -> None:
+    """Datasets without values have no place in the file."""
+    path = tmp_path / "shard.h5"
+    path.write_bytes(image_of(SOUND_SPEC, 0))
+    assert_reads_as_h5py(path)
+    assert len(read_shard(path).maps) == 0
+
+
+@pytest.mark.parametrize("letters", [0, 100, 400, 1000, 2000, 3000, 3700])
+def test_long_specs_read_as_by_h5py(letters: int, tmp_path: Path) -> None:
+    """HDF5 keeps attributes in one block, or in blocks that grow, in up to five rows."""
+    path = tmp_path / "shard.h5"
+    path.write_bytes(image_of(Noted((8, 8), note="x" * letters), 1))
+    assert_reads_as_h5py(path)
+
+
+def test_a_spec_that_is_too_long_is_refused_when_it_is_written() -> None:
+    """HDF5 keeps texts of over 4,000 letters in another way."""
+    with pytest.raises(ShardError, match="a spec of less than 4,000 characters"):
+        image_of(Noted((8, 8), note="x" * 4100), 1)
+
+
+def test_what_is_written_is_read_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An HDF5 that lays out files in another way, or writes other values, is named at once."""
+    true_file = h5py.File
+    true_create = h5py.File.create_dataset
+
+    def file(*arguments: Any, **options: Any) -> h5py.File:
+        options["libver"] = ("earliest", "v110")
+        return true_file(*arguments, **options)
+
+    def create(group: h5py.File, name: str, data: hostile.Array, **options: Any) -> h5py.Dataset:
+        return true_create(group, name, data=data + (name == "sizes"), **options)
+
+    for name, fault in (("File", file), ("File.create_dataset", create)):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"h5py.{name}", fault)
+            with pytest.raises(ShardError, match=r"HDF5 .* \(h5py .*\) wrote another file"):
+                image_of(SOUND_SPEC, 1)
+    assert image_of(SOUND_SPEC, 1)
+
+
+@pytest.fixture
+def sound(tmp_path: Path) -> Path:
+    """A shard of three maps."""
+    path = tmp_path / "sound.h5"
+    path.write_bytes(image_of(SOUND_SPEC, 3))
+    return path
+
+
+def test_other_names_are_ignored(sound: Path, tmp_path: Path) -> None:
+    """As docs/format.md asks of readers: datasets, groups, links and attributes of any kind."""
+    contents = hostile.read_contents(sound)
+    path = tmp_path / "shard.h5"
+    more = {"by": hostile.VariableText("somebody"), "long": "x" * 10**5, "table": np.zeros((2, 2))}
+
+    def members(file: h5py.File, name: str, array: hostile.Array, outside: Path) -> None:
+        file[name] = array
+        file.create_dataset("chunks", data=array, chunks=True)
+        file.create_group("group")
+        file["elsewhere"] = h5py.ExternalLink(str(outside), "/maps")
+
+    hostile.write(path, contents, sound, {"split": members}, more)
+    assert content_hash(read_shard(path)) == content_hash(read_shard(sound))
+
+
+def test_no_library_opens_a_shard(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither h5py nor what is below it is called."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("h5py was called")
+
+    for owner, name in ((h5py, "File"), (h5py.h5f, "open"), (h5py.h5d, "open"), (h5py.h5a, "open")):
+        monkeypatch.setattr(owner, name, fail)
+    assert len(read_shard(sound).maps) == 3
+
+
+def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -> None:
+    """A flipped bit between the arrays: no other header, no other maps and labels."""
+    image = sound.read_bytes()
+    header = open_shard(sound).header
+    content = content_hash(read_shard(sound))
+    is_data = np.zeros(len(image), np.bool_)
+    with h5py.File(sound, "r") as file:
+        for dataset in file.values():
+            begin = dataset.id.get_offset() or 0
+            is_data[begin : begin + dataset.nbytes] = True
+    path = tmp_path / "shard.h5"
+    refused = 0
+    for place in np.flatnonzero(~is_data).tolist()[::7]:
+        damaged = bytearray(image)
+        damaged[place] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        try:
+            labels = read_shard(path)
+        except ShardError:
+            refused += 1
+            continue
+        assert open_shard(path).header == header
+        assert content_hash(labels) == content
+    assert refused > 200
