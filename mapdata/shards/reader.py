@@ -291,7 +291,7 @@ def _last(offsets: Array) -> int:
 
 
 def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check what keeps readers inside the arrays: offsets that grow, seed points inside the map."""
+    """Check what kernels rely on: offsets that grow, seed points on free cells of their map."""
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
         offsets = arrays[name]
         # neighbours are compared, since the difference of two hostile int64 may wrap round

@@ -185,7 +185,7 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
         libver=("v110", "v110"),
         alignment_threshold=1,
         alignment_interval=64,
-        track_order=False,
+        track_order=False,  # whatever h5py is configured to do
     ) as file:
         for name, value in attributes.items():
             _write_attribute(file, name, value)
