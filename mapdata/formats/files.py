@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes
+from mapdata.shards.workers import bar
 
 Array = npt.NDArray[Any]
 
@@ -61,9 +62,7 @@ def read_bytes(path: Path, limits: Limits = LIMITS) -> bytes:
         if size > limits.unpacked:
             raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
         return path.read_bytes()
-    except FormatError:
-        raise
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error})") from None
 
 
@@ -87,9 +86,7 @@ LeftOut = list[tuple[str, str]]
 """(name, why) of files that could not be used."""
 
 
-def walk(
-    folder: Path, endings: tuple[str, ...], limits: Limits = LIMITS, left_out: LeftOut | None = None
-) -> list[Path]:
+def walk(folder: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut) -> list[Path]:
     """Return the files below ``folder`` with one of these endings, map2 before map10.
 
     Endings are in lower case. Hidden names and links to folders are passed over; links to files
@@ -99,7 +96,6 @@ def walk(
         FormatError: more than ``limits.files`` files.
     """
     found: list[Path] = []
-    left = [] if left_out is None else left_out
     seen = 0
     inside = folder.resolve()
     for here, folders, names in os.walk(folder):
@@ -112,22 +108,18 @@ def walk(
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
             if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(inside):
-                left.append((str(path), "a link to outside the folder"))
+                left_out.append((str(path), "a link to outside the folder"))
             else:
                 found.append(path)
     return sorted(found, key=lambda path: natural(str(path.relative_to(folder))))
 
 
-def natural(text: str) -> list[tuple[int, str]]:
+def natural(text: str) -> list[Any]:
     """Return a key that sorts numbers inside names by their value."""
-    key = []
-    for part in re.findall(r"\d+|\D+", text):
-        # digits of other scripts are no numbers here, nor are thousands of digits
-        if part.isascii() and part.isdigit() and len(part) < 19:
-            key.append((int(part), ""))
-        else:
-            key.append((-1, part))
-    return key
+    # text and numbers in turn, the text perhaps empty; more digits than 18 are several numbers
+    parts: list[Any] = re.split(r"([0-9]{1,18})", text)
+    parts[1::2] = map(int, parts[1::2])
+    return parts
 
 
 SPLIT_NAMES = {
@@ -143,8 +135,14 @@ SPLIT_NAMES = {
 """Names of folders that say a split, as codes."""
 
 
-def split_of(path: Path, folder: Path) -> int | None:
-    """Return the split that the folders between ``folder`` and ``path`` say, or None."""
+def split_of(path: Path, source: Path) -> int | None:
+    """Return the split that the folders between ``source`` and ``path`` say, or None.
+
+    A ``source`` that is a file stands for its folder.
+    """
+    folder = source if source.is_dir() else source.parent
+    if not path.is_relative_to(folder):
+        return None
     for part in path.relative_to(folder).parts[:-1]:
         if part.lower() in SPLIT_NAMES:
             return SPLIT_NAMES[part.lower()]
@@ -279,15 +277,11 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
     Raises:
         FormatError: NaN, or another value.
     """
-    if values.dtype == np.bool_:
-        return values.view(np.uint8)
-    if values.size == 0:
-        return np.empty(values.shape, np.uint8)
-    low = values.min()
-    high = values.max()
+    low = values.min(initial=0)
+    high = values.max(initial=0)
     if not (low >= 0 and high <= 1):  # and not "low < 0 or high > 1", which lets NaN pass
         raise FormatError(f"{what}: holds values from {low} to {high}, expected 0 to 1")
-    if values.dtype.kind in "iu":
+    if values.dtype.kind in "biu":
         return values.astype(np.uint8, copy=False)  # a stack may be as large as the limits allow
     occupied = values > (0.5 if threshold is None else threshold)
     if threshold is None and not np.array_equal(occupied, values):
@@ -296,15 +290,21 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
 
 
 def files_of(
-    source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut
+    source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut, progress: bool
 ) -> Iterator[Path]:
     """Yield ``source`` if it is a file, else the files below it with one of these endings.
+
+    With ``progress``, a bar shows how many of those below a folder are read.
 
     Raises:
         FormatError: there is neither, or as `walk`.
     """
     if source.is_dir():
-        yield from walk(source, endings, limits, left_out)
+        paths = walk(source, endings, limits, left_out)
+        with bar(progress, len(paths), unit=" files") as advance:
+            for path in paths:
+                yield path
+                advance(1)
     elif source.exists():
         yield source
     else:

@@ -96,7 +96,9 @@ def _schema() -> pa.Schema:
     for search in SEARCHES:
         types[f"{search}_row_path"] = integers
         types[f"{search}_column_path"] = integers
-        types[f"{search}_iterations"] = integers
+        types[f"{search}_path_gaps"] = integers
+        types[f"{search}_iterations"] = pa.int64()
+        types[f"{search}_segment_iterations"] = integers
         types[f"{search}_connection_matrix"] = pa.list_(pa.list_(pa.float32()))
     features = {name: _feature(kind) for name, kind in types.items()}
     features["image"] = {"_type": "Image"}
@@ -144,7 +146,14 @@ _COLUMNS = Section(
             "bfs_row_path, bfs_column_path and those of astar",
             "the cells of the route through all seed points",
         ),
-        ("bfs_iterations, astar_iterations", "cells expanded, one number a segment"),
+        (
+            "bfs_path_gaps, astar_path_gaps",
+            "for each segment without a path, how many cells of the route precede it",
+        ),
+        (
+            "bfs_iterations, astar_iterations",
+            "cells expanded; segment_iterations has one number a segment",
+        ),
         (
             "bfs_connection_matrix, astar_connection_matrix",
             "path costs between all rooms, -1 no path",

@@ -34,6 +34,9 @@ from mapdata.spec import MAX_SIDE
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 ARRAYS = (".npy", ".npz")
 
+_UNKNOWN = 205
+"""The grey that map_saver of ROS writes for unknown cells."""
+
 _HEADER = re.compile(
     rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})"
 )
@@ -91,9 +94,7 @@ def _decoded(image: Image.Image) -> Pixels:
     """Return the pixels of an image of Pillow as grey, RGB or RGBA, whatever its mode."""
     if image.mode in ("I;16", "I;16B", "I;16L", "I"):
         return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
-    if image.mode == "1":
-        image = image.convert("L")
-    elif image.mode not in ("L", "RGB", "RGBA"):
+    if image.mode not in ("L", "RGB", "RGBA"):
         clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info
         image = image.convert("RGBA" if clear else "RGB")
     values = np.asarray(image)
@@ -172,6 +173,7 @@ def _mean(values: Array, maximum: int) -> Bytes:
 def read(
     source: Path,
     limits: Limits = LIMITS,
+    progress: bool = False,
     *,
     threshold: float = 0.5,
     invert: bool = False,
@@ -187,6 +189,7 @@ def read(
     Args:
         source: folder or file.
         limits: of what is read.
+        progress: show a progress bar.
         threshold: in [0, 1]: brightness above which a cell is free, probability above which it is
             occupied.
         invert: the other way round.
@@ -207,36 +210,68 @@ def read(
             f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns"
         )
     found = Collection()
-    folder = source if source.is_dir() else source.parent
-    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
+    unknown = 0
+    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out, progress):
         with found.leaving_out(path):
-            grids = _grids(path, limits, threshold, size, crop=fit == "crop")
-            split = split_of(path, folder)
+            if path.suffix.lower() in ARRAYS:
+                grids = _stack(path, limits, threshold)
+                if size not in (None, grids.shape[1:]):
+                    # scaled as pictures are: a cell is occupied where half of what it covers is
+                    grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+            else:
+                grey = _grey(path, limits, threshold)
+                unknown += int((grey == _UNKNOWN).sum())
+                grids = np.asarray(_fit(grey, size, fit) <= threshold * 255, np.uint8)[None]
+            split = split_of(path, source)
             for k, grid in enumerate(grids):
                 name = f"{path}[{k}]" if len(grids) > 1 else str(path)
                 cells = 1 - grid if invert else grid
                 found.maps.append(ForeignMap(name, cells, split))
+    what = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
+    tell_free(found, what, "--images.invert")
+    if unknown and not invert and threshold * 255 < _UNKNOWN:
+        found.notes.append(
+            f"{unknown} free pixels are of grey {_UNKNOWN}, which robots' maps write where nothing "
+            "is known: import the .yaml, or say --images.threshold 0.85"
+        )
     return found
 
 
-def _grids(
-    path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, crop: bool
-) -> Bytes:
-    """Return the grids of a file, (N, H, W); a picture is one."""
-    if path.suffix.lower() in ARRAYS:
-        grids = _stack(path, limits, threshold)
-        if size is None or grids.shape[1:] == size:
-            return grids
-        # scaled as pictures are: a cell is occupied where half of what it covers is
-        return np.stack([_fit(255 * grid, size, crop) for grid in grids]) // 128
+def tell_free(found: Collection, what: str, otherwise: str) -> None:
+    """Note what was taken for free, how much it is, and maps whose border is mostly free.
+
+    A map's border is nearly always occupied: a free one means that free and occupied are mixed up.
+
+    Args:
+        found: the maps that were read.
+        what: what their source shows free cells as.
+        otherwise: the option that reads them the other way round.
+    """
+    shares = []
+    inverted = []
+    for one in found.maps:
+        grid = one.grid
+        shares.append(1 - grid.mean())
+        border = np.concatenate((grid[0], grid[-1], grid[:, 0], grid[:, -1]))
+        if border.mean() < 0.5:
+            inverted.append(one.name)
+    if shares:
+        found.notes.append(f"{what} were taken for free: {np.mean(shares):.1%} of a map")
+    if inverted:
+        found.notes.append(
+            f"the border of {len(inverted)} of {len(shares)} maps is mostly free ({inverted[0]}), "
+            f"as if free and occupied were mixed up: {otherwise} reads them otherwise"
+        )
+
+
+def _grey(path: Path, limits: Limits, threshold: float) -> Bytes:
+    """Return the `brightness` of a picture."""
     grey = brightness(read_pixels(path, limits))
     if 0 < grey.max() <= threshold * 255:
         # a mask of 0 and 1, which looks black and would be occupied everywhere
         what = f"its brightest pixel is {grey.max()} of 255"
         raise FormatError(f"{path}: {what}, nothing is above --images.threshold {threshold}")
-    if size is not None:
-        grey = _fit(grey, size, crop)
-    return np.asarray(grey <= threshold * 255, np.uint8)[None]
+    return grey
 
 
 def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
@@ -262,10 +297,12 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
     return grids if grids.ndim == 3 else grids[None]
 
 
-def _fit(grey: Bytes, size: tuple[int, int], crop: bool) -> Bytes:
-    """Return ``grey``, (H, W), brought to ``size``: its middle if ``crop``, else scaled."""
+def _fit(grey: Bytes, size: tuple[int, int] | None, fit: str | None) -> Bytes:
+    """Return ``grey``, (H, W), brought to ``size``: its middle under "crop", else scaled."""
+    if size is None:
+        return grey
     rows, columns = size
-    if not crop:
+    if fit != "crop":
         return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
     if grey.shape[0] < rows or grey.shape[1] < columns:
         raise FormatError(

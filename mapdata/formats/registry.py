@@ -24,8 +24,8 @@ class Format:
     Attributes:
         name: as ``--format`` takes it.
         endings: of its files, in lower case.
-        read: called with a path and `Limits`, returns a `Collection`; None if it can only be
-            written.
+        read: called with a path, `Limits` and whether to show a progress bar, returns a
+            `Collection`; None if it can only be written.
         write: called with a target, a `Root` and whether to show a progress bar, returns notes for
             the user; None if it can only be read.
         is_mine: whether a file with one of the endings is of this format.
@@ -75,7 +75,7 @@ def recognise(source: StrPath) -> str:
         raise FormatError(f"{source}: no such file or folder")
     endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
     owners: dict[Path, Format] = {}
-    for path in walk(source, endings) if source.is_dir() else [source]:
+    for path in walk(source, endings, Limits(), []) if source.is_dir() else [source]:
         for one in FORMATS.values():
             if path.suffix.lower() in one.endings and one.is_mine(path):
                 owners[path] = one
@@ -94,6 +94,7 @@ def read_any(
     source: StrPath,
     kind: str | None = None,
     limits: Limits = Limits(),
+    progress: bool = False,
     **options: object,
 ) -> Collection:
     """Read a file or folder of a foreign format.
@@ -102,6 +103,7 @@ def read_any(
         source: file or folder.
         kind: name of a format that can be read; default what `recognise` says.
         limits: of what is read.
+        progress: show a progress bar.
         options: those of the format's ``read``.
 
     Raises:
@@ -110,7 +112,7 @@ def read_any(
     """
     source = Path(source)
     name = kind or recognise(source)
-    found: Collection = _checked("read", name, options)(source, limits, **options)
+    found: Collection = _checked("read", name, options)(source, limits, progress, **options)
     if not found.maps and not found.left_out:
         raise FormatError(f"{source}: holds no map of format {name}")
     return found

@@ -30,7 +30,7 @@ from PIL import Image
 from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
-from mapdata.formats.images import PICTURES, Pixels, read_pixels
+from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.shards.root import Root
 from mapdata.spec import SPLITS
@@ -219,26 +219,31 @@ def _unknown(cells: Int8s) -> Flags:
 
 
 def read(
-    source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", "free"] | None = None
+    source: Path,
+    limits: Limits = LIMITS,
+    progress: bool = False,
+    *,
+    unknown: Literal["occupied", "free"] | None = None,
 ) -> Collection:
     """Read the map of a .yaml file, or all below a folder.
 
     Args:
         source: file or folder.
         limits: of what is read.
+        progress: show a progress bar.
         unknown: what unknown cells become; without it, maps with such cells are left out.
     """
     found = Collection()
-    folder = source if source.is_dir() else source.parent
     cells = 0
     unknowns = 0
-    for path in files_of(source, ENDINGS, limits, found.left_out):
+    for path in files_of(source, ENDINGS, limits, found.left_out, progress):
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
             cells += one.cells.size
             unknowns += int(_unknown(one.cells).sum())
-            found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
+            found.maps.append(ForeignMap(str(path), grid, split_of(path, source), one.resolution))
+    tell_free(found, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,")
     if unknowns:
         found.notes.append(
             f"{unknowns / cells:.1%} of the cells were unknown and are now {unknown}"
