@@ -58,7 +58,7 @@ def import_command(
     of_format = _own_options(name, options)
     if "seed_points" in options_of(functions("read")[name]):
         of_format["seed_points"] = of_import["seed_points"]
-    found = read_any(src, name, Limits(pixels=max_pixels), progress=True, **of_format)
+    found = read_any(src, name, Limits(pixels=max_pixels, progress=True), **of_format)
     made = []
     try:
         made = import_maps(root, found, movement=movement, progress=True, **of_import)
@@ -135,7 +135,7 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
         file: .scen files
         maps: folder of the maps (default: beside each .scen)
     """
-    from mapdata.formats import FormatError
+    from mapdata.formats import FormatError, Limits
     from mapdata.formats.movingai import check_scen
 
     missed = 0
@@ -143,7 +143,7 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     unread = []
     for name in file:
         try:
-            report = check_scen(name, maps, progress=True)
+            report = check_scen(name, maps, Limits(progress=True))
         except FormatError as error:
             unread.append(str(error))
             continue

@@ -17,7 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes
+from mapdata.generators.maps import Maps
+from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
+from mapdata.spec import SPLITS
 
 Array = npt.NDArray[Any]
 
@@ -32,17 +35,19 @@ class FormatError(ValueError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What an importer unpacks at most, checked before it unpacks.
+    """How an importer reads: what it unpacks at most, checked before it unpacks.
 
     Attributes:
         pixels: pixels of one image, cells of one map.
         unpacked: bytes of one file once unpacked.
         files: files looked at in a folder.
+        progress: show a progress bar while many files, or a long one, are read.
     """
 
     pixels: int = 2**24
     unpacked: int = 2**30
     files: int = 2_000_000
+    progress: bool = False
 
 
 LIMITS = Limits()
@@ -111,7 +116,7 @@ def walk(folder: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftO
                 left_out.append((str(path), "a link to outside the folder"))
             else:
                 found.append(path)
-    return sorted(found, key=lambda path: natural(str(path.relative_to(folder))))
+    return sorted(found, key=lambda path: natural(str(path)))
 
 
 def natural(text: str) -> list[Any]:
@@ -149,15 +154,17 @@ def split_of(path: Path, source: Path) -> int | None:
     return None
 
 
-def empty_target(target: Path) -> None:
-    """Check that ``target`` can be written: missing, or an empty folder.
+def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, Bytes, Maps, int]]:
+    """Yield each map of a dataset: where to write it, its grid, and where it stands in a batch.
 
-    Raises:
-        FormatError: it is something else.
+    It is written as ``<split>/map<i>``, behind which an ending comes; the folder is made.
     """
-    is_empty = target.is_dir() and not any(target.iterdir())
-    if target.exists() and not is_empty:
-        raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
+    for labels in root.labels(progress=progress):
+        maps = labels.maps
+        for k, grid in enumerate(maps.occupancy):
+            folder = target / SPLITS[maps.split[k]]
+            folder.mkdir(parents=True, exist_ok=True)
+            yield folder / f"map{maps.index[k]}", grid, maps, k
 
 
 # --- arrays -------------------------------------------------------------------------------------
@@ -290,18 +297,16 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
 
 
 def files_of(
-    source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut, progress: bool
+    source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut
 ) -> Iterator[Path]:
     """Yield ``source`` if it is a file, else the files below it with one of these endings.
-
-    With ``progress``, a bar shows how many of those below a folder are read.
 
     Raises:
         FormatError: there is neither, or as `walk`.
     """
     if source.is_dir():
         paths = walk(source, endings, limits, left_out)
-        with bar(progress, len(paths), unit=" files") as advance:
+        with bar(limits.progress, len(paths), unit=" files") as advance:
             for path in paths:
                 yield path
                 advance(1)

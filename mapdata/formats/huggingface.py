@@ -94,12 +94,14 @@ def _schema() -> pa.Schema:
         "all_connected": pa.bool_(),
     }
     for search in SEARCHES:
-        types[f"{search}_row_path"] = integers
-        types[f"{search}_column_path"] = integers
-        types[f"{search}_path_gaps"] = integers
-        types[f"{search}_iterations"] = pa.int64()
-        types[f"{search}_segment_iterations"] = integers
-        types[f"{search}_connection_matrix"] = pa.list_(pa.list_(pa.float32()))
+        types |= {
+            f"{search}_row_path": integers,
+            f"{search}_column_path": integers,
+            f"{search}_path_gaps": integers,
+            f"{search}_iterations": pa.int64(),
+            f"{search}_segment_iterations": integers,
+            f"{search}_connection_matrix": pa.list_(pa.list_(pa.float32())),
+        }
     features = {name: _feature(kind) for name, kind in types.items()}
     features["image"] = {"_type": "Image"}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}

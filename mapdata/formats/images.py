@@ -173,7 +173,6 @@ def _mean(values: Array, maximum: int) -> Bytes:
 def read(
     source: Path,
     limits: Limits = LIMITS,
-    progress: bool = False,
     *,
     threshold: float = 0.5,
     invert: bool = False,
@@ -189,7 +188,6 @@ def read(
     Args:
         source: folder or file.
         limits: of what is read.
-        progress: show a progress bar.
         threshold: in [0, 1]: brightness above which a cell is free, probability above which it is
             occupied.
         invert: the other way round.
@@ -211,7 +209,7 @@ def read(
         )
     found = Collection()
     unknown = 0
-    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out, progress):
+    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
         with found.leaving_out(path):
             if path.suffix.lower() in ARRAYS:
                 grids = _stack(path, limits, threshold)
@@ -286,15 +284,14 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
                 f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
             )
         values = archive[names[0]]
-    if values.ndim == 4 and values.shape[1] == 1:
-        values = values[:, 0]
-    if values.ndim not in (2, 3) or 0 in values.shape:
+    has_channel = values.ndim == 4 and values.shape[1] == 1
+    if not (values.ndim in (2, 3) or has_channel) or 0 in values.shape:
         raise FormatError(
             f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
         )
-    _check_size(path, values.shape[-2], values.shape[-1], limits)
-    grids = occupancy(values, str(path), threshold)
-    return grids if grids.ndim == 3 else grids[None]
+    rows, columns = values.shape[-2:]
+    _check_size(path, rows, columns, limits)
+    return occupancy(values, str(path), threshold).reshape(-1, rows, columns)
 
 
 def _fit(grey: Bytes, size: tuple[int, int] | None, fit: str | None) -> Bytes:

@@ -27,15 +27,22 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
+from mapdata.formats.files import (
+    LIMITS,
+    FormatError,
+    Limits,
+    files_of,
+    map_files,
+    read_text,
+    split_of,
+)
 from mapdata.formats.registry import Format
 from mapdata.search.api import search_batch
-from mapdata.search.lattice import MAX_CELLS
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-from mapdata.spec import MAX_ROOMS, SPLITS, Movement
+from mapdata.spec import MAX_ROOMS, Movement
 
 Cell: TypeAlias = tuple[int, int]
 
@@ -140,19 +147,16 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
     """
     path = Path(path)
     problems: list[Problem] = []
-    after_gap = False
-    for number, line in enumerate(read_text(path, limits).split("\n"), 1):
+    lines = read_text(path, limits).split("\n")
+    for number, line in enumerate(lines, 1):
         words = line.split()
-        if not words:
-            after_gap = True
+        is_version = words[:1] == ["version"] and not problems
+        if not words or is_version:
             continue
-        if words[0] == "version" and not problems:
-            after_gap = False
-            continue
-        if after_gap and problems and not words[0].isdecimal():
+        is_after_gap = not lines[number - 2].strip()
+        if problems and is_after_gap and not words[0].isdecimal():
             break  # a citation ends the file
         problems.append(_problem(line, number, path))
-        after_gap = False
     lengths = [problem.length for problem in problems]
     decimals = {len(length.partition(".")[2]) for length in lengths}
     has_last_zero = any(re.search(r"\.\d*0$", length) for length in lengths)
@@ -230,15 +234,13 @@ def check_scen(
     path: str | Path,
     maps: str | Path | None = None,
     limits: Limits = LIMITS,
-    progress: bool = False,
 ) -> ScenReport:
     """Compare the optimal lengths of a .scen with those that A* finds under the benchmark's rule.
 
     Args:
         path: the .scen file.
         maps: folder of the maps; default beside the .scen.
-        limits: of what is read.
-        progress: show a progress bar.
+        limits: of what is read, and whether a progress bar shows it.
 
     Raises:
         FormatError: a file that cannot be read, a map that is missing or has another size than the
@@ -260,14 +262,16 @@ def check_scen(
         letters = letter if letter in _ISLANDS else LAND
         groups.setdefault((problem.map, letters), []).append(problem)
     report = ScenReport(path, len(all_problems))
-    with bar(progress, report.total, unit=" problems") as advance:
+    is_long = report.total > _AT_A_TIME
+    with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
         for (name, letters), problems in groups.items():
             grid = world(terrains[name], letters)
             for first in range(0, len(problems), _AT_A_TIME):
                 part = problems[first : first + _AT_A_TIME]
                 starts = np.array([problem.start for problem in part])
                 goals = np.array([problem.goal for problem in part])
-                for problem, found in zip(part, _lengths(grid, starts, goals), strict=True):
+                lengths = _lengths(grid, starts, goals).tolist()
+                for problem, found in zip(part, lengths, strict=True):
                     if not agrees(problem, found):
                         ours = "no path" if found < 0 else f"{found:.8f}"
                         report.disagreements.append(
@@ -279,7 +283,7 @@ def check_scen(
 
 
 def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
-    """Refuse a problem that does not fit on its map, and a map that is too large to be searched."""
+    """Refuse a problem that does not fit on its map."""
     if problem.size not in (None, terrain.shape):
         raise FormatError(
             f"{path}: line {problem.line} says {problem.size}, the map has {terrain.shape} rows, "
@@ -291,11 +295,9 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
                 f"{path}: line {problem.line}: {(row, column)} is outside the map of "
                 f"{terrain.shape}"
             )
-    if terrain.size > MAX_CELLS:
-        raise FormatError(f"{path}: the map has {terrain.size} cells, expected at most {MAX_CELLS}")
 
 
-def _lengths(grid: Bytes, starts: Ints, goals: Ints) -> list[float]:
+def _lengths(grid: Bytes, starts: Ints, goals: Ints) -> Floats:
     """Return the optimal length from each start to its goal, both (N, 2); -1 without a path."""
     lengths = np.full(len(starts), -1.0)
     # an end on a blocked cell is a problem without a path here, an error to a search
@@ -303,8 +305,7 @@ def _lengths(grid: Bytes, starts: Ints, goals: Ints) -> list[float]:
     if is_free.any():
         batch = search_batch("astar", grid, starts[is_free], goals[is_free], MOVEMENT)
         lengths[is_free] = batch.cost
-    found: list[float] = lengths.tolist()
-    return found
+    return lengths
 
 
 def agrees(problem: Problem, found: float) -> bool:
@@ -352,7 +353,6 @@ def find_map(name: str, scen: Path, maps: str | Path | None = None) -> Path:
 def read(
     source: Path,
     limits: Limits = LIMITS,
-    progress: bool = False,
     *,
     scen: bool = False,
     maps: Path | str | None = None,
@@ -363,7 +363,6 @@ def read(
     Args:
         source: file or folder.
         limits: of what is read.
-        progress: show a progress bar.
         scen: take the end points of the problems in .scen files as seed points, in the order of
             their first appearance, and only maps that a .scen names; always so if the source is a
             .scen file.
@@ -373,9 +372,9 @@ def read(
     found = Collection(movement=MOVEMENT)
     points: Iterable[tuple[Path, list[Cell]]]
     if scen or source.suffix.lower() == ".scen":
-        points = _end_points(source, limits, progress, maps, found).items()
+        points = _end_points(source, limits, maps, found).items()
     else:
-        paths = files_of(source, (".map",), limits, found.left_out, progress)
+        paths = files_of(source, (".map",), limits, found.left_out)
         points = ((path, []) for path in paths)
     closed: Counter[str] = Counter()
     for path, ends in points:
@@ -401,7 +400,7 @@ def read(
 
 
 def _end_points(
-    source: Path, limits: Limits, progress: bool, maps: str | Path | None, found: Collection
+    source: Path, limits: Limits, maps: str | Path | None, found: Collection
 ) -> dict[Path, list[Cell]]:
     """Return the end points of the problems of each map that a .scen names, in their order."""
     if source.suffix.lower() == ".map":
@@ -409,7 +408,7 @@ def _end_points(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
         )
     points: dict[Path, list[Cell]] = {}
-    for path in files_of(source, (".scen",), limits, found.left_out, progress):
+    for path in files_of(source, (".scen",), limits, found.left_out):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
                 ends = points.setdefault(find_map(problem.map, path, maps), [])
@@ -426,19 +425,14 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Returns:
         Notes for the user.
     """
-    for labels in root.labels(progress=progress):
-        maps = labels.maps
-        rows, columns = maps.occupancy.shape[1:]
-        for k, grid in enumerate(maps.occupancy):
-            folder = target / SPLITS[maps.split[k]]
-            folder.mkdir(parents=True, exist_ok=True)
-            name = f"map{maps.index[k]}.map"
-            letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
-            body = "\n".join(row.tobytes().decode() for row in letters)
-            text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
-            (folder / name).write_text(text, newline="\n")
-            scen = _scen(name, grid, maps.seed_points[k, : maps.rooms[k]])
-            (folder / f"{name}.scen").write_text(scen, newline="\n")
+    rows, columns = root.map_size
+    for path, grid, maps, k in map_files(target, root, progress):
+        letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
+        body = "\n".join(row.tobytes().decode() for row in letters)
+        text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
+        path.with_suffix(".map").write_text(text, newline="\n")
+        scen = _scen(f"{path.name}.map", grid, maps.seed_points[k, : maps.rooms[k]])
+        path.with_suffix(".map.scen").write_text(scen, newline="\n")
     return [
         "lengths in the .scen files are 8-connected without corner cutting, the benchmark's rule"
     ]
@@ -451,7 +445,7 @@ def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     starts = seed_points[first]
     goals = seed_points[second]
     lines = ["version 1"]
-    found = _lengths(grid, starts, goals)
+    found = _lengths(grid, starts, goals).tolist()
     for start, goal, cost in zip(starts.tolist(), goals.tolist(), found, strict=True):
         length = max(cost, 0.0)  # 0 stands for no path
         bucket = math.floor(length / 4)

@@ -26,11 +26,11 @@ Lists are written as JSON.
 | reachable | one a segment: whether it has a path (path_exists in files of mapdata 0.1) |
 | all_connected | whether paths join all rooms (ours) |
 | bfs_row_path, bfs_column_path | the cells of the route in one line, joints once |
-| bfs_path_gaps | where it jumps: cells before each segment without a path (ours) |
-| bfs_iterations | those of the whole route (in files of mapdata 0.1 as the next column) |
-| bfs_segment_iterations | one a segment (ours) |
-| bfs_connection_matrix | n lists of n costs, -1 no connection |
-| astar_row_path, ... | the same of A* |
+| astar_row_path, astar_column_path | likewise |
+| bfs_path_gaps, astar_path_gaps | for each segment without a path, how many cells precede it (ours) |
+| bfs_iterations, astar_iterations | those of the whole route (one a segment in mapdata 0.1) |
+| bfs_segment_iterations, astar_segment_iterations | one a segment (ours) |
+| bfs_connection_matrix, astar_connection_matrix | n lists of n costs, -1 no connection |
 | movement | how paths move, as JSON (ours; 4-connected if missing) |
 """
 
@@ -154,7 +154,7 @@ def _column(header: str) -> str:
     return _OTHER_NAMES.get(plain, plain)
 
 
-def read(source: Path, limits: Limits = LIMITS, progress: bool = False) -> Collection:
+def read(source: Path, limits: Limits = LIMITS) -> Collection:
     """Read a release: a folder with one CSV and its pictures anywhere below, or the CSV itself.
 
     Raises:
@@ -167,7 +167,7 @@ def read(source: Path, limits: Limits = LIMITS, progress: bool = False) -> Colle
     pictures = {picture.stem.lower(): picture for picture in files}
     movements: set[str] = set()
     items: set[int] = set()
-    with bar(progress, len(files)) as advance:
+    with bar(limits.progress, len(files)) as advance:
         for row in _rows(path, limits):
             movements.add(row["movement"])
             # a label may be the path of a picture

@@ -57,7 +57,7 @@ def is_planning(path: Path) -> bool:
     return {f"arr_{k}" for k in range(4)} <= set(shapes) and len(shapes["arr_2"]) == 5
 
 
-def read(source: Path, limits: Limits = LIMITS, progress: bool = False) -> Collection:
+def read(source: Path, limits: Limits = LIMITS) -> Collection:
     """Read the maps, goals and splits of an .npz, or of all below a folder; check their distances.
 
     The goal becomes the first seed point of its map.
@@ -68,7 +68,7 @@ def read(source: Path, limits: Limits = LIMITS, progress: bool = False) -> Colle
     """
     found = Collection(movement=MOVEMENT)
     same = 0
-    for path in files_of(source, (".npz",), limits, found.left_out, progress):
+    for path in files_of(source, (".npz",), limits, found.left_out):
         # a file that was asked for by name is not left out: its error is the answer
         with nullcontext() if path == source else found.leaving_out(path):
             for one, distances in _problems(path, limits, found):
@@ -123,12 +123,8 @@ def policy(values: Float32s) -> Bytes:
     """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=-np.inf)
-    neighbours = []
-    for down, right in ACTIONS:
-        # the map moved by one step: in each cell stands the value of its neighbour
-        top = 1 + down
-        left = 1 + right
-        neighbours.append(padded[top : top + rows, left : left + columns])
+    # the map moved by one step: in each cell stands the value of its neighbour
+    neighbours = [padded[1 + r : 1 + r + rows, 1 + c : 1 + c + columns] for r, c in ACTIONS]
     best = np.argmax(np.stack(neighbours), axis=0)
     return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
 

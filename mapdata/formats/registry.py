@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import FormatError, Limits, empty_target, walk
+from mapdata.formats.files import FormatError, Limits, walk
 from mapdata.options import options_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
@@ -24,8 +24,8 @@ class Format:
     Attributes:
         name: as ``--format`` takes it.
         endings: of its files, in lower case.
-        read: called with a path, `Limits` and whether to show a progress bar, returns a
-            `Collection`; None if it can only be written.
+        read: called with a path and `Limits`, returns a `Collection`; None if it can only be
+            written.
         write: called with a target, a `Root` and whether to show a progress bar, returns notes for
             the user; None if it can only be read.
         is_mine: whether a file with one of the endings is of this format.
@@ -94,7 +94,6 @@ def read_any(
     source: StrPath,
     kind: str | None = None,
     limits: Limits = Limits(),
-    progress: bool = False,
     **options: object,
 ) -> Collection:
     """Read a file or folder of a foreign format.
@@ -102,8 +101,7 @@ def read_any(
     Args:
         source: file or folder.
         kind: name of a format that can be read; default what `recognise` says.
-        limits: of what is read.
-        progress: show a progress bar.
+        limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``read``.
 
     Raises:
@@ -112,7 +110,7 @@ def read_any(
     """
     source = Path(source)
     name = kind or recognise(source)
-    found: Collection = _checked("read", name, options)(source, limits, progress, **options)
+    found: Collection = _checked("read", name, options)(source, limits, **options)
     if not found.maps and not found.left_out:
         raise FormatError(f"{source}: holds no map of format {name}")
     return found
@@ -150,7 +148,9 @@ def export(
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
     source = Root.open(root, complete=True)
-    empty_target(target)
+    is_empty = target.is_dir() and not any(target.iterdir())
+    if target.exists() and not is_empty:
+        raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{os.getpid()}-{target.name}")
     try:

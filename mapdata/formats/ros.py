@@ -29,11 +29,18 @@ from PIL import Image
 
 from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
+from mapdata.formats.files import (
+    LIMITS,
+    FormatError,
+    Limits,
+    files_of,
+    map_files,
+    read_text,
+    split_of,
+)
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.shards.root import Root
-from mapdata.spec import SPLITS
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
@@ -221,7 +228,6 @@ def _unknown(cells: Int8s) -> Flags:
 def read(
     source: Path,
     limits: Limits = LIMITS,
-    progress: bool = False,
     *,
     unknown: Literal["occupied", "free"] | None = None,
 ) -> Collection:
@@ -230,13 +236,12 @@ def read(
     Args:
         source: file or folder.
         limits: of what is read.
-        progress: show a progress bar.
         unknown: what unknown cells become; without it, maps with such cells are left out.
     """
     found = Collection()
     cells = 0
     unknowns = 0
-    for path in files_of(source, ENDINGS, limits, found.left_out, progress):
+    for path in files_of(source, ENDINGS, limits, found.left_out):
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
@@ -265,23 +270,15 @@ def write(
     Returns:
         Notes for the user.
     """
-    for labels in root.labels(progress=progress):
-        maps = labels.maps
-        for k, grid in enumerate(maps.occupancy):
-            folder = target / SPLITS[maps.split[k]]
-            name = f"map{maps.index[k]}"
-            folder.mkdir(parents=True, exist_ok=True)
-            pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
-            if image == "pgm":
-                header = f"P5\n{grid.shape[1]} {grid.shape[0]}\n255\n".encode()
-                (folder / f"{name}.pgm").write_bytes(header + pixels.tobytes())
-            else:
-                Image.fromarray(pixels).save(folder / f"{name}.{image}")
-            (folder / f"{name}.yaml").write_text(
-                f"image: {name}.{image}\nmode: trinary\nresolution: {root.resolution!r}\n"
-                "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
-                newline="\n",
-            )
+    for path, grid, _, _ in map_files(target, root, progress):
+        pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
+        picture = path.with_suffix(f".{image}")
+        Image.fromarray(pixels).save(picture)
+        path.with_suffix(".yaml").write_text(
+            f"image: {picture.name}\nmode: trinary\nresolution: {root.resolution!r}\n"
+            "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+            newline="\n",
+        )
     return ["rooms and labels are not in this format: pictures, resolution and splits are"]
 
 

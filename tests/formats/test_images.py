@@ -98,7 +98,7 @@ def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
     assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
     assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural)[:2] == ["a9", "a9b"]
     with pytest.raises(FormatError, match="more than 3 files"):
-        walk(tmp_path, (".png",), Limits(files=3))
+        walk(tmp_path, (".png",), Limits(files=3), [])
 
 
 def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
