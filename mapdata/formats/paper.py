@@ -27,7 +27,7 @@ Lists are written as JSON.
 | all_connected | whether paths join all rooms (ours) |
 | bfs_row_path, bfs_column_path | the cells of the route in one line, joints once |
 | astar_row_path, astar_column_path | likewise |
-| bfs_path_gaps, astar_path_gaps | for each segment without a path, how many cells precede it (ours) |
+| bfs_path_gaps, astar_path_gaps | for each segment without a path, the cells before it (ours) |
 | bfs_iterations, astar_iterations | those of the whole route (one a segment in mapdata 0.1) |
 | bfs_segment_iterations, astar_segment_iterations | one a segment (ours) |
 | bfs_connection_matrix, astar_connection_matrix | n lists of n costs, -1 no connection |
