@@ -329,7 +329,7 @@ def test_the_grey_of_unknown_cells_is_told(data: bytes, tmp_path: Path) -> None:
     found = read(tmp_path, threshold=0.85)
     assert found.maps[0].grid.tolist() == (pixels < 254).tolist()
     for options in ({"threshold": 0.85}, {"invert": True}):
-        assert not any("205" in note for note in read(tmp_path, **options).notes)  # type: ignore[arg-type]
+        assert not any("205" in note for note in read(tmp_path, **options).notes)
 
 
 def test_long_reading_shows_its_progress(
