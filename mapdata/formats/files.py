@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import re
 import zipfile
@@ -200,8 +199,7 @@ class Npz:
                         f"most {limits.unpacked}"
                     )
                 with archive.open(info) as member:
-                    what = f"{path}: array {name!r}"
-                    self.shapes[name], _, _ = _header(member, info.file_size, what)
+                    self.shapes[name], _, _ = _header(member)
 
     def __getitem__(self, name: str) -> Array:
         """Return one array.
@@ -216,8 +214,7 @@ class Npz:
             zipfile.ZipFile(self.path) as archive,
             archive.open(f"{name}.npy") as member,
         ):
-            size = archive.getinfo(f"{name}.npy").file_size
-            return _array(member, size, f"{self.path}: array {name!r}")
+            return _array(member, f"{self.path}: array {name!r}")
 
 
 @contextmanager
@@ -240,37 +237,33 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
     Raises:
         FormatError: not a sound file, too large, or pickled objects.
     """
-    data = read_bytes(path, limits)
-    return _array(io.BytesIO(data), len(data), str(path))
+    return _array(io.BytesIO(read_bytes(path, limits)), str(path))
 
 
-def _header(file: IO[bytes], size: int, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return (shape, fortran order, type) of an .npy of ``size`` bytes, its header included."""
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return what the header of an .npy says: shape, Fortran order and type."""
+    read_header = np.lib.format.read_array_header_2_0
+    if np.lib.format.read_magic(file) == (1, 0):
+        read_header = np.lib.format.read_array_header_1_0
+    return read_header(file, max_header_size=10_000)
+
+
+def _array(file: IO[bytes], what: str) -> Array:
+    """Return the numbers of an .npy, once it has as many as its header says."""
     try:
-        read_header = np.lib.format.read_array_header_2_0
-        if np.lib.format.read_magic(file) == (1, 0):
-            read_header = np.lib.format.read_array_header_1_0
-        shape, fortran, dtype = read_header(file, max_header_size=10_000)
+        shape, fortran, dtype = _header(file)
+        # never more than the archive states, at which zipfile stops
+        values: Array = np.frombuffer(file.read(), dtype)
+        values = values.reshape(shape, order="F" if fortran else "C")
     except Exception as error:
         # numpy parses the header as Python text: what it raises is not documented
-        raise FormatError(f"{what}: not an array ({type(error).__name__}: {error})") from None
-    if dtype.hasobject or dtype.kind not in "biuf":
         raise FormatError(
-            f"{what}: holds {dtype}, expected numbers (pickled objects are never opened)"
-        )
-    expected = file.tell() + math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or expected != size:
-        raise FormatError(f"{what}: says shape {shape} of {dtype}, but has {size} bytes")
-    return shape, fortran, dtype
-
-
-def _array(file: IO[bytes], size: int, what: str) -> Array:
-    """Return the array of an .npy of ``size`` bytes; no more of it is read or unpacked."""
-    shape, fortran, dtype = _header(file, size, what)
-    # zipfile itself stops at the size that its archive states
-    data = file.read(size - file.tell())
-    values = np.frombuffer(data, dtype)
-    return values.reshape(shape, order="F" if fortran else "C")
+            f"{what}: not an array of numbers ({type(error).__name__}: {error}); pickled objects "
+            "are never opened"
+        ) from None
+    if values.dtype.kind not in "biuf":
+        raise FormatError(f"{what}: holds {values.dtype}, expected numbers")
+    return values
 
 
 def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes:

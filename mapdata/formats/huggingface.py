@@ -102,17 +102,10 @@ def _schema() -> pa.Schema:
             f"{search}_segment_iterations": integers,
             f"{search}_connection_matrix": pa.list_(pa.list_(pa.float32())),
         }
-    features = {name: _feature(kind) for name, kind in types.items()}
-    features["image"] = {"_type": "Image"}
+    # what the type of a column does not say: its bytes are a picture
+    features = {"image": {"_type": "Image"}}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
     return pa.schema(list(types.items()), metadata=metadata)
-
-
-def _feature(kind: pa.DataType) -> dict[str, object]:
-    """Return what ``datasets`` writes for an Arrow type."""
-    if hasattr(kind, "value_type"):
-        return {"feature": _feature(kind.value_type), "_type": "List"}
-    return {"dtype": str(kind), "_type": "Value"}
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:

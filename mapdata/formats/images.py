@@ -38,9 +38,12 @@ _UNKNOWN = 205
 """The grey that map_saver of ROS writes for unknown cells."""
 
 _HEADER = re.compile(
-    rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})"
+    rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s"
 )
-"""P2 or P5, columns, rows and the value of white, with white space or comments between them."""
+"""P2 or P5, columns, rows and the value of white, with white space or comments between them.
+
+Exactly one white space stands between them and the pixels.
+"""
 
 
 class Pixels(NamedTuple):
@@ -129,16 +132,12 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
             raise FormatError(f"{path}: has {len(digits)} values, its header says {count}")
         values = np.array(digits, np.bytes_).astype(np.int64)
     else:
-        # exactly one white space stands between header and pixels
-        first = match.end() + 1
-        if not data[first - 1 : first].isspace():
-            raise FormatError(f"{path}: its PGM header is damaged")
-        size = len(data) - first
+        size = len(data) - match.end()
         if size < count * dtype.itemsize:
             raise FormatError(
                 f"{path}: has {size} bytes of pixels, its header says {rows} x {columns}"
             )
-        values = np.frombuffer(data, dtype, count, first)
+        values = np.frombuffer(data, dtype, count, match.end())
     if values.max() > maximum:
         raise FormatError(
             f"{path}: holds the value {values.max()}, its header says at most {maximum}"
@@ -149,11 +148,10 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
 
 def brightness(pixels: Pixels) -> Bytes:
     """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels are white."""
-    grey = np.empty(pixels.values.shape[:2], np.uint8)
+    values, maximum = pixels
     # a strip at a time: all at once would take several times the memory of the picture
-    for k in range(0, len(grey), 256):
-        grey[k : k + 256] = _mean(pixels.values[k : k + 256], pixels.maximum)
-    return grey
+    strips = [_mean(values[k : k + 256], maximum) for k in range(0, len(values), 256)]
+    return np.concatenate(strips)
 
 
 def _mean(values: Array, maximum: int) -> Bytes:
@@ -164,8 +162,6 @@ def _mean(values: Array, maximum: int) -> Bytes:
         # before a white background; pictures with alpha have 8 bits a channel
         values = 255 - (255 - colour) * alpha // 255
     channels = values.shape[2]
-    if channels == 1 and maximum == 255:
-        return np.asarray(values[:, :, 0], np.uint8)
     total = values.sum(axis=2, dtype=np.uint32)
     return np.asarray(total * np.uint32(255) // np.uint32(channels * maximum), np.uint8)
 

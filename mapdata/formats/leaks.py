@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
 
-from mapdata.arrays import Bytes
 from mapdata.formats.collection import ForeignMap
 from mapdata.generators.splits import draw_splits, split_thresholds
-from mapdata.problems.symmetry import transform_grids
-from mapdata.spec import SPLITS
+from mapdata.shards.statistics import count_repeats, digests_of
 
 
 def separate(
@@ -21,7 +18,7 @@ def separate(
     drop: bool,
     notes: list[str],
 ) -> list[ForeignMap]:
-    """Count the maps that stand in an earlier split too, exactly and up to symmetry.
+    """Count the maps that stand in two splits, exactly and up to symmetry.
 
     Args:
         maps: all of one size, in their order.
@@ -33,37 +30,29 @@ def separate(
     Returns:
         The maps that are left.
     """
-    import pandas as pd
-
     splits = draw_splits(np.uint64(seed), np.arange(len(maps)), split_thresholds(fractions))
     for k, one in enumerate(maps):
         if one.split is not None:
             splits[k] = one.split
-    hashes = [_hashes(one.grid) for one in maps]
-    exact = pd.Series(splits).groupby([images[0] for images in hashes])
-    turned = pd.Series(splits).groupby([min(images) for images in hashes])
-    kept = np.flatnonzero(splits == turned.transform("max"))
-    if len(kept) == len(maps):
+    digests = [digests_of(one.grid[None]) for one in maps]
+    exact, symmetric = map(np.concatenate, zip(*digests, strict=True))
+    # the number of each kind of map, and the last split that has one of it
+    _, kinds = np.unique(symmetric.view("S16")[:, 0], return_inverse=True)
+    last = np.zeros_like(splits)
+    np.maximum.at(last, kinds, splits)
+    kept = np.flatnonzero(splits == last[kinds])
+    copies = len(maps) - len(kept)
+    if copies == 0:
         notes.append("no map stands in two splits, exactly or up to symmetry")
         return maps
-    counts = []
-    for code in (1, 2):
-        here = splits == code
-        same = np.count_nonzero(exact.transform("min")[here] < code)
-        similar = np.count_nonzero(turned.transform("min")[here] < code)
-        counts.append(f"{same} of {here.sum()} {SPLITS[code]} maps ({similar} up to symmetry)")
+    same = count_repeats(exact, splits).across
+    similar = count_repeats(symmetric, splits).across
+    counts = [f"{same[a, b]} of {b} in {a} ({similar[a, b]} up to symmetry)" for a, b in same]
     done = "left out" if drop else "kept, --drop-leaks leaves them out"
-    copies = f"{len(maps) - len(kept)} copies there are {done}"
-    notes.append(f"{' and '.join(counts)} stand in an earlier split, too: {copies}")
+    notes.append(
+        f"maps in two splits: {', '.join(counts)}; {copies} copies in the earlier ones are {done}"
+    )
     if not drop:
         return maps
     # All keep their splits: were they drawn anew, other copies might be parted.
     return [replace(maps[k], cells=maps[k].grid, split=int(splits[k])) for k in kept]
-
-
-def _hashes(grid: Bytes) -> list[str]:
-    """Return the hashes of a grid and of its mirror images, 8 of a square, 4 of a rectangle."""
-    rows, columns = grid.shape
-    count = 8 if rows == columns else 4
-    images = transform_grids(np.repeat(grid[None], count, axis=0), np.arange(count))
-    return [hashlib.sha256(image.tobytes()).hexdigest() for image in images]

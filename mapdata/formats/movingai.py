@@ -121,13 +121,13 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
     """Return the number of the first row's line, and the sides that the lines above it state."""
     sides: dict[str, int] = {}
     for number, line in enumerate(lines[:20]):
-        words = line.lower().split()
-        if words == ["map"]:
+        words = " ".join(line.lower().split())
+        if words == "map":
             return number + 1, sides
-        is_side = len(words) == 2 and words[0] in ("height", "width")
-        if is_side and words[1].isascii() and words[1].isdigit():
-            sides[words[0]] = int(words[1][:10])  # ten digits are too large for any limit
-        elif words and words[0] != "type":
+        match = re.fullmatch(r"(height|width) ([0-9]{1,10})", words)
+        if match is not None:
+            sides[match[1]] = int(match[2])
+        elif words and not words.startswith("type"):
             raise FormatError(
                 f"{path}: line {number + 1} is {line[:40]!r}, expected type, height, width or map"
             )
@@ -136,7 +136,7 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
 
 def world(terrain: Bytes, letters: str = LAND) -> Bytes:
     """Return a grid, (H, W) uint8, in which only cells of these letters are free."""
-    return np.asarray(~np.isin(terrain, np.frombuffer(letters.encode(), np.uint8)), np.uint8)
+    return np.asarray(~np.isin(terrain, list(letters.encode())), np.uint8)
 
 
 def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
@@ -289,11 +289,10 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
             f"{path}: line {problem.line} says {problem.size}, the map has {terrain.shape} rows, "
             "columns"
         )
-    for row, column in (problem.start, problem.goal):
-        if row >= terrain.shape[0] or column >= terrain.shape[1]:
+    for cell in (problem.start, problem.goal):
+        if np.greater_equal(cell, terrain.shape).any():
             raise FormatError(
-                f"{path}: line {problem.line}: {(row, column)} is outside the map of "
-                f"{terrain.shape}"
+                f"{path}: line {problem.line}: {cell} is outside the map of {terrain.shape}"
             )
 
 

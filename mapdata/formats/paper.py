@@ -253,12 +253,11 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
         raise FormatError(
             f"{rooms} seed points, {len(sizes)} sizes and {len(directions)} directions do not fit"
         )
-    if (sizes < -1).any() or (sizes >= 2**15).any() or not np.isin(directions, (-1, 0, 1)).all():
-        raise FormatError("its sizes or directions are out of range")
-    widths = numbers(row["passage_size"])
-    width = widths[0] if widths else -1
-    if not -1 <= width < 2**15:
-        raise FormatError(f"passage size {width} is out of range")
+    width, *_ = numbers(row["passage_size"]) or [-1]
+    lengths = (width, *sizes.ravel())
+    are_lengths = min(lengths) >= -1 and max(lengths) < 2**15
+    if not are_lengths or not np.isin(directions, (-1, 0, 1)).all():
+        raise FormatError("its passage size, sizes or directions are out of range")
     resolution = float(row["resolution"]) if row["resolution"] else None
     if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
         raise FormatError(f"resolution {resolution}, expected metres per cell above 0")

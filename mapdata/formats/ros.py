@@ -239,19 +239,17 @@ def read(
         unknown: what unknown cells become; without it, maps with such cells are left out.
     """
     found = Collection()
-    cells = 0
-    unknowns = 0
+    unknowns = []
     for path in files_of(source, ENDINGS, limits, found.left_out):
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
-            cells += one.cells.size
-            unknowns += int(_unknown(one.cells).sum())
+            unknowns.append(_unknown(one.cells).mean())
             found.maps.append(ForeignMap(str(path), grid, split_of(path, source), one.resolution))
     tell_free(found, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,")
-    if unknowns:
+    if any(unknowns):
         found.notes.append(
-            f"{unknowns / cells:.1%} of the cells were unknown and are now {unknown}"
+            f"{np.mean(unknowns):.1%} of the cells were unknown and are now {unknown}"
         )
     return found
 

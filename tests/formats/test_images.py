@@ -144,7 +144,7 @@ def hostile(folder: Path) -> dict[str, str]:
         ),
         "lie.pgm": (b"P5 1000 1000 255\nx", "has 1 bytes of pixels"),
         "pickle.npy": (npy((1,), b"\x80\x04N.", "|O"), "pickled objects are never opened"),
-        "lie.npy": (npy((2**20, 2**20), b""), "but has"),
+        "lie.npy": (npy((2**20, 2**20), b""), "not an array of numbers"),
         "nan.npy": (npy((1, 2), np.array([0, np.nan]).tobytes(), "<f8"), "expected 0 to 1"),
         "grey.npy": (npy((1, 2), b"\0\xff"), "holds values from 0 to 255, expected 0 to 1"),
         "flat.npy": (npy((4,), bytes(4)), "expected (H, W), (N, H, W) or (N, 1, H, W)"),

@@ -55,12 +55,13 @@ def test_counted_and_dropped(shape: tuple[int, int], tmp_path: Path) -> None:
     (made,) = import_maps(tmp_path / "all", source)
     assert made.manifest.maps == 10
     assert source.notes == [
-        "0 of 2 val maps (1 up to symmetry) and 1 of 3 test maps (3 up to symmetry) stand in an "
-        "earlier split, too: 4 copies there are kept, --drop-leaks leaves them out"
+        "maps in two splits: 0 of val in train (1 up to symmetry), 1 of test in train (2 up to "
+        "symmetry), 0 of test in val (1 up to symmetry); 4 copies in the earlier ones are kept, "
+        "--drop-leaks leaves them out"
     ]
     source = collection(*maps)
     (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
-    assert source.notes[0].endswith("4 copies there are left out")
+    assert source.notes[0].endswith("4 copies in the earlier ones are left out")
     assert verify(made.root) == []
     assert kept(made.root) == {
         "train": [d.tobytes(), d.tobytes()],
@@ -74,7 +75,7 @@ def test_only_squares_are_transposed(tmp_path: Path) -> None:
     square = random_grids(1, 12, 12)[0]
     source = collection((TRAIN, square), (TEST, square.T))
     import_maps(tmp_path / "square", source)
-    assert "0 of 1 test maps (1 up to symmetry)" in source.notes[0]
+    assert "0 of test in train (1 up to symmetry)" in source.notes[0]
     wide = random_grids(1, 9, 14)[0]
     source = collection((TRAIN, wide), (TEST, wide.T))
     import_maps(tmp_path / "wide", source)
@@ -101,7 +102,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         np.save(tmp_path / "in" / split / "maps.npy", grids)
     code, out, _ = cli(capsys, "import", tmp_path / "in", tmp_path / "a")
     assert code == 0
-    assert out.count("3 of 3 test maps (3 up to symmetry) stand in an earlier split") == 1
+    assert out.count("3 of test in train (3 up to symmetry)") == 1
     code, out, _ = cli(capsys, "import", tmp_path / "in", tmp_path / "b", "--drop-leaks")
-    assert (code, "3 copies there are left out" in out) == (0, True)
+    assert (code, "3 copies in the earlier ones are left out" in out) == (0, True)
     assert "maps:                 3 of 12 x 12" in out
