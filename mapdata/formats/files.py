@@ -297,13 +297,10 @@ def files_of(
     Raises:
         FormatError: there is neither, or as `walk`.
     """
-    if source.is_dir():
-        paths = walk(source, endings, limits, left_out)
-        with bar(limits.progress, len(paths), unit=" files") as advance:
-            for path in paths:
-                yield path
-                advance(1)
-    elif source.exists():
-        yield source
-    else:
+    if not source.exists():
         raise FormatError(f"{source}: no such file or folder")
+    paths = walk(source, endings, limits, left_out) if source.is_dir() else [source]
+    with bar(limits.progress and len(paths) > 1, len(paths), unit=" files") as advance:
+        for path in paths:
+            yield path
+            advance(1)

@@ -113,7 +113,7 @@ def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
     grid = labels.maps.occupancy[k]
     row = map_row(labels, k, resolution)
     picture = BytesIO()
-    Image.fromarray(255 * (1 - grid)).convert("1").save(picture, "PNG")
+    Image.fromarray(grid == 0).save(picture, "PNG")  # of bool, 1 bit a pixel
     image = {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}
     return {"image": image, "map": grid.tolist(), **row}
 

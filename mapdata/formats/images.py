@@ -95,7 +95,7 @@ def _picture(path: Path, limits: Limits) -> Pixels:
 
 def _decoded(image: Image.Image) -> Pixels:
     """Return the pixels of an image of Pillow as grey, RGB or RGBA, whatever its mode."""
-    if image.mode in ("I;16", "I;16B", "I;16L", "I"):
+    if image.mode.startswith("I"):  # integers of 16 bits, in any order of their bytes
         return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
     if image.mode not in ("L", "RGB", "RGBA"):
         clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info

@@ -181,10 +181,8 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
                 code, k = divmod(number, 4)
                 shape = (counts[code], *arrays[k].shape)
                 header = {"descr": arrays[k].dtype.str, "fortran_order": False, "shape": shape}
-                # the date of a ZipInfo is fixed: equal content gives equal bytes
-                info = zipfile.ZipInfo(f"arr_{number}.npy")
-                info.compress_type = zipfile.ZIP_DEFLATED
-                with archive.open(info, "w", force_zip64=True) as member:
+                # its date is always that of the first zip: equal content gives equal bytes
+                with archive.open(f"arr_{number}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array_header_1_0(member, header)
                     part.seek(0)
                     shutil.copyfileobj(part, member)

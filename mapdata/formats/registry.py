@@ -59,8 +59,7 @@ def register(one: Format) -> None:
 
 def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
     """Return what reads, or what writes, by the name of the format."""
-    found = {name: getattr(one, what) for name, one in FORMATS.items()}
-    return {name: function for name, function in found.items() if function is not None}
+    return {name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what)}
 
 
 def recognise(source: StrPath) -> str:

@@ -122,11 +122,10 @@ def _fields(path: Path) -> dict[str, Any]:
     try:
         fields = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
-        first_line, *_ = str(error).splitlines() or [repr(error)]
-        raise FormatError(f"{path}: not plain YAML ({first_line})") from None
+        raise FormatError(f"{path}: not plain YAML ({error})") from None
     if not isinstance(fields, dict) or "image" not in fields:
         raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
-    return {str(name): value for name, value in fields.items() if isinstance(name, str)}
+    return fields
 
 
 def _number(path: Path, fields: dict[str, Any], name: str) -> float:
