@@ -214,7 +214,8 @@ class Npz:
             zipfile.ZipFile(self.path) as archive,
             archive.open(f"{name}.npy") as member,
         ):
-            return _array(member, f"{self.path}: array {name!r}")
+            size = archive.getinfo(f"{name}.npy").file_size
+            return _array(member, size, f"{self.path}: array {name!r}")
 
 
 @contextmanager
@@ -237,7 +238,8 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
     Raises:
         FormatError: not a sound file, too large, or pickled objects.
     """
-    return _array(io.BytesIO(read_bytes(path, limits)), str(path))
+    data = read_bytes(path, limits)
+    return _array(io.BytesIO(data), len(data), str(path))
 
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -248,12 +250,12 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     return read_header(file, max_header_size=10_000)
 
 
-def _array(file: IO[bytes], what: str) -> Array:
-    """Return the numbers of an .npy, once it has as many as its header says."""
+def _array(file: IO[bytes], size: int, what: str) -> Array:
+    """Return the numbers of an .npy of ``size`` bytes, if it has as many as its header says."""
     try:
         shape, fortran, dtype = _header(file)
-        # never more than the archive states, at which zipfile stops
-        values: Array = np.frombuffer(file.read(), dtype)
+        # no more than the archive states: without a number zipfile unpacks all that is there
+        values: Array = np.frombuffer(file.read(size), dtype)
         values = values.reshape(shape, order="F" if fortran else "C")
     except Exception as error:
         # numpy parses the header as Python text: what it raises is not documented

@@ -259,7 +259,7 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
     if not are_lengths or not np.isin(directions, (-1, 0, 1)).all():
         raise FormatError("its passage size, sizes or directions are out of range")
     resolution = float(row["resolution"]) if row["resolution"] else None
-    if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
+    if resolution is not None and not 0 < resolution < math.inf:
         raise FormatError(f"resolution {resolution}, expected metres per cell above 0")
     number = int(item) if item.isdecimal() and len(item) < 18 else None  # else too long for int64
     stated = {name: row[name] for name in LABELS if row[name]}
@@ -333,9 +333,8 @@ def _same(text: str, ours: object) -> bool:
     except FormatError:
         return False
     expected = np.ravel(np.array(ours, float))
-    if len(stated) != len(expected):
-        return False
-    return bool(np.allclose(stated, expected, rtol=1e-6, atol=1e-6))  # printed numbers are rounded
+    # printed numbers are rounded
+    return len(stated) == len(expected) and np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
 
 
 FORMAT = Format("paper", (".csv",), read, write, is_mine=is_release, beside=PICTURES)
