@@ -33,8 +33,7 @@ class Movement:
     """How one moves on a grid.
 
     Attributes:
-        connectivity: 4 (north, east, south, west; the paper's distance in pixels) or 8 (diagonals
-            too).
+        connectivity: 4 (north, east, south, west) or 8 (diagonals too); the paper names neither.
         corner_cutting: True lets a diagonal step pass between or beside occupied cells; False
             demands that both orthogonal neighbours are free. Only with 8.
         diagonal_cost: sqrt(2), or 1 to reproduce data that count moves. Only with 8.

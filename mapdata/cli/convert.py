@@ -16,7 +16,7 @@ from mapdata.cli.common import DisagreeError, add_flag, summary
 if TYPE_CHECKING:
     from mapdata.spec import Movement
 
-_OF_IMPORTS = ("seed_points", "seed", "tile", "resolution", "shard_size")
+_OF_IMPORTS = ("seed_points", "seed", "tile", "resolution", "shard_size", "drop_leaks")
 """Parameters of `import_maps` that are flags, whatever the format."""
 
 
@@ -58,7 +58,7 @@ def import_command(
     of_format = _own_options(name, options)
     if "seed_points" in options_of(functions("read")[name]):
         of_format["seed_points"] = of_import["seed_points"]
-    found = read_any(src, name, Limits(pixels=max_pixels), **of_format)
+    found = read_any(src, name, Limits(pixels=max_pixels, progress=True), **of_format)
     made = []
     try:
         made = import_maps(root, found, movement=movement, progress=True, **of_import)
@@ -126,6 +126,8 @@ def export_command(root: list[str], dst: str, **options: Any) -> None:
 def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     """Solve the problems of .scen files; exit code 1 unless each published optimal length is ours.
 
+    A file that cannot be read does not end the run: it is named at the end, and the exit code is 2.
+
     Examples:
       mapdata check-scen arena.map.scen --maps maps/
 
@@ -133,12 +135,18 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
         file: .scen files
         maps: folder of the maps (default: beside each .scen)
     """
+    from mapdata.formats import FormatError, Limits
     from mapdata.formats.movingai import check_scen
 
     missed = 0
     total = 0
+    unread = []
     for name in file:
-        report = check_scen(name, maps)
+        try:
+            report = check_scen(name, maps, Limits(progress=True))
+        except FormatError as error:
+            unread.append(str(error))
+            continue
         print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")
         for line in report.disagreements[:20]:
             print(line)
@@ -147,7 +155,9 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
         missed += len(report.disagreements)
         total += report.total
     if missed:
-        raise DisagreeError(f"{missed} of {total} optimal lengths disagree")
+        raise DisagreeError("; ".join([f"{missed} of {total} optimal lengths disagree", *unread]))
+    if unread:
+        raise FormatError("; ".join(unread))
 
 
 # --- flags --------------------------------------------------------------------------------------

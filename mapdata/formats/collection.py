@@ -9,7 +9,6 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.formats.files import FormatError
 from mapdata.search.labels import Labels
 from mapdata.spec import Movement
 
@@ -100,8 +99,8 @@ class Collection:
 
     @contextmanager
     def leaving_out(self, name: object) -> Iterator[None]:
-        """Catch a `FormatError`, and add ``name`` to ``left_out`` with its message."""
+        """Catch a `ValueError`, and add ``name`` to ``left_out`` with its message."""
         try:
             yield
-        except FormatError as error:
+        except ValueError as error:
             self.left_out.append((str(name), str(error).removeprefix(f"{name}: ")))

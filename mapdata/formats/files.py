@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import re
 import zipfile
@@ -17,6 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes
+from mapdata.generators.maps import Maps
+from mapdata.shards.root import Root
+from mapdata.shards.workers import bar
+from mapdata.spec import SPLITS
 
 Array = npt.NDArray[Any]
 
@@ -31,17 +34,19 @@ class FormatError(ValueError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What an importer unpacks at most, checked before it unpacks.
+    """How an importer reads: what it unpacks at most, checked before it unpacks.
 
     Attributes:
         pixels: pixels of one image, cells of one map.
         unpacked: bytes of one file once unpacked.
         files: files looked at in a folder.
+        progress: show a progress bar while many files, or a long one, are read.
     """
 
     pixels: int = 2**24
     unpacked: int = 2**30
     files: int = 2_000_000
+    progress: bool = False
 
 
 LIMITS = Limits()
@@ -61,9 +66,7 @@ def read_bytes(path: Path, limits: Limits = LIMITS) -> bytes:
         if size > limits.unpacked:
             raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
         return path.read_bytes()
-    except FormatError:
-        raise
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error})") from None
 
 
@@ -87,9 +90,7 @@ LeftOut = list[tuple[str, str]]
 """(name, why) of files that could not be used."""
 
 
-def walk(
-    folder: Path, endings: tuple[str, ...], limits: Limits = LIMITS, left_out: LeftOut | None = None
-) -> list[Path]:
+def walk(folder: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut) -> list[Path]:
     """Return the files below ``folder`` with one of these endings, map2 before map10.
 
     Endings are in lower case. Hidden names and links to folders are passed over; links to files
@@ -99,7 +100,6 @@ def walk(
         FormatError: more than ``limits.files`` files.
     """
     found: list[Path] = []
-    left = [] if left_out is None else left_out
     seen = 0
     inside = folder.resolve()
     for here, folders, names in os.walk(folder):
@@ -112,22 +112,18 @@ def walk(
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
             if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(inside):
-                left.append((str(path), "a link to outside the folder"))
+                left_out.append((str(path), "a link to outside the folder"))
             else:
                 found.append(path)
-    return sorted(found, key=lambda path: natural(str(path.relative_to(folder))))
+    return sorted(found, key=lambda path: natural(str(path)))
 
 
-def natural(text: str) -> list[tuple[int, str]]:
+def natural(text: str) -> list[Any]:
     """Return a key that sorts numbers inside names by their value."""
-    key = []
-    for part in re.findall(r"\d+|\D+", text):
-        # digits of other scripts are no numbers here, nor are thousands of digits
-        if part.isascii() and part.isdigit() and len(part) < 19:
-            key.append((int(part), ""))
-        else:
-            key.append((-1, part))
-    return key
+    # text and numbers in turn, the text perhaps empty; more digits than 18 are several numbers
+    parts: list[Any] = re.split(r"([0-9]{1,18})", text)
+    parts[1::2] = map(int, parts[1::2])
+    return parts
 
 
 SPLIT_NAMES = {
@@ -143,23 +139,31 @@ SPLIT_NAMES = {
 """Names of folders that say a split, as codes."""
 
 
-def split_of(path: Path, folder: Path) -> int | None:
-    """Return the split that the folders between ``folder`` and ``path`` say, or None."""
+def split_of(path: Path, source: Path) -> int | None:
+    """Return the split that the folders between ``source`` and ``path`` say, or None.
+
+    A ``source`` that is a file stands for its folder.
+    """
+    folder = source if source.is_dir() else source.parent
+    if not path.is_relative_to(folder):
+        return None
     for part in path.relative_to(folder).parts[:-1]:
         if part.lower() in SPLIT_NAMES:
             return SPLIT_NAMES[part.lower()]
     return None
 
 
-def empty_target(target: Path) -> None:
-    """Check that ``target`` can be written: missing, or an empty folder.
+def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, Bytes, Maps, int]]:
+    """Yield each map of a dataset: where to write it, its grid, and where it stands in a batch.
 
-    Raises:
-        FormatError: it is something else.
+    It is written as ``<split>/map<i>``, behind which an ending comes; the folder is made.
     """
-    is_empty = target.is_dir() and not any(target.iterdir())
-    if target.exists() and not is_empty:
-        raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
+    for labels in root.labels(progress=progress):
+        maps = labels.maps
+        for k, grid in enumerate(maps.occupancy):
+            folder = target / SPLITS[maps.split[k]]
+            folder.mkdir(parents=True, exist_ok=True)
+            yield folder / f"map{maps.index[k]}", grid, maps, k
 
 
 # --- arrays -------------------------------------------------------------------------------------
@@ -195,8 +199,7 @@ class Npz:
                         f"most {limits.unpacked}"
                     )
                 with archive.open(info) as member:
-                    what = f"{path}: array {name!r}"
-                    self.shapes[name], _, _ = _header(member, info.file_size, what)
+                    self.shapes[name], _, _ = _header(member)
 
     def __getitem__(self, name: str) -> Array:
         """Return one array.
@@ -239,33 +242,30 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
     return _array(io.BytesIO(data), len(data), str(path))
 
 
-def _header(file: IO[bytes], size: int, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return (shape, fortran order, type) of an .npy of ``size`` bytes, its header included."""
-    try:
-        read_header = np.lib.format.read_array_header_2_0
-        if np.lib.format.read_magic(file) == (1, 0):
-            read_header = np.lib.format.read_array_header_1_0
-        shape, fortran, dtype = read_header(file, max_header_size=10_000)
-    except Exception as error:
-        # numpy parses the header as Python text: what it raises is not documented
-        raise FormatError(f"{what}: not an array ({type(error).__name__}: {error})") from None
-    if dtype.hasobject or dtype.kind not in "biuf":
-        raise FormatError(
-            f"{what}: holds {dtype}, expected numbers (pickled objects are never opened)"
-        )
-    expected = file.tell() + math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or expected != size:
-        raise FormatError(f"{what}: says shape {shape} of {dtype}, but has {size} bytes")
-    return shape, fortran, dtype
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return what the header of an .npy says: shape, Fortran order and type."""
+    read_header = np.lib.format.read_array_header_2_0
+    if np.lib.format.read_magic(file) == (1, 0):
+        read_header = np.lib.format.read_array_header_1_0
+    return read_header(file, max_header_size=10_000)
 
 
 def _array(file: IO[bytes], size: int, what: str) -> Array:
-    """Return the array of an .npy of ``size`` bytes; no more of it is read or unpacked."""
-    shape, fortran, dtype = _header(file, size, what)
-    # zipfile itself stops at the size that its archive states
-    data = file.read(size - file.tell())
-    values = np.frombuffer(data, dtype)
-    return values.reshape(shape, order="F" if fortran else "C")
+    """Return the numbers of an .npy of ``size`` bytes, if it has as many as its header says."""
+    try:
+        shape, fortran, dtype = _header(file)
+        # no more than the archive states: without a number zipfile unpacks all that is there
+        values: Array = np.frombuffer(file.read(size), dtype)
+        values = values.reshape(shape, order="F" if fortran else "C")
+    except Exception as error:
+        # numpy parses the header as Python text: what it raises is not documented
+        raise FormatError(
+            f"{what}: not an array of numbers ({type(error).__name__}: {error}); pickled objects "
+            "are never opened"
+        ) from None
+    if values.dtype.kind not in "biuf":
+        raise FormatError(f"{what}: holds {values.dtype}, expected numbers")
+    return values
 
 
 def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes:
@@ -279,15 +279,11 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
     Raises:
         FormatError: NaN, or another value.
     """
-    if values.dtype == np.bool_:
-        return values.view(np.uint8)
-    if values.size == 0:
-        return np.empty(values.shape, np.uint8)
-    low = values.min()
-    high = values.max()
+    low = values.min(initial=0)
+    high = values.max(initial=0)
     if not (low >= 0 and high <= 1):  # and not "low < 0 or high > 1", which lets NaN pass
         raise FormatError(f"{what}: holds values from {low} to {high}, expected 0 to 1")
-    if values.dtype.kind in "iu":
+    if values.dtype.kind in "biu":
         return values.astype(np.uint8, copy=False)  # a stack may be as large as the limits allow
     occupied = values > (0.5 if threshold is None else threshold)
     if threshold is None and not np.array_equal(occupied, values):
@@ -303,9 +299,10 @@ def files_of(
     Raises:
         FormatError: there is neither, or as `walk`.
     """
-    if source.is_dir():
-        yield from walk(source, endings, limits, left_out)
-    elif source.exists():
-        yield source
-    else:
+    if not source.exists():
         raise FormatError(f"{source}: no such file or folder")
+    paths = walk(source, endings, limits, left_out) if source.is_dir() else [source]
+    with bar(limits.progress and len(paths) > 1, len(paths), unit=" files") as advance:
+        for path in paths:
+            yield path
+            advance(1)

@@ -94,21 +94,18 @@ def _schema() -> pa.Schema:
         "all_connected": pa.bool_(),
     }
     for search in SEARCHES:
-        types[f"{search}_row_path"] = integers
-        types[f"{search}_column_path"] = integers
-        types[f"{search}_iterations"] = integers
-        types[f"{search}_connection_matrix"] = pa.list_(pa.list_(pa.float32()))
-    features = {name: _feature(kind) for name, kind in types.items()}
-    features["image"] = {"_type": "Image"}
+        types |= {
+            f"{search}_row_path": integers,
+            f"{search}_column_path": integers,
+            f"{search}_path_gaps": integers,
+            f"{search}_iterations": pa.int64(),
+            f"{search}_segment_iterations": integers,
+            f"{search}_connection_matrix": pa.list_(pa.list_(pa.float32())),
+        }
+    # what the type of a column does not say: its bytes are a picture
+    features = {"image": {"_type": "Image"}}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
     return pa.schema(list(types.items()), metadata=metadata)
-
-
-def _feature(kind: pa.DataType) -> dict[str, object]:
-    """Return what ``datasets`` writes for an Arrow type."""
-    if hasattr(kind, "value_type"):
-        return {"feature": _feature(kind.value_type), "_type": "List"}
-    return {"dtype": str(kind), "_type": "Value"}
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
@@ -116,7 +113,7 @@ def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
     grid = labels.maps.occupancy[k]
     row = map_row(labels, k, resolution)
     picture = BytesIO()
-    Image.fromarray(255 * (1 - grid)).convert("1").save(picture, "PNG")
+    Image.fromarray(grid == 0).save(picture, "PNG")  # of bool, 1 bit a pixel
     image = {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}
     return {"image": image, "map": grid.tolist(), **row}
 
@@ -144,7 +141,14 @@ _COLUMNS = Section(
             "bfs_row_path, bfs_column_path and those of astar",
             "the cells of the route through all seed points",
         ),
-        ("bfs_iterations, astar_iterations", "cells expanded, one number a segment"),
+        (
+            "bfs_path_gaps, astar_path_gaps",
+            "for each segment without a path, how many cells of the route precede it",
+        ),
+        (
+            "bfs_iterations, astar_iterations",
+            "cells expanded; segment_iterations has one number a segment",
+        ),
         (
             "bfs_connection_matrix, astar_connection_matrix",
             "path costs between all rooms, -1 no path",

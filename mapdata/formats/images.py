@@ -34,10 +34,16 @@ from mapdata.spec import MAX_SIDE
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 ARRAYS = (".npy", ".npz")
 
+_UNKNOWN = 205
+"""The grey that map_saver of ROS writes for unknown cells."""
+
 _HEADER = re.compile(
-    rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})"
+    rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s"
 )
-"""P2 or P5, columns, rows and the value of white, with white space or comments between them."""
+"""P2 or P5, columns, rows and the value of white, with white space or comments between them.
+
+Exactly one white space stands between them and the pixels.
+"""
 
 
 class Pixels(NamedTuple):
@@ -89,11 +95,9 @@ def _picture(path: Path, limits: Limits) -> Pixels:
 
 def _decoded(image: Image.Image) -> Pixels:
     """Return the pixels of an image of Pillow as grey, RGB or RGBA, whatever its mode."""
-    if image.mode in ("I;16", "I;16B", "I;16L", "I"):
+    if image.mode.startswith("I"):  # integers of 16 bits, in any order of their bytes
         return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
-    if image.mode == "1":
-        image = image.convert("L")
-    elif image.mode not in ("L", "RGB", "RGBA"):
+    if image.mode not in ("L", "RGB", "RGBA"):
         clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info
         image = image.convert("RGBA" if clear else "RGB")
     values = np.asarray(image)
@@ -128,16 +132,12 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
             raise FormatError(f"{path}: has {len(digits)} values, its header says {count}")
         values = np.array(digits, np.bytes_).astype(np.int64)
     else:
-        # exactly one white space stands between header and pixels
-        first = match.end() + 1
-        if not data[first - 1 : first].isspace():
-            raise FormatError(f"{path}: its PGM header is damaged")
-        size = len(data) - first
+        size = len(data) - match.end()
         if size < count * dtype.itemsize:
             raise FormatError(
                 f"{path}: has {size} bytes of pixels, its header says {rows} x {columns}"
             )
-        values = np.frombuffer(data, dtype, count, first)
+        values = np.frombuffer(data, dtype, count, match.end())
     if values.max() > maximum:
         raise FormatError(
             f"{path}: holds the value {values.max()}, its header says at most {maximum}"
@@ -148,11 +148,10 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
 
 def brightness(pixels: Pixels) -> Bytes:
     """Return the mean of the colours, (H, W) uint8, 255 white; transparent pixels are white."""
-    grey = np.empty(pixels.values.shape[:2], np.uint8)
+    values, maximum = pixels
     # a strip at a time: all at once would take several times the memory of the picture
-    for k in range(0, len(grey), 256):
-        grey[k : k + 256] = _mean(pixels.values[k : k + 256], pixels.maximum)
-    return grey
+    strips = [_mean(values[k : k + 256], maximum) for k in range(0, len(values), 256)]
+    return np.concatenate(strips)
 
 
 def _mean(values: Array, maximum: int) -> Bytes:
@@ -163,8 +162,6 @@ def _mean(values: Array, maximum: int) -> Bytes:
         # before a white background; pictures with alpha have 8 bits a channel
         values = 255 - (255 - colour) * alpha // 255
     channels = values.shape[2]
-    if channels == 1 and maximum == 255:
-        return np.asarray(values[:, :, 0], np.uint8)
     total = values.sum(axis=2, dtype=np.uint32)
     return np.asarray(total * np.uint32(255) // np.uint32(channels * maximum), np.uint8)
 
@@ -207,36 +204,68 @@ def read(
             f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns"
         )
     found = Collection()
-    folder = source if source.is_dir() else source.parent
+    unknown = 0
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
         with found.leaving_out(path):
-            grids = _grids(path, limits, threshold, size, crop=fit == "crop")
-            split = split_of(path, folder)
+            if path.suffix.lower() in ARRAYS:
+                grids = _stack(path, limits, threshold)
+                if size not in (None, grids.shape[1:]):
+                    # scaled as pictures are: a cell is occupied where half of what it covers is
+                    grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+            else:
+                grey = _grey(path, limits, threshold)
+                unknown += int((grey == _UNKNOWN).sum())
+                grids = np.asarray(_fit(grey, size, fit) <= threshold * 255, np.uint8)[None]
+            split = split_of(path, source)
             for k, grid in enumerate(grids):
                 name = f"{path}[{k}]" if len(grids) > 1 else str(path)
                 cells = 1 - grid if invert else grid
                 found.maps.append(ForeignMap(name, cells, split))
+    what = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
+    tell_free(found, what, "--images.invert")
+    if unknown and not invert and threshold * 255 < _UNKNOWN:
+        found.notes.append(
+            f"{unknown} free pixels are of grey {_UNKNOWN}, which robots' maps write where nothing "
+            "is known: import the .yaml, or say --images.threshold 0.85"
+        )
     return found
 
 
-def _grids(
-    path: Path, limits: Limits, threshold: float, size: tuple[int, int] | None, crop: bool
-) -> Bytes:
-    """Return the grids of a file, (N, H, W); a picture is one."""
-    if path.suffix.lower() in ARRAYS:
-        grids = _stack(path, limits, threshold)
-        if size is None or grids.shape[1:] == size:
-            return grids
-        # scaled as pictures are: a cell is occupied where half of what it covers is
-        return np.stack([_fit(255 * grid, size, crop) for grid in grids]) // 128
+def tell_free(found: Collection, what: str, otherwise: str) -> None:
+    """Note what was taken for free, how much it is, and maps whose border is mostly free.
+
+    A map's border is nearly always occupied: a free one means that free and occupied are mixed up.
+
+    Args:
+        found: the maps that were read.
+        what: what their source shows free cells as.
+        otherwise: the option that reads them the other way round.
+    """
+    shares = []
+    inverted = []
+    for one in found.maps:
+        grid = one.grid
+        shares.append(1 - grid.mean())
+        border = np.concatenate((grid[0], grid[-1], grid[:, 0], grid[:, -1]))
+        if border.mean() < 0.5:
+            inverted.append(one.name)
+    if shares:
+        found.notes.append(f"{what} were taken for free: {np.mean(shares):.1%} of a map")
+    if inverted:
+        found.notes.append(
+            f"the border of {len(inverted)} of {len(shares)} maps is mostly free ({inverted[0]}), "
+            f"as if free and occupied were mixed up: {otherwise} reads them otherwise"
+        )
+
+
+def _grey(path: Path, limits: Limits, threshold: float) -> Bytes:
+    """Return the `brightness` of a picture."""
     grey = brightness(read_pixels(path, limits))
     if 0 < grey.max() <= threshold * 255:
         # a mask of 0 and 1, which looks black and would be occupied everywhere
         what = f"its brightest pixel is {grey.max()} of 255"
         raise FormatError(f"{path}: {what}, nothing is above --images.threshold {threshold}")
-    if size is not None:
-        grey = _fit(grey, size, crop)
-    return np.asarray(grey <= threshold * 255, np.uint8)[None]
+    return grey
 
 
 def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
@@ -251,21 +280,22 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
                 f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
             )
         values = archive[names[0]]
-    if values.ndim == 4 and values.shape[1] == 1:
-        values = values[:, 0]
-    if values.ndim not in (2, 3) or 0 in values.shape:
+    has_channel = values.ndim == 4 and values.shape[1] == 1
+    if not (values.ndim in (2, 3) or has_channel) or 0 in values.shape:
         raise FormatError(
             f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
         )
-    _check_size(path, values.shape[-2], values.shape[-1], limits)
-    grids = occupancy(values, str(path), threshold)
-    return grids if grids.ndim == 3 else grids[None]
+    rows, columns = values.shape[-2:]
+    _check_size(path, rows, columns, limits)
+    return occupancy(values, str(path), threshold).reshape(-1, rows, columns)
 
 
-def _fit(grey: Bytes, size: tuple[int, int], crop: bool) -> Bytes:
-    """Return ``grey``, (H, W), brought to ``size``: its middle if ``crop``, else scaled."""
+def _fit(grey: Bytes, size: tuple[int, int] | None, fit: str | None) -> Bytes:
+    """Return ``grey``, (H, W), brought to ``size``: its middle under "crop", else scaled."""
+    if size is None:
+        return grey
     rows, columns = size
-    if not crop:
+    if fit != "crop":
         return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
     if grey.shape[0] < rows or grey.shape[1] < columns:
         raise FormatError(

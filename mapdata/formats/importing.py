@@ -18,6 +18,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.leaks import separate
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
@@ -93,6 +94,7 @@ def import_maps(
     splits: tuple[float, float, float] = (0.8, 0.1, 0.1),
     tile: tuple[int, int] | None = None,
     shard_size: int | None = None,
+    drop_leaks: bool = False,
     progress: bool = False,
 ) -> list[Imported]:
     """Make a dataset of the grids of ``source`` under ``root``.
@@ -113,6 +115,7 @@ def import_maps(
         tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
             edges is dropped.
         shard_size: maps per shard; default 1000, less for large maps.
+        drop_leaks: leave out maps that stand in a later split too, turned or not.
         progress: show a progress bar.
 
     Raises:
@@ -144,6 +147,9 @@ def import_maps(
             why = f": {name}: {reason}"
         raise ValueError(f"no map to import{why}")
     folders = _folders(root, list(groups))
+    for group, maps in groups.items():
+        ordered = _ordered(maps, source)
+        groups[group] = separate(ordered, seed, splits, drop_leaks, source.notes)
     draws = Draws(seed_points, seed, splits)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
@@ -159,8 +165,7 @@ def import_maps(
                 movement=movement,
                 resolution=metres,
             )
-            ordered = _ordered(maps, source)
-            made.append(_write(folders[group], wanted, ordered, draws, advance, pool))
+            made.append(_write(folders[group], wanted, maps, draws, advance, pool))
     return made
 
 

@@ -3,10 +3,11 @@
 Source: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", 2012,
 https://movingai.com/benchmarks/formats.html.
 
-A move joins two cells of land (`.`, `G` and swamp `S`) or two of water (`W`); `@`, `O`, `T` are
-blocked. So land is one binary grid and water another, and both are exact: nothing leads from one to
-the other. A dataset holds the land; `check_scen` takes the one that a problem starts in. The
-benchmark's rule: 8-connected, a diagonal costs sqrt 2 and needs both orthogonal cells passable.
+A move joins two cells of land (`.`, `G` and swamp `S`), two of water (`W`) or two of trees (`T`);
+`@` and `O` are blocked. So land, water and trees are three binary grids, and all are exact: nothing
+leads from one to another. A dataset holds the land; `check_scen` takes the one that a problem
+starts in. The benchmark's rule: 8-connected, a diagonal costs sqrt 2 and needs both orthogonal
+cells passable.
 
 A line of a .scen: bucket, map, width, height, start x, start y, goal x, goal y, optimal length; x
 is the column. Files of the first version have spaces, no line `version` and no sizes. Length 0
@@ -18,21 +19,30 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
+from mapdata.formats.files import (
+    LIMITS,
+    FormatError,
+    Limits,
+    files_of,
+    map_files,
+    read_text,
+    split_of,
+)
 from mapdata.formats.registry import Format
 from mapdata.search.api import search_batch
-from mapdata.search.lattice import MAX_CELLS
 from mapdata.shards.root import Root
-from mapdata.spec import MAX_ROOMS, SPLITS, Movement
+from mapdata.shards.workers import bar
+from mapdata.spec import MAX_ROOMS, Movement
 
 Cell: TypeAlias = tuple[int, int]
 
@@ -40,8 +50,17 @@ MOVEMENT = Movement(8)
 """The benchmark's rule."""
 
 LAND = ".GS"
-WATER = "W"
-BLOCKED = "@OT"
+BLOCKED = "@O"
+
+_LINE = re.compile(
+    r"(\d{1,9}) (.+?)(?: (?P<width>\d{1,9}) (\d{1,9}))?"  # bucket, map and its size
+    r" (\d{1,9}) (\d{1,9}) (\d{1,9}) (\d{1,9}) (\d+(?:\.\d*)?)",  # start, goal, length
+    re.ASCII,
+)
+"""A line of a .scen, its fields with one space between them."""
+
+_ISLANDS = {"W": "water", "T": "trees"}
+"""What can be walked on, but neither entered from land nor left for it."""
 
 
 class Problem(NamedTuple):
@@ -89,7 +108,7 @@ def read_terrain(path: str | Path, limits: Limits = LIMITS) -> Bytes:
         what = f"{len(body[k])} letters" if k < len(body) else "missing"
         raise FormatError(f"{path}: row {k} is {what}, expected {columns} letters ({rows} rows)")
     text = "".join(body)
-    known = LAND + WATER + BLOCKED
+    known = LAND + "".join(_ISLANDS) + BLOCKED
     unknown = set(text) - set(known)
     if unknown:
         raise FormatError(
@@ -102,13 +121,13 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
     """Return the number of the first row's line, and the sides that the lines above it state."""
     sides: dict[str, int] = {}
     for number, line in enumerate(lines[:20]):
-        words = line.lower().split()
-        if words == ["map"]:
+        words = " ".join(line.lower().split())
+        if words == "map":
             return number + 1, sides
-        is_side = len(words) == 2 and words[0] in ("height", "width")
-        if is_side and words[1].isascii() and words[1].isdigit():
-            sides[words[0]] = int(words[1][:10])  # ten digits are too large for any limit
-        elif words and words[0] != "type":
+        match = re.fullmatch(r"(height|width) ([0-9]{1,10})", words)
+        if match is not None:
+            sides[match[1]] = int(match[2])
+        elif words and not words.startswith("type"):
             raise FormatError(
                 f"{path}: line {number + 1} is {line[:40]!r}, expected type, height, width or map"
             )
@@ -117,7 +136,7 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
 
 def world(terrain: Bytes, letters: str = LAND) -> Bytes:
     """Return a grid, (H, W) uint8, in which only cells of these letters are free."""
-    return np.asarray(~np.isin(terrain, np.frombuffer(letters.encode(), np.uint8)), np.uint8)
+    return np.asarray(~np.isin(terrain, list(letters.encode())), np.uint8)
 
 
 def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
@@ -128,19 +147,16 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
     """
     path = Path(path)
     problems: list[Problem] = []
-    after_gap = False
-    for number, line in enumerate(read_text(path, limits).split("\n"), 1):
+    lines = read_text(path, limits).split("\n")
+    for number, line in enumerate(lines, 1):
         words = line.split()
-        if not words:
-            after_gap = True
+        is_version = words[:1] == ["version"] and not problems
+        if not words or is_version:
             continue
-        if words[0] == "version" and not problems:
-            after_gap = False
-            continue
-        if after_gap and problems and not words[0].isdecimal():
+        is_after_gap = not lines[number - 2].strip()
+        if problems and is_after_gap and not words[0].isdecimal():
             break  # a citation ends the file
         problems.append(_problem(line, number, path))
-        after_gap = False
     lengths = [problem.length for problem in problems]
     decimals = {len(length.partition(".")[2]) for length in lengths}
     has_last_zero = any(re.search(r"\.\d*0$", length) for length in lengths)
@@ -155,33 +171,20 @@ def _problem(line: str, number: int, path: Path) -> Problem:
         raise FormatError(
             f"{path}: line {number} has {len(words)} fields, expected 9 (or 7 in the old form)"
         )
-    # The name may have spaces, so numbers are counted from the end: 7 of them with sizes, else 5.
-    numeric = 5 if len(words) == 7 else 7
-    try:
-        bucket = int(words[0])
-        values = [int(word) for word in words[-numeric:-1]]
-        length = Decimal(words[-1])
-    except (ValueError, InvalidOperation):
+    match = _LINE.fullmatch(" ".join(words))
+    if match is None:
         raise FormatError(
-            f"{path}: line {number} is {line[:60]!r}, expected numbers around the map"
-        ) from None
-    is_plain = length.is_finite() and int(length.as_tuple().exponent) <= 9
-    if not is_plain or length < 0 or min(bucket, *values) < 0:
-        raise FormatError(
-            f"{path}: line {number}: expected numbers of at least 0, as people write them"
+            f"{path}: line {number} is {line[:60]!r}, expected numbers of at least 0 around the map"
         )
-    *sides, x, y, goal_x, goal_y = values
-    size = None
-    if sides:
-        columns, rows = sides
-        size = (rows, columns)
+    bucket, name, *sides, length = match.groups()
+    columns, rows, x, y, goal_x, goal_y = [int(side or 0) for side in sides]
     return Problem(
-        bucket=bucket,
-        map=" ".join(words[1:-numeric]),
-        size=size,
+        bucket=int(bucket),
+        map=name,
+        size=(rows, columns) if match["width"] else None,
         start=(y, x),
         goal=(goal_y, goal_x),
-        length=words[-1],
+        length=length,
         line=number,
         unit=math.nan,
     )
@@ -196,11 +199,11 @@ def _unit(length: str, is_fixed: bool) -> float:
             459.10. Else they have six significant digits, so that 440.72 stands for 440.720, or all
             digits of a double.
     """
-    number = Decimal(length)
-    exponent = int(number.as_tuple().exponent)
+    whole, _, decimals = length.partition(".")
+    places = len(decimals)
     if not is_fixed:
-        exponent = min(exponent, number.adjusted() - 5)
-    return float(10.0**exponent)
+        places = max(places, 6 - len(whole))
+    return float(10.0**-places)
 
 
 @dataclass
@@ -210,25 +213,34 @@ class ScenReport:
     Attributes:
         path: the file.
         total: number of problems.
-        agreed: how many lengths our A* reproduces, as exactly as they are printed.
-        disagreements: a line for each other problem.
+        disagreements: a line for each length that our A* does not reproduce as exactly as printed.
     """
 
     path: Path
-    total: int = 0
-    agreed: int = 0
+    total: int
     disagreements: list[str] = field(default_factory=list)
+
+    @property
+    def agreed(self) -> int:
+        """How many lengths our A* reproduces."""
+        return self.total - len(self.disagreements)
+
+
+_AT_A_TIME = 256
+"""Problems that are solved between two steps of a progress bar."""
 
 
 def check_scen(
-    path: str | Path, maps: str | Path | None = None, limits: Limits = LIMITS
+    path: str | Path,
+    maps: str | Path | None = None,
+    limits: Limits = LIMITS,
 ) -> ScenReport:
     """Compare the optimal lengths of a .scen with those that A* finds under the benchmark's rule.
 
     Args:
         path: the .scen file.
         maps: folder of the maps; default beside the .scen.
-        limits: of what is read.
+        limits: of what is read, and whether a progress bar shows it.
 
     Raises:
         FormatError: a file that cannot be read, a map that is missing or has another size than the
@@ -236,7 +248,7 @@ def check_scen(
     """
     path = Path(path)
     terrains: dict[str, Bytes] = {}
-    # problems of one map and of one side of its shores are solved together
+    # problems of one map and one world are solved together
     groups: dict[tuple[str, str], list[Problem]] = {}
     all_problems = read_scen(path, limits)
     if not all_problems:
@@ -246,65 +258,69 @@ def check_scen(
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
         terrain = terrains[problem.map]
         _check_cells(problem, terrain, path)
-        letters = WATER if chr(terrain[problem.start]) == WATER else LAND
+        letter = chr(terrain[problem.start])
+        letters = letter if letter in _ISLANDS else LAND
         groups.setdefault((problem.map, letters), []).append(problem)
-    report = ScenReport(path)
-    for (name, letters), problems in groups.items():
-        lengths = _solve(world(terrains[name], letters), problems)
-        for problem, found in zip(problems, lengths, strict=True):
-            report.total += 1
-            if agrees(problem, found):
-                report.agreed += 1
-                continue
-            ours = "no path" if found < 0 else f"{found:.8f}"
-            report.disagreements.append(
-                f"{path}: line {problem.line}: {problem.start} to {problem.goal}: says "
-                f"{problem.length}, found {ours}"
-            )
+    report = ScenReport(path, len(all_problems))
+    is_long = report.total > _AT_A_TIME
+    with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
+        for (name, letters), problems in groups.items():
+            grid = world(terrains[name], letters)
+            for first in range(0, len(problems), _AT_A_TIME):
+                part = problems[first : first + _AT_A_TIME]
+                starts = np.array([problem.start for problem in part])
+                goals = np.array([problem.goal for problem in part])
+                lengths = _lengths(grid, starts, goals).tolist()
+                for problem, found in zip(part, lengths, strict=True):
+                    if not agrees(problem, found):
+                        ours = "no path" if found < 0 else f"{found:.8f}"
+                        report.disagreements.append(
+                            f"{path}: line {problem.line}: {problem.start} to {problem.goal}: "
+                            f"says {problem.length}, found {ours}"
+                        )
+                advance(len(part))
     return report
 
 
 def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
-    """Refuse a problem that does not fit on its map, and a map that is too large to be searched."""
+    """Refuse a problem that does not fit on its map."""
     if problem.size not in (None, terrain.shape):
         raise FormatError(
             f"{path}: line {problem.line} says {problem.size}, the map has {terrain.shape} rows, "
             "columns"
         )
-    for row, column in (problem.start, problem.goal):
-        if row >= terrain.shape[0] or column >= terrain.shape[1]:
+    for cell in (problem.start, problem.goal):
+        if np.greater_equal(cell, terrain.shape).any():
             raise FormatError(
-                f"{path}: line {problem.line}: {(row, column)} is outside the map of "
-                f"{terrain.shape}"
+                f"{path}: line {problem.line}: {cell} is outside the map of {terrain.shape}"
             )
-    if terrain.size > MAX_CELLS:
-        raise FormatError(f"{path}: the map has {terrain.size} cells, expected at most {MAX_CELLS}")
 
 
-def _solve(grid: Bytes, problems: list[Problem]) -> list[float]:
-    """Return the optimal length of each problem, -1 without a path."""
-    starts = np.array([problem.start for problem in problems])
-    goals = np.array([problem.goal for problem in problems])
-    lengths = np.full(len(problems), -1.0)
+def _lengths(grid: Bytes, starts: Ints, goals: Ints) -> Floats:
+    """Return the optimal length from each start to its goal, both (N, 2); -1 without a path."""
+    lengths = np.full(len(starts), -1.0)
     # an end on a blocked cell is a problem without a path here, an error to a search
     is_free = (grid[tuple(starts.T)] == 0) & (grid[tuple(goals.T)] == 0)
     if is_free.any():
-        found = search_batch("astar", grid, starts[is_free], goals[is_free], MOVEMENT)
-        lengths[is_free] = found.cost
-    return [float(length) for length in lengths]
+        batch = search_batch("astar", grid, starts[is_free], goals[is_free], MOVEMENT)
+        lengths[is_free] = batch.cost
+    return lengths
 
 
 def agrees(problem: Problem, found: float) -> bool:
     """Return whether an optimal length (-1: no path) is what a .scen prints, up to its last digit.
 
-    The benchmark's own files count a diagonal as 1.414213562: their last decimals are a bit less.
+    The benchmark's own files count a diagonal as 1.414213562, and those of six significant digits
+    as 1.41421354, sqrt 2 in float32: their last decimals are a bit less.
     """
     stated = float(problem.length)
     if found < 0:
         return stated == 0 and problem.start != problem.goal
     if stated == 0:
         return problem.start == problem.goal
-    least = found * (1.414213562 / math.sqrt(2))  # if all steps are diagonal
+    is_short = len(problem.length.replace(".", "")) <= 6
+    diagonal = 1.41421354 if is_short else 1.414213562
+    least = found * (diagonal / math.sqrt(2))  # if all steps are diagonal
     # half a unit for rounding, a bit more for the errors of floating point
     slack = 0.5 * problem.unit * (1 + 1e-9) + 1e-12 * found
     return least - slack <= stated <= found + slack
@@ -353,33 +369,32 @@ def read(
         seed_points: how many of these end points at most.
     """
     found = Collection(movement=MOVEMENT)
-    folder = source if source.is_dir() else source.parent
+    points: Iterable[tuple[Path, list[Cell]]]
     if scen or source.suffix.lower() == ".scen":
-        points = _end_points(source, limits, maps, found)
+        points = _end_points(source, limits, maps, found).items()
     else:
-        points = {path: [] for path in files_of(source, (".map",), limits, found.left_out)}
-    water = 0
-    for path, ends in points.items():
+        paths = files_of(source, (".map",), limits, found.left_out)
+        points = ((path, []) for path in paths)
+    closed: Counter[str] = Counter()
+    for path, ends in points:
         with found.leaving_out(path):
             terrain = read_terrain(path, limits)
             grid = world(terrain)
-            water += int((terrain == ord(WATER)).sum())
-            rows, columns = grid.shape
-            free = []
-            for cell in dict.fromkeys(ends):  # each once
-                row, column = cell
-                if row < rows and column < columns and not grid[cell]:
-                    free.append(cell)
-            split = split_of(path, folder) if path.is_relative_to(folder) else None
-            chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)
+            for letter in _ISLANDS:
+                closed[letter] += int((terrain == ord(letter)).sum())
+            cells = np.array(list(dict.fromkeys(ends)), np.int64).reshape(-1, 2)  # each once
+            cells = cells[(cells < grid.shape).all(axis=1)]
+            is_free = grid[tuple(cells.T)] == 0
+            chosen = cells[is_free][:seed_points]
+            split = split_of(path, source)
             known = len(chosen) > 1  # else the import draws the others
             found.maps.append(
                 ForeignMap(str(path), grid, split, seed_points=chosen, rooms_known=known)
             )
-    if water:
-        found.notes.append(
-            f"{water} cells of water (W) are occupied: nothing leads there from land"
-        )
+    for letter, name in _ISLANDS.items():
+        if closed[letter]:
+            what = f"{closed[letter]} cells of {name} ({letter}) are occupied"
+            found.notes.append(f"{what}: nothing leads there from land")
     return found
 
 
@@ -409,19 +424,14 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Returns:
         Notes for the user.
     """
-    for labels in root.labels(progress=progress):
-        maps = labels.maps
-        rows, columns = maps.occupancy.shape[1:]
-        for k, grid in enumerate(maps.occupancy):
-            folder = target / SPLITS[maps.split[k]]
-            folder.mkdir(parents=True, exist_ok=True)
-            name = f"map{maps.index[k]}.map"
-            letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
-            body = "\n".join(row.tobytes().decode() for row in letters)
-            text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
-            (folder / name).write_text(text, newline="\n")
-            scen = _scen(name, grid, maps.seed_points[k, : maps.rooms[k]])
-            (folder / f"{name}.scen").write_text(scen, newline="\n")
+    rows, columns = root.map_size
+    for path, grid, maps, k in map_files(target, root, progress):
+        letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
+        body = "\n".join(row.tobytes().decode() for row in letters)
+        text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
+        path.with_suffix(".map").write_text(text, newline="\n")
+        scen = _scen(f"{path.name}.map", grid, maps.seed_points[k, : maps.rooms[k]])
+        path.with_suffix(".map.scen").write_text(scen, newline="\n")
     return [
         "lengths in the .scen files are 8-connected without corner cutting, the benchmark's rule"
     ]
@@ -434,14 +444,13 @@ def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     starts = seed_points[first]
     goals = seed_points[second]
     lines = ["version 1"]
-    if len(first):
-        costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost
-        for start, goal, cost in zip(starts.tolist(), goals.tolist(), costs.tolist(), strict=True):
-            length = max(cost, 0.0)  # 0 stands for no path
-            bucket = math.floor(length / 4)
-            cells = (*start[::-1], *goal[::-1])  # x and y
-            words = (bucket, name, width, height, *cells, f"{length:.8f}")
-            lines.append("\t".join(map(str, words)))
+    found = _lengths(grid, starts, goals).tolist()
+    for start, goal, cost in zip(starts.tolist(), goals.tolist(), found, strict=True):
+        length = max(cost, 0.0)  # 0 stands for no path
+        bucket = math.floor(length / 4)
+        cells = (*start[::-1], *goal[::-1])  # x and y
+        words = (bucket, name, width, height, *cells, f"{length:.8f}")
+        lines.append("\t".join(map(str, words)))
     return "\n".join(lines) + "\n"
 
 

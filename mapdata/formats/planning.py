@@ -20,16 +20,17 @@ export.
 
 from __future__ import annotations
 
+import shutil
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import ExitStack, nullcontext
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import numpy as np
-from tqdm.auto import tqdm
 
-from mapdata.arrays import Bytes, Flags, Float32s
+from mapdata.arrays import Bytes, Float32s
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, Array, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.registry import Format
@@ -81,16 +82,15 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
 def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
     """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``."""
     archive = Npz(path, limits)
-    names_of = [[f"arr_{4 * code + k}" for k in range(4)] for code in range(len(SPLITS))]
-    splits = [
-        code for code, names in enumerate(names_of) if not archive.shapes.keys().isdisjoint(names)
-    ]
-    if not splits:
+    all_names = [f"arr_{number}" for number in range(4 * len(SPLITS))]
+    if archive.shapes.keys().isdisjoint(all_names):
         raise FormatError(
             f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11"
         )
-    for code in splits:
-        names = names_of[code]
+    for code, split in enumerate(SPLITS):
+        names = all_names[4 * code : 4 * code + 4]
+        if archive.shapes.keys().isdisjoint(names):
+            continue
         free = archive[names[0]]
         if free.ndim == 4 and free.shape[1] == 1:
             free = free[:, 0]
@@ -104,7 +104,7 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
             if array.shape != expected:
                 raise FormatError(f"{path}: {name} has shape {array.shape}, expected {expected}")
         for k, grid in enumerate(grids):
-            name = f"{path}: {SPLITS[code]} {k}"
+            name = f"{path}: {split} {k}"
             cells = np.argwhere(goals[k, 0] == 1)
             if len(cells) != 1 or np.count_nonzero(goals[k]) != 1 or grid[tuple(cells[0])]:
                 found.left_out.append((name, "its goal is not one free cell"))
@@ -123,12 +123,8 @@ def policy(values: Float32s) -> Bytes:
     """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=-np.inf)
-    neighbours = []
-    for down, right in ACTIONS:
-        # the map moved by one step: in each cell stands the value of its neighbour
-        top = 1 + down
-        left = 1 + right
-        neighbours.append(padded[top : top + rows, left : left + columns])
+    # the map moved by one step: in each cell stands the value of its neighbour
+    neighbours = [padded[1 + r : 1 + r + rows, 1 + c : 1 + c + columns] for r, c in ACTIONS]
     best = np.argmax(np.stack(neighbours), axis=0)
     return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
 
@@ -146,8 +142,8 @@ def has_starts(values: Float32s) -> bool:
 def write(target: Path, root: Root, progress: bool) -> list[str]:
     """Write an .npz that neural-astar's ``create_dataloader`` reads.
 
-    The goal is the first seed point of each map. The arrays go to disk a shard at a time; maps and
-    actions are uint8, distances float32 (the loader converts).
+    The goal is the first seed point of each map. Maps and actions are uint8, distances float32 (the
+    loader converts).
 
     Args:
         target: file.
@@ -160,59 +156,46 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
-    # one array per shard: the split of each map, -1 if it is left out
-    splits = [np.where(_usable(grids, goals), split, -1) for grids, goals, split in _batches(root)]
-    counts = [sum(int((split == code).sum()) for split in splits) for code in range(len(SPLITS))]
-    if 0 in counts:
-        missing = SPLITS[counts.index(0)]
-        raise FormatError(
-            f"the split {missing!r} has no usable map, neural-astar's loader needs one"
-        )
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
-        for number in tqdm(range(12), unit=" arrays", leave=False, disable=not progress):
-            code, k = divmod(number, len(_ARRAYS))
-            middle, dtype, make = _ARRAYS[k]
-            shape = (counts[code], *middle, *root.map_size)
-            header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
-            # the date of a ZipInfo is fixed: equal content gives equal bytes
-            info = zipfile.ZipInfo(f"arr_{number}.npy")
-            info.compress_type = zipfile.ZIP_DEFLATED
-            with archive.open(info, "w", force_zip64=True) as member:
-                np.lib.format.write_array_header_1_0(member, header)
-                # the shards are read once more for each array, so that none is held whole
-                for (grids, goals, _), split in zip(_batches(root), splits, strict=True):
-                    for i in np.flatnonzero(split == code):
-                        values = np.ascontiguousarray(make(grids[i], goals[i]), dtype)
-                        member.write(values.tobytes())
+    counts = [0] * len(SPLITS)
+    with ExitStack() as stack:
+        # The arrays wait in files, since no memory may hold them, and their headers are not known
+        # before all maps are counted.
+        folder = target.parent
+        parts = [stack.enter_context(TemporaryFile(dir=folder)) for _ in range(4 * len(SPLITS))]
+        for labels in root.labels(progress=progress):
+            maps = labels.maps
+            goals = maps.seed_points[:, 0]
+            for grid, goal, code in zip(maps.occupancy, goals, maps.split, strict=True):
+                arrays = _arrays(grid, goal)
+                if has_starts(arrays[3]):
+                    counts[code] += 1
+                    for k, array in enumerate(arrays):
+                        parts[4 * code + k].write(array.tobytes())
+        if 0 in counts:
+            missing = SPLITS[counts.index(0)]
+            raise FormatError(
+                f"the split {missing!r} has no usable map, neural-astar's loader needs one"
+            )
+        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
+            for number, part in enumerate(parts):
+                code, k = divmod(number, 4)
+                shape = (counts[code], *arrays[k].shape)
+                header = {"descr": arrays[k].dtype.str, "fortran_order": False, "shape": shape}
+                # its date is always that of the first zip: equal content gives equal bytes
+                with archive.open(f"arr_{number}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array_header_1_0(member, header)
+                    part.seek(0)
+                    shutil.copyfileobj(part, member)
     left = root.maps - sum(counts)
     return [f"{left} maps are left out: the loader finds no start on them"] if left else []
 
 
-def _one_hot(grid: Bytes, goal: Array) -> Bytes:
-    out = np.zeros(grid.shape, np.uint8)
-    out[tuple(goal)] = 1
-    return out
-
-
-_ARRAYS: tuple[tuple[tuple[int, ...], str, Callable[[Bytes, Array], Array]], ...] = (
-    ((), "u1", lambda grid, goal: 1 - grid),
-    ((1,), "u1", _one_hot),
-    ((8, 1), "u1", lambda grid, goal: policy(hops(grid, goal))),
-    ((1,), "<f4", hops),
-)
-"""The four arrays of a split: axes between N and H, type, and what makes one of grid and goal."""
-
-
-def _batches(root: Root) -> Iterator[tuple[Bytes, Array, Bytes]]:
-    """Yield grids, goals and splits of each shard."""
-    for labels in root.labels():
-        yield labels.maps.occupancy, labels.maps.seed_points[:, 0], labels.maps.split
-
-
-def _usable(grids: Bytes, goals: Array) -> Flags:
-    """Return, for each map, whether the loader finds starts on it."""
-    usable = [has_starts(hops(grid, goal)) for grid, goal in zip(grids, goals, strict=True)]
-    return np.array(usable, np.bool_)
+def _arrays(grid: Bytes, goal: Array) -> tuple[Array, ...]:
+    """Return the four arrays of a map, as the table above has them, without their axis N."""
+    values = hops(grid, goal)
+    goals = np.zeros((1, *grid.shape), np.uint8)
+    goals[(0, *goal)] = 1
+    return 1 - grid, goals, policy(values)[:, None], values[None]
 
 
 FORMAT = Format(

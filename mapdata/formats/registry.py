@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import FormatError, Limits, empty_target, walk
+from mapdata.formats.files import FormatError, Limits, walk
 from mapdata.options import options_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
@@ -59,8 +59,7 @@ def register(one: Format) -> None:
 
 def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
     """Return what reads, or what writes, by the name of the format."""
-    found = {name: getattr(one, what) for name, one in FORMATS.items()}
-    return {name: function for name, function in found.items() if function is not None}
+    return {name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what)}
 
 
 def recognise(source: StrPath) -> str:
@@ -75,7 +74,7 @@ def recognise(source: StrPath) -> str:
         raise FormatError(f"{source}: no such file or folder")
     endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
     owners: dict[Path, Format] = {}
-    for path in walk(source, endings) if source.is_dir() else [source]:
+    for path in walk(source, endings, Limits(), []) if source.is_dir() else [source]:
         for one in FORMATS.values():
             if path.suffix.lower() in one.endings and one.is_mine(path):
                 owners[path] = one
@@ -101,7 +100,7 @@ def read_any(
     Args:
         source: file or folder.
         kind: name of a format that can be read; default what `recognise` says.
-        limits: of what is read.
+        limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``read``.
 
     Raises:
@@ -148,7 +147,9 @@ def export(
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
     source = Root.open(root, complete=True)
-    empty_target(target)
+    is_empty = target.is_dir() and not any(target.iterdir())
+    if target.exists() and not is_empty:
+        raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{os.getpid()}-{target.name}")
     try:

@@ -29,11 +29,18 @@ from PIL import Image
 
 from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, FormatError, Limits, files_of, read_text, split_of
-from mapdata.formats.images import PICTURES, Pixels, read_pixels
+from mapdata.formats.files import (
+    LIMITS,
+    FormatError,
+    Limits,
+    files_of,
+    map_files,
+    read_text,
+    split_of,
+)
+from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.shards.root import Root
-from mapdata.spec import SPLITS
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
@@ -115,11 +122,10 @@ def _fields(path: Path) -> dict[str, Any]:
     try:
         fields = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
-        first_line, *_ = str(error).splitlines() or [repr(error)]
-        raise FormatError(f"{path}: not plain YAML ({first_line})") from None
+        raise FormatError(f"{path}: not plain YAML ({error})") from None
     if not isinstance(fields, dict) or "image" not in fields:
         raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
-    return {str(name): value for name, value in fields.items() if isinstance(name, str)}
+    return fields
 
 
 def _number(path: Path, fields: dict[str, Any], name: str) -> float:
@@ -219,7 +225,10 @@ def _unknown(cells: Int8s) -> Flags:
 
 
 def read(
-    source: Path, limits: Limits = LIMITS, *, unknown: Literal["occupied", "free"] | None = None
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    unknown: Literal["occupied", "free"] | None = None,
 ) -> Collection:
     """Read the map of a .yaml file, or all below a folder.
 
@@ -229,19 +238,17 @@ def read(
         unknown: what unknown cells become; without it, maps with such cells are left out.
     """
     found = Collection()
-    folder = source if source.is_dir() else source.parent
-    cells = 0
-    unknowns = 0
+    unknowns = []
     for path in files_of(source, ENDINGS, limits, found.left_out):
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
-            cells += one.cells.size
-            unknowns += int(_unknown(one.cells).sum())
-            found.maps.append(ForeignMap(str(path), grid, split_of(path, folder), one.resolution))
-    if unknowns:
+            unknowns.append(_unknown(one.cells).mean())
+            found.maps.append(ForeignMap(str(path), grid, split_of(path, source), one.resolution))
+    tell_free(found, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,")
+    if any(unknowns):
         found.notes.append(
-            f"{unknowns / cells:.1%} of the cells were unknown and are now {unknown}"
+            f"{np.mean(unknowns):.1%} of the cells were unknown and are now {unknown}"
         )
     return found
 
@@ -260,23 +267,15 @@ def write(
     Returns:
         Notes for the user.
     """
-    for labels in root.labels(progress=progress):
-        maps = labels.maps
-        for k, grid in enumerate(maps.occupancy):
-            folder = target / SPLITS[maps.split[k]]
-            name = f"map{maps.index[k]}"
-            folder.mkdir(parents=True, exist_ok=True)
-            pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
-            if image == "pgm":
-                header = f"P5\n{grid.shape[1]} {grid.shape[0]}\n255\n".encode()
-                (folder / f"{name}.pgm").write_bytes(header + pixels.tobytes())
-            else:
-                Image.fromarray(pixels).save(folder / f"{name}.{image}")
-            (folder / f"{name}.yaml").write_text(
-                f"image: {name}.{image}\nmode: trinary\nresolution: {root.resolution!r}\n"
-                "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
-                newline="\n",
-            )
+    for path, grid, _, _ in map_files(target, root, progress):
+        pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
+        picture = path.with_suffix(f".{image}")
+        Image.fromarray(pixels).save(picture)
+        path.with_suffix(".yaml").write_text(
+            f"image: {picture.name}\nmode: trinary\nresolution: {root.resolution!r}\n"
+            "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+            newline="\n",
+        )
     return ["rooms and labels are not in this format: pictures, resolution and splits are"]
 
 

@@ -96,7 +96,7 @@ class DatasetStatistics:
         """
         if self.digests is None:
             raise ValueError("repeats: not counted; use dataset_statistics(root, repeats=True)")
-        exact, symmetric = (_repeats(digests, self.split) for digests in self.digests)
+        exact, symmetric = (count_repeats(digests, self.split) for digests in self.digests)
         return exact, symmetric
 
     def distributions(self) -> dict[str, Floats]:
@@ -222,10 +222,14 @@ def _grid_columns(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
         grids = np.unpackbits(octets[part], axis=2, count=maps.columns, bitorder="little")
         free[part] = 1 - grids.mean(axis=(1, 2))
         if hashes:
-            images = [_digest(image) for image in _images(grids)]
-            exact[part] = images[0]
-            symmetric[part] = _least(images)
+            exact[part], symmetric[part] = digests_of(grids)
     return free, exact, symmetric
+
+
+def digests_of(grids: Bytes) -> tuple[Bytes, Bytes]:
+    """Return two digests of each of (N, H, W) grids, (N, 16): exact, and up to its symmetries."""
+    images = [_digest(image) for image in _images(grids)]
+    return images[0], _least(images)
 
 
 def _least(digests: list[Bytes]) -> Bytes:
@@ -254,7 +258,7 @@ def _digest(grids: Bytes) -> Bytes:
     return np.frombuffer(b"".join(digests), np.uint8).reshape(len(grids), _DIGEST)
 
 
-def _repeats(digests: Bytes, split: Bytes) -> Repeats:
+def count_repeats(digests: Bytes, split: Bytes) -> Repeats:
     """Count equal digests, (N, 16), inside each split and between each two."""
     # one string of 16 bytes for each digest: numpy then compares whole digests
     keys = digests.view(f"S{_DIGEST}")[:, 0]

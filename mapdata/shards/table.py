@@ -17,7 +17,11 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
 
     The names are those of the lists in sections 3 and 4 of arXiv 2110.13242, with underscores;
     ``bfs`` or ``astar`` stands before what a search found. A path is the whole route, the cell
-    where two segments meet once; iterations are one number per segment.
+    where two segments meet once, and its iterations are those of all segments.
+
+    Not the paper's: ``segment_iterations``, one number per segment, and ``path_gaps``, for each
+    segment without a path the number of cells before it. There the line jumps, and
+    ``np.split(row_path, path_gaps)`` gives the pieces that can be walked.
     """
     maps = labels.maps
     rooms = int(maps.rooms[k])
@@ -43,10 +47,14 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
         "all_connected": bool(labels.all_connected[k]),
     }
     for search in SEARCHES:
-        cells = joined(labels.route(search, k))
+        route = labels.route(search, k)
+        iterations = labels.iterations(search, k)
+        cells = joined(route)
         row[f"{search}_row_path"] = cells[:, 0].tolist()
         row[f"{search}_column_path"] = cells[:, 1].tolist()
-        row[f"{search}_iterations"] = labels.iterations(search, k).tolist()
+        row[f"{search}_path_gaps"] = gaps(route)
+        row[f"{search}_iterations"] = int(iterations.sum())
+        row[f"{search}_segment_iterations"] = iterations.tolist()
         row[f"{search}_connection_matrix"] = labels.matrix(search, k).tolist()
     return row
 
@@ -71,3 +79,8 @@ def joined(route: list[Ints]) -> Ints:
     # no segment stays on a cell, so a cell that repeats the one before it is a joint
     kept[1:] = (cells[1:] != cells[:-1]).any(axis=1)
     return cells[kept]
+
+
+def gaps(route: list[Ints]) -> list[int]:
+    """Return, for each segment without a path, how many cells of the `joined` line precede it."""
+    return [len(joined(route[:q])) for q, segment in enumerate(route) if len(segment) == 0]

@@ -584,7 +584,9 @@ def test_table(roots: dict[str, str]) -> None:
                     list(zip(row[f"{search} row path"], row[f"{search} column path"], strict=True))
                     == path
                 )
-                assert row[f"{search} iterations"] == labels.iterations(search, i).tolist()
+                segments = labels.iterations(search, i).tolist()
+                assert row[f"{search} segment iterations"] == segments
+                assert row[f"{search} iterations"] == sum(segments)
                 assert row[f"{search} connection matrix"] == labels.matrix(search, i).tolist()
             first, last = maps.segment_offsets[i : i + 2]
             assert row["reachable"] == labels.reachable[first:last].tolist()

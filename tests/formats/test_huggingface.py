@@ -49,7 +49,11 @@ def test_the_real_library_opens_it(
                 cells = joined(batch.route(search, k))
                 assert row[f"{search}_row_path"] == cells[:, 0].tolist()
                 assert row[f"{search}_column_path"] == cells[:, 1].tolist()
-                assert row[f"{search}_iterations"] == batch.iterations(search, k).tolist()
+                segments = batch.iterations(search, k)
+                assert row[f"{search}_iterations"] == segments.sum()
+                assert row[f"{search}_segment_iterations"] == segments.tolist()
+                reachable = row["reachable"]
+                assert len(row[f"{search}_path_gaps"]) == reachable.count(False)
                 assert np.allclose(row[f"{search}_connection_matrix"], batch.matrix(search, k))
     assert seen == 24
     stacked = found["train"].with_format("numpy")[:3]["map"]

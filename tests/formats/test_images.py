@@ -98,7 +98,7 @@ def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
     assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
     assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural)[:2] == ["a9", "a9b"]
     with pytest.raises(FormatError, match="more than 3 files"):
-        walk(tmp_path, (".png",), Limits(files=3))
+        walk(tmp_path, (".png",), Limits(files=3), [])
 
 
 def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def hostile(folder: Path) -> dict[str, str]:
         ),
         "lie.pgm": (b"P5 1000 1000 255\nx", "has 1 bytes of pixels"),
         "pickle.npy": (npy((1,), b"\x80\x04N.", "|O"), "pickled objects are never opened"),
-        "lie.npy": (npy((2**20, 2**20), b""), "but has"),
+        "lie.npy": (npy((2**20, 2**20), b""), "not an array of numbers"),
         "nan.npy": (npy((1, 2), np.array([0, np.nan]).tobytes(), "<f8"), "expected 0 to 1"),
         "grey.npy": (npy((1, 2), b"\0\xff"), "holds values from 0 to 255, expected 0 to 1"),
         "flat.npy": (npy((4,), bytes(4)), "expected (H, W), (N, H, W) or (N, 1, H, W)"),
@@ -286,3 +286,59 @@ def test_stacks_with_a_channel(tmp_path: Path) -> None:
     assert read(tmp_path, Limits(pixels=11)).maps == []
     np.savez(tmp_path / "a.npz", maps=np.zeros((3, 2, 4, 4)))
     assert read(tmp_path).maps == []
+
+
+ROOM: Bytes = np.pad(np.zeros((4, 6), np.uint8), 1, constant_values=1)
+
+
+@pytest.mark.parametrize("ending", ["png", "bmp", "npy"])
+def test_what_was_taken_for_free_is_told(ending: str, tmp_path: Path) -> None:
+    """The free share and what is free; of inverted maps, which have a free border, how to read
+    them.
+    """
+
+    def notes(cells: Bytes, **options: bool) -> list[str]:
+        path = tmp_path / f"a.{ending}"
+        if ending == "npy":
+            np.save(path, cells)
+        else:
+            Image.fromarray(255 * (1 - cells)).save(path)
+        return read(path, **options).notes  # type: ignore[arg-type]
+
+    told = "bright pixels (0 in arrays) were taken for free: 50.0% of a map"
+    assert notes(ROOM) == [told]
+    first, warning = notes(1 - ROOM)
+    assert first == told
+    assert warning.startswith("the border of 1 of 1 maps is mostly free")
+    assert "--images.invert" in warning
+    told = "dark pixels (1 in arrays) were taken for free: 50.0% of a map"
+    assert notes(1 - ROOM, invert=True) == [told]
+
+
+@pytest.mark.parametrize("data", [b"P5\n8 6\n255\n", b"P5 8 6 65535\n"])
+def test_the_grey_of_unknown_cells_is_told(data: bytes, tmp_path: Path) -> None:
+    """A robot's .pgm without its .yaml: 205 is brighter than the threshold, and was never seen."""
+    pixels = np.where(ROOM, 0, 254).astype(np.uint8)
+    pixels[1, 1:6] = 205
+    if b"65535" in data:
+        (tmp_path / "map.pgm").write_bytes(data + (pixels.astype(">u2") * 257).tobytes())
+    else:
+        (tmp_path / "map.pgm").write_bytes(data + pixels.tobytes())
+    said = "5 free pixels are of grey 205, which robots' maps write where nothing is known"
+    assert any(note.startswith(said) for note in read(tmp_path).notes)
+    found = read(tmp_path, threshold=0.85)
+    assert found.maps[0].grid.tolist() == (pixels < 254).tolist()
+    for options in ({"threshold": 0.85}, {"invert": True}):
+        assert not any("205" in note for note in read(tmp_path, **options).notes)
+
+
+def test_long_reading_shows_its_progress(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """How many files are read; nothing where it is not asked for."""
+    for k in range(3):
+        Image.fromarray(DARK).save(tmp_path / f"{k}.png")
+    assert len(read(tmp_path).maps) == 3
+    assert capsys.readouterr().err == ""
+    assert len(read(tmp_path, Limits(progress=True)).maps) == 3
+    assert "3/3" in capsys.readouterr().err

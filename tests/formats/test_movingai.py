@@ -201,6 +201,80 @@ def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
         assert not agrees(problem, float(distances[row, column]))
 
 
+ISLANDS = "type octile\nheight 4\nwidth 7\nmap\nTTT....\n.TT.W..\nTT@.WW.\n..T.W.T\n"
+
+
+def test_trees_are_a_world_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A problem between trees is solved among trees; none leads from trees to land or water."""
+    lines = (
+        "0\tcave.map\t7\t4\t0\t0\t1\t2\t3",  # no corner of land is cut
+        "0\tcave.map\t7\t4\t0\t2\t2\t0\t3.41421",
+        "0\tcave.map\t7\t4\t0\t0\t2\t3\t0",  # other trees
+        "0\tcave.map\t7\t4\t0\t0\t3\t0\t0",  # land
+        "0\tcave.map\t7\t4\t4\t1\t2\t0\t0",  # from water to trees
+        "0\tcave.map\t7\t4\t4\t1\t5\t2\t2",
+        "0\tcave.map\t7\t4\t3\t3\t6\t2\t7.41421",
+    )
+    path = files(tmp_path, "version 1\n" + "\n".join(lines) + "\n", ISLANDS)
+    report = check_scen(path)
+    assert (report.disagreements, report.agreed) == ([], 7)
+    code, out, _ = cli(capsys, "import", tmp_path, tmp_path / "out")
+    assert code == 0
+    assert "note: 4 cells of water (W) are occupied: nothing leads there from land" in out
+    assert "note: 9 cells of trees (T) are occupied: nothing leads there from land" in out
+
+
+def test_sums_in_float32_agree(tmp_path: Path) -> None:
+    """99 + 96 sqrt 2 is 234.76450..., but 234.764 where sqrt 2 was 1.41421354; both are accepted
+    at six digits, nothing else is.
+    """
+    (tmp_path / "a.map").write_text(
+        "type octile\nheight 97\nwidth 196\nmap\n" + 97 * ("." * 196 + "\n")
+    )
+    assert f"{99 + 96 * math.sqrt(2):.6g}" == "234.765"
+    assert f"{99 + 96 * float(np.float32(math.sqrt(2))):.6g}" == "234.764"
+    for length, agreed in (
+        ("234.764", 1),
+        ("234.765", 1),
+        ("234.763", 0),
+        ("234.766", 0),
+        ("234.76449900", 0),
+        ("234.76450199", 1),
+    ):
+        (tmp_path / "a.scen").write_text(f"version 1\n0\ta.map\t196\t97\t0\t0\t195\t96\t{length}\n")
+        assert check_scen(tmp_path / "a.scen").agreed == agreed, length
+
+
+def test_a_file_that_cannot_be_read_does_not_end_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The others are checked, it is named at the end; disagreement is exit code 1, else 2."""
+    good = files(tmp_path)
+    bad = tmp_path / "bad.scen"
+    bad.write_text("nonsense\n")
+    code, out, err = cli(capsys, "check-scen", bad, good, tmp_path / "none.scen")
+    assert code == 2
+    assert "7 of 7 optimal lengths agree" in out
+    assert f"mapdata: {bad}: line 1 has 1 fields" in err
+    assert f"{tmp_path / 'none.scen'}: no such file" in err
+    wrong = tmp_path / "wrong.scen"
+    wrong.write_text(SCEN.replace("3.41421\n", "3.41422\n"))
+    code, out, err = cli(capsys, "check-scen", bad, wrong)
+    assert code == 1
+    assert "1 of 7 optimal lengths disagree; " in err
+    assert str(bad) in err
+
+
+def test_a_long_check_shows_its_progress(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Problems, not files: one file may take minutes."""
+    path = files(tmp_path, "version 1\n" + 600 * "0\tcave.map\t6\t4\t0\t0\t0\t3\t3\n")
+    code, out, err = cli(capsys, "check-scen", path)
+    assert (code, "600/600" in err) == (0, True)
+    assert "600 of 600 optimal lengths agree" in out
+
+
 HOSTILE_MAPS = {
     "empty": ("", "no line 'map'"),
     "nul": ("type octile\0", "not a text file"),

@@ -20,7 +20,7 @@ from mapdata import MapSpec, build, read_shard, verify
 from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
 from mapdata.formats.paper import floats, numbers, read
 from mapdata.shards import read_manifest
-from mapdata.shards.table import joined
+from mapdata.shards.table import gaps, joined
 
 csv.field_size_limit(2**27)
 
@@ -95,6 +95,51 @@ def test_joined() -> None:
     assert joined([none]).tolist() == []
 
 
+def test_gaps(root: Path, release: Path) -> None:
+    """Each segment without a path is marked, and between the marks every cell is beside the next;
+    the pieces are those of the route.
+    """
+    one = np.array([[0, 0], [0, 1]])
+    none = np.empty((0, 2), np.int64)
+    assert gaps([one, one + 1]) == []
+    assert gaps([none, one, none, none, one + 3, none]) == [0, 2, 2, 4]
+    marked = 0
+    labels = [read_shard(root / entry.name) for entry in read_manifest(root).shards]
+    for row in rows_of(release):
+        batch = labels[int(row["item"]) // 16]
+        for search in ("bfs", "astar"):
+            places = numbers(row[f"{search}_path_gaps"])
+            rows = np.split(numbers(row[f"{search}_row_path"]), places)
+            columns = np.split(numbers(row[f"{search}_column_path"]), places)
+            for piece in zip(rows, columns, strict=True):
+                assert (np.abs(np.diff(piece, axis=1)).sum(axis=0) == 1).all()
+            missing = [len(part) == 0 for part in batch.route(search, int(row["item"]) % 16)]
+            assert len(places) == sum(missing) == row["reachable"].count("false")
+            marked += len(places)
+    assert marked > 0
+
+
+def test_iterations_are_those_of_the_map(root: Path, release: Path, tmp_path: Path) -> None:
+    """One number a map as in Figure 3, and one a segment; files with one a segment under the
+    paper's name, as mapdata 0.1 wrote them, are compared too.
+    """
+    rows = rows_of(release)
+    for row in rows:
+        for search in ("bfs", "astar"):
+            segments = numbers(row.pop(f"{search}_segment_iterations"))
+            assert [sum(segments)] == numbers(row[f"{search}_iterations"])
+            row[f"{search}_iterations"] = str(segments)
+            del row[f"{search}_path_gaps"]
+    write_rows(release, rows)
+    (made,) = import_maps(tmp_path / "old", read_any(release))
+    assert (made.checked, made.disagreements) == (24, {})
+    rows[3]["astar_iterations"] = rows[3]["astar_iterations"].replace("[", "[1", 1)
+    rows[4]["astar_iterations"] = "[7, 7, 7, 7, 7, 7, 7]"
+    write_rows(release, rows)
+    (made,) = import_maps(tmp_path / "wrong", read_any(release))
+    assert made.disagreements == {"astar_iterations": 2}
+
+
 PRINTED = {
     "passage_size": "Passages size",
     "seed_rows": "Seed rows",
@@ -141,15 +186,17 @@ def test_disagreements_are_counted(
     """Wrong iterations on two maps and a wrong matrix on one: told, and our labels stand."""
     rows = rows_of(release)
     for k in (3, 4):
-        rows[k]["bfs_iterations"] = rows[k]["bfs_iterations"].replace("[", "[1", 1)
+        rows[k]["bfs_iterations"] = "1" + rows[k]["bfs_iterations"]
     rows[9]["astar_connection_matrix"] = rows[9]["astar_connection_matrix"].replace("0", "7", 1)
     rows[5]["bfs_row_path"] = ""
+    rows[6]["bfs_path_gaps"] = "[1, 2, 3, 4, 5, 6, 7]"
     write_rows(release, rows)
     code, out, _ = cli(capsys, "import", release, tmp_path / "back")
     assert code == 0
     assert "labels compared with the source: 24 maps" in out
     assert "  bfs_iterations: 2 disagree" in out
     assert "  astar_connection_matrix: 1 disagree" in out
+    assert "  bfs_path_gaps: 1 disagree" in out
     assert "row_path" not in out
 
 
@@ -220,9 +267,11 @@ def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
     [
         (b"", "no column|not a sound CSV"),
         (b"a,b\n1,2\n", "no column 'seed_rows'"),
-        (b'seed_rows,seed_columns\n"1,2\n', "not a sound CSV|left out|missing"),
+        (b'label,seed_rows,seed_columns\n"1,2\n', "not a sound CSV .unexpected end of data"),
         (b"seed_rows,seed_columns\n\xff\xfe,1\n", "not a sound CSV"),
         (b"seed_rows,seed_columns\n1,2,3,4\n1,2\n1,2,3,4,5,6,7\n", ""),
+        (b"label,seed_rows,seed_columns\n1,2\n", "line 2 has 2 fields, expected 3"),
+        (b"label,seed_rows,seed_columns\n1,2,3,4\n", "line 2 has 4 fields, expected 3"),
     ],
 )
 def test_hostile_csv(data: bytes, says: str, tmp_path: Path) -> None:
@@ -268,6 +317,18 @@ def test_cells_never_crash(text: str) -> None:
     except FormatError:
         return
     assert all(isinstance(value, float) for value in found)
+
+
+def test_what_was_taken_for_free_is_told(release: Path) -> None:
+    """Dark pixels, in the paper; inverted pictures have a free border, and that is told too."""
+    found = read(release)
+    share = 1 - np.mean([one.grid.mean() for one in found.maps])
+    (note,) = found.notes
+    assert note.startswith("dark pixels (in the paper white is occupied) were taken for free: ")
+    assert f"{share:.1%}" in note
+    for path in (release / "images").iterdir():
+        Image.fromarray(~np.asarray(Image.open(path))).save(path)
+    assert any("border of 24 of 24 maps is mostly free" in note for note in read(release).notes)
 
 
 @pytest.mark.parametrize("separator", [";", "\t"])

@@ -191,7 +191,7 @@ def test_start_is_goal(search: Planner, truth: Truth, movement: Movement) -> Non
         assert (found.path.tolist(), found.cost, found.iterations) == ([[0, 0]], 0.0, 1)
 
 
-def test_movement_defaults_to_the_papers() -> None:
+def test_movement_defaults_to_four_neighbours() -> None:
     """Without a movement all four functions use 4-connectivity."""
     grid = np.zeros((3, 3), dtype=np.uint8)
     assert (bfs(grid, (0, 0), (2, 2)).cost, astar(grid, (0, 0), (2, 2)).cost) == (4.0, 4.0)

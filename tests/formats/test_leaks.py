@@ -1,0 +1,108 @@
+"""Maps that stand in two splits: counted, exactly and up to symmetry, and dropped on request."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.grids import random_grids
+from helpers.wild import cli
+
+from mapdata import read_shard, verify
+from mapdata.arrays import Bytes
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.shards import read_manifest
+from mapdata.spec import SPLITS
+
+TRAIN, VAL, TEST = range(3)
+
+
+def collection(*maps: tuple[int | None, Bytes]) -> Collection:
+    """Return maps with their splits."""
+    return Collection([ForeignMap(f"map {k}", cells, split=s) for k, (s, cells) in enumerate(maps)])
+
+
+def kept(root: Path) -> dict[str, list[bytes]]:
+    """Return the grids of each split of a dataset."""
+    (entry,) = read_manifest(root).shards
+    maps = read_shard(root / entry.name).maps
+    return {
+        split: [grid.tobytes() for grid in maps.occupancy[maps.split == code]]
+        for code, split in enumerate(SPLITS)
+    }
+
+
+@pytest.mark.parametrize("shape", [(12, 12), (9, 14)])
+def test_counted_and_dropped(shape: tuple[int, int], tmp_path: Path) -> None:
+    """One exact copy and one mirrored in test, one mirrored in val; a repetition inside a split
+    is none. What is dropped stands in an earlier split; the test split stays whole.
+    """
+    a, b, c, d, e = random_grids(5, *shape)
+    maps = [
+        (TRAIN, a),
+        (TRAIN, b),
+        (TRAIN, c),
+        (TRAIN, d),
+        (TRAIN, d),
+        (VAL, c[::-1, ::-1]),
+        (VAL, e),
+        (TEST, a),
+        (TEST, b[:, ::-1]),
+        (TEST, e[::-1]),
+    ]
+    source = collection(*maps)
+    (made,) = import_maps(tmp_path / "all", source)
+    assert made.manifest.maps == 10
+    assert source.notes == [
+        "maps in two splits: 0 of val in train (1 up to symmetry), 1 of test in train (2 up to "
+        "symmetry), 0 of test in val (1 up to symmetry); 4 copies in the earlier ones are kept, "
+        "--drop-leaks leaves them out"
+    ]
+    source = collection(*maps)
+    (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
+    assert source.notes[0].endswith("4 copies in the earlier ones are left out")
+    assert verify(made.root) == []
+    assert kept(made.root) == {
+        "train": [d.tobytes(), d.tobytes()],
+        "val": [np.ascontiguousarray(c[::-1, ::-1]).tobytes()],
+        "test": [np.ascontiguousarray(g).tobytes() for g in (a, b[:, ::-1], e[::-1])],
+    }
+
+
+def test_only_squares_are_transposed(tmp_path: Path) -> None:
+    """A transposed square is the same map, a transposed rectangle another one of another size."""
+    square = random_grids(1, 12, 12)[0]
+    source = collection((TRAIN, square), (TEST, square.T))
+    import_maps(tmp_path / "square", source)
+    assert "0 of test in train (1 up to symmetry)" in source.notes[0]
+    wide = random_grids(1, 9, 14)[0]
+    source = collection((TRAIN, wide), (TEST, wide.T))
+    import_maps(tmp_path / "wide", source)
+    assert source.notes == ["no map stands in two splits, exactly or up to symmetry"] * 2
+
+
+def test_drawn_splits_are_kept(tmp_path: Path) -> None:
+    """Equal maps without splits fall into two; what is left after dropping stays where it was."""
+    a, b = random_grids(2, 12, 12)
+    source = collection(*[(None, one) for _ in range(40) for one in (a, b)])
+    (made,) = import_maps(tmp_path / "all", source)
+    before = kept(made.root)
+    assert all(len(set(grids)) == 2 for grids in before.values())
+    (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
+    after = kept(made.root)
+    assert after == {"train": [], "val": [], "test": before["test"]}
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line says it, and a flag drops them."""
+    grids = random_grids(3, 12, 12)
+    for split in ("train", "test"):
+        (tmp_path / "in" / split).mkdir(parents=True)
+        np.save(tmp_path / "in" / split / "maps.npy", grids)
+    code, out, _ = cli(capsys, "import", tmp_path / "in", tmp_path / "a")
+    assert code == 0
+    assert out.count("3 of test in train (3 up to symmetry)") == 1
+    code, out, _ = cli(capsys, "import", tmp_path / "in", tmp_path / "b", "--drop-leaks")
+    assert (code, "3 copies in the earlier ones are left out" in out) == (0, True)
+    assert "maps:                 3 of 12 x 12" in out
