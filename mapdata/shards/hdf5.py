@@ -55,9 +55,7 @@ _TREE = rb"""                      # III.A.2, the header of a B-tree
 """
 _LEAF = rb"BTLF \x00 [\x05\x08]"  # version, type of its records, which follow
 _LINK_RECORD = rb".{4} . (.{4}) (..)"  # hash of the name; type, offset and length in the heap
-_ATTRIBUTE_RECORD = (
-    rb". (.{4})\x00 (..) .{9}"  # type, offset, length; flags, order of creation, hash
-)
+_ATTRIBUTE_RECORD = rb". (.{4})\x00 (..) .{9}"  # type, offset and length; flags, order, hash
 
 _LINK = rb"\x01 \x00 . (.+) (.{8}) \Z"  # IV.A.2.g: version, hard link, length; name, address
 
