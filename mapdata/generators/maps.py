@@ -76,9 +76,7 @@ class Maps:
     @cached_property
     def occupancy(self) -> Bytes:
         """The maps as (N, H, W) uint8: 1 occupied, 0 free."""
-        grids = np.empty((*self.packed.shape[:2], self.columns), np.uint8)
-        unpack_all(self.packed, grids)
-        return grids
+        return unpacked(self.packed, self.columns)
 
     @property
     def connected(self) -> Flags:
@@ -128,11 +126,14 @@ def unpack(words: Words, first: Int, grid: Bytes) -> None:
 
 
 @kernel
-def unpack_all(packed: Words, grids: Bytes) -> None:
-    """Write packed maps, (N, H, words), into ``grids``, (N, H, W)."""
-    words = packed.reshape(-1)
-    for m in range(len(packed)):
-        unpack(words, m * packed.shape[1] * packed.shape[2], grids[m])
+def unpacked(packed: Words, columns: Int) -> Bytes:
+    """Return packed maps, (N, H, words), as (N, H, W) grids: undo `pack`."""
+    count, rows, words = packed.shape
+    grids = np.empty((count, rows, columns), np.uint8)
+    flat = packed.reshape(-1)
+    for m in range(count):
+        unpack(flat, m * rows * words, grids[m])
+    return grids
 
 
 def pack(grids: Bytes) -> Words:

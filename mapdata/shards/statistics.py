@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
-from mapdata.generators.maps import Maps
+from mapdata.generators.maps import Maps, unpacked
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
@@ -24,6 +24,9 @@ _CELLS_AT_ONCE = 2**22
 
 _DIGEST = 16
 """Bytes of the hash of a map: among 10**9 different maps two collide with probability 1e-21."""
+
+_DIGESTS = f"S{_DIGEST}"
+"""The dtype of hashes: numpy compares each as a whole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +59,8 @@ class DatasetStatistics:
         hardness: (S,) float64, optimal cost over heuristic, -1 without a path.
         iterations: of "bfs" and "astar", (S,) int64.
         rooms_known: the maps have rooms and passages, not only seed points.
-        digests: (N, 16) and (N, 16) uint8: hash of the map, and the least hash of its symmetric
-            images; None if they were not asked for.
+        digests: (N,) and (N,) bytes of length 16: hash of the map, and the least hash of its
+            symmetric images; None if they were not asked for.
     """
 
     root: Root
@@ -72,7 +75,7 @@ class DatasetStatistics:
     hardness: Floats
     iterations: dict[str, Ints]
     rooms_known: bool
-    digests: tuple[Bytes, Bytes] | None
+    digests: tuple[Array, Array] | None
 
     def __repr__(self) -> str:
         return f"DatasetStatistics({len(self)} maps, {len(self.lengths)} segments, {self.root!r})"
@@ -130,14 +133,13 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
         parts = [_columns(nothing, repeats)]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     rooms_known = bool(table.pop("rooms_known").any())
-    exact = table.pop("exact")
-    symmetric = table.pop("symmetric")
+    digests = (table.pop("exact"), table.pop("symmetric"))
     iterations = {search: table.pop(search) for search in SEARCHES}
     return DatasetStatistics(
         root=opened,
         iterations=iterations,
         rooms_known=rooms_known,
-        digests=(exact, symmetric) if repeats else None,
+        digests=digests if repeats else None,
         **table,
     )
 
@@ -182,7 +184,7 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     np.maximum.at(hardest, owners, hard)
     rooms_known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
     skipped = (~maps.connected & used).any(axis=1)
-    free, exact, symmetric = _grid_columns(labels, hashes)
+    free, exact, symmetric = _grid_columns(maps, hashes)
     return {
         "index": maps.index,
         "rooms": maps.rooms,
@@ -208,32 +210,21 @@ def _diagonal_moves(labels: Labels) -> Ints:
     return np.diff(before[labels.astar.offsets])
 
 
-def _grid_columns(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
+def _grid_columns(maps: Maps, hashes: bool) -> tuple[Floats, Array, Array]:
     """Return the free share of each map and its two digests; those only with ``hashes``."""
-    maps = labels.maps
     count, rows, _ = maps.packed.shape
-    free = np.empty(count)
-    exact = np.zeros((count, _DIGEST), np.uint8)
-    symmetric = exact.copy()
     step = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
-    octets = maps.packed.astype("<u8", copy=False).view(np.uint8)
-    for first in range(0, count, step):
-        part = slice(first, first + step)
-        grids = np.unpackbits(octets[part], axis=2, count=maps.columns, bitorder="little")
-        free[part] = 1 - grids.mean(axis=(1, 2))
+    free: list[Floats] = []
+    exact: list[bytes] = []
+    symmetric: list[bytes] = []
+    for packed in np.split(maps.packed, range(step, count, step)):
+        grids = unpacked(packed, maps.columns)
+        free.append(1 - grids.mean(axis=(1, 2)))
         if hashes:
-            images = [_digest(image) for image in _images(grids)]
-            exact[part] = images[0]
-            symmetric[part] = _least(images)
-    return free, exact, symmetric
-
-
-def _least(digests: list[Bytes]) -> Bytes:
-    """Return the least digest of each map, (N, 16), from those of its images, each (N, 16)."""
-    # one string of 16 bytes for each digest: numpy then compares whole digests
-    keys = np.stack(digests, axis=1).view(f"S{_DIGEST}")[..., 0]
-    least = np.sort(keys, axis=1)[:, :1]
-    return least.copy().view(np.uint8)
+            digests = [_digests(image) for image in _images(grids)]
+            exact += digests[0]
+            symmetric += map(min, zip(*digests, strict=True))
+    return np.concatenate(free), np.array(exact, _DIGESTS), np.array(symmetric, _DIGESTS)
 
 
 def _images(grids: Bytes) -> Iterator[Bytes]:
@@ -247,19 +238,16 @@ def _images(grids: Bytes) -> Iterator[Bytes]:
             yield flipped[:, :, ::-1]
 
 
-def _digest(grids: Bytes) -> Bytes:
-    """Return (N, 16) uint8, a hash of each grid."""
-    packed = np.ascontiguousarray(np.packbits(grids, axis=2)).reshape(len(grids), -1)
-    digests = [hashlib.blake2b(row.data, digest_size=_DIGEST).digest() for row in packed]
-    return np.frombuffer(b"".join(digests), np.uint8).reshape(len(grids), _DIGEST)
+def _digests(grids: Bytes) -> list[bytes]:
+    """Return a hash of each grid, (N, H, W)."""
+    packed = np.packbits(grids, axis=2)
+    return [hashlib.blake2b(row.tobytes(), digest_size=_DIGEST).digest() for row in packed]
 
 
-def _repeats(digests: Bytes, split: Bytes) -> Repeats:
-    """Count equal digests, (N, 16), inside each split and between each two."""
-    # one string of 16 bytes for each digest: numpy then compares whole digests
-    keys = digests.view(f"S{_DIGEST}")[:, 0]
+def _repeats(digests: Array, split: Bytes) -> Repeats:
+    """Count equal digests, (N,), inside each split and between each two."""
     # equal digests get equal numbers, which compare faster
-    _, kinds = np.unique(keys, return_inverse=True)
+    _, kinds = np.unique(digests, return_inverse=True)
     kinds_of = {name: kinds[split == code] for code, name in enumerate(SPLITS)}
     inside = {name: len(found) - len(np.unique(found)) for name, found in kinds_of.items()}
     across = {

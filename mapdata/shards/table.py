@@ -54,13 +54,11 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
 def map_rows(shard: Shard, split: str | None = None) -> list[dict[str, Any]]:
     """Return the rows of a shard's maps, of one split or all, with spaces in the column names."""
     labels = decode(shard)
-    wanted = np.arange(len(labels.maps))
-    if split is not None:
-        wanted = np.flatnonzero(labels.maps.split == SPLITS.index(split))
     rows = []
-    for k in wanted.tolist():
-        row = map_row(labels, k, shard.header.resolution)
-        rows.append({name.replace("_", " "): value for name, value in row.items()})
+    for k, code in enumerate(labels.maps.split.tolist()):
+        if split in (None, SPLITS[code]):
+            row = map_row(labels, k, shard.header.resolution)
+            rows.append({name.replace("_", " "): value for name, value in row.items()})
     return rows
 
 
