@@ -63,10 +63,8 @@ class MapSpec(Generator):
     def __post_init__(self) -> None:
         """Check the values."""
         super().__post_init__()
-        for name in ("rooms", "room_rows", "room_columns", "passage_width"):
-            object.__setattr__(self, name, check_integers(name, getattr(self, name)))
-        skip = check_probability("skip_probability", self.skip_probability)
-        object.__setattr__(self, "skip_probability", skip)
+        self._convert(check_integers, "rooms", "room_rows", "room_columns", "passage_width")
+        self._convert(check_probability, "skip_probability")
         rows, columns = self.map_size
         too_tall = f": rooms would be larger than the map of {rows} rows"
         too_wide = f": rooms would be larger than the map of {columns} columns"

@@ -255,7 +255,8 @@ def _distributions(of: DatasetStatistics) -> Section:
     for name, column in values.items():
         if len(column):
             marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
-            rows.append((name, *(f"{value:.4g}" for value in (column.mean(), *marks))))
+            shown = (column.mean(), *marks)
+            rows.append((name, *(f"{value:.4g}" for value in shown)))
     text = "Segments without a path are left out, except for iterations."
     return Section("Distributions", text, rows)
 

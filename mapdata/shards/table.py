@@ -23,9 +23,9 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     rooms = int(maps.rooms[k])
     passages = rooms - 1
     # all arrays are padded to the most rooms of the batch
-    seed_points = maps.seed_points[k, :rooms]
-    sizes = maps.sizes[k, :rooms]
-    first = int(maps.segment_offsets[k])
+    seed_rows, seed_columns = maps.seed_points[k, :rooms].T.tolist()
+    size_rows, size_columns = maps.sizes[k, :rooms].T.tolist()
+    first, last = maps.segment_offsets[k : k + 2]
     row: dict[str, Any] = {
         "item": int(maps.index[k]),
         "label": f"map{maps.index[k]}",
@@ -33,19 +33,19 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
         "resolution": resolution,
         "rooms": rooms,
         "passage_size": int(maps.passage_width[k]),
-        "seed_rows": seed_points[:, 0].tolist(),
-        "seed_columns": seed_points[:, 1].tolist(),
-        "size_rows": sizes[:, 0].tolist(),
-        "size_columns": sizes[:, 1].tolist(),
+        "seed_rows": seed_rows,
+        "seed_columns": seed_columns,
+        "size_rows": size_rows,
+        "size_columns": size_columns,
         "direction_for_passages": maps.directions[k, :passages].reshape(-1).tolist(),
         "connected": maps.connected[k, :passages].tolist(),
-        "reachable": labels.reachable[first : first + passages].tolist(),
+        "reachable": labels.reachable[first:last].tolist(),
         "all_connected": bool(labels.all_connected[k]),
     }
     for search in SEARCHES:
-        cells = joined(labels.route(search, k))
-        row[f"{search}_row_path"] = cells[:, 0].tolist()
-        row[f"{search}_column_path"] = cells[:, 1].tolist()
+        rows, columns = joined(labels.route(search, k)).T.tolist()
+        row[f"{search}_row_path"] = rows
+        row[f"{search}_column_path"] = columns
         row[f"{search}_iterations"] = labels.iterations(search, k).tolist()
         row[f"{search}_connection_matrix"] = labels.matrix(search, k).tolist()
     return row
