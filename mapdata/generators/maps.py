@@ -92,6 +92,16 @@ class Maps:
         return np.concatenate(([0], np.cumsum(self.rooms - 1)))
 
     @cached_property
+    def segment_pairs(self) -> Ints:
+        """(S,) int64: number of the pair of rooms q and q + 1 that each segment joins."""
+        segments = self.rooms - 1
+        n = np.repeat(self.rooms, segments)
+        q = np.arange(len(n)) - np.repeat(self.segment_offsets[:-1], segments)
+        # Rooms 0 to q - 1 come first as i of a pair, with n - 1, n - 2, ... pairs each.
+        pairs_before: Ints = q * (2 * n - q - 1) // 2
+        return np.repeat(self.pair_offsets[:-1], segments) + pairs_before
+
+    @cached_property
     def pair_offsets(self) -> Ints:
         """(N + 1,) int64: number of the first pair of rooms of each map, n (n - 1) / 2 a map."""
         pairs = self.rooms * (self.rooms - 1) // 2

@@ -46,9 +46,9 @@ def maps_of_split(spec: Generator, seed: int, split: str, count: int) -> Ints:
     key = np.uint64(check_seed(seed))
     thresholds = split_thresholds(spec.splits)
     found = np.empty(0, np.int64)
-    indices = np.arange(count)
+    indices = np.arange(max(count, 4096))
     while len(found) < count:
         codes = draw_splits(key, indices, thresholds)
         found = np.concatenate([found, indices[codes == code]])
-        indices += count
+        indices += len(indices)
     return found[:count]

@@ -144,41 +144,35 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
     )
 
 
-def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
-    """Return edges (k + 1,) and counts (k,) of ``values``, in at most ``bins`` bins.
+def bin_edges(values: Floats, bins: int = 30) -> Floats:
+    """Return the edges (k + 1,) of a histogram of ``values`` with up to ``bins`` + 1 bins.
 
     Whole numbers have bins of one or more whole numbers, each number in the middle of its own.
 
-    >>> histogram(np.array([2.0, 3.0, 3.0]))
-    (array([1.5, 2.5, 3.5]), array([1, 2]))
+    >>> bin_edges(np.array([2.0, 3.0, 3.0]))
+    array([1.5, 2.5, 3.5])
     """
     low = float(values.min()) if len(values) else 0.0
     high = float(values.max()) if len(values) else 1.0
-    if bool((values == np.rint(values)).all()):
+    if (values == np.rint(values)).all():
         width = max(1, math.ceil((high - low + 1) / bins))
-        edges = np.arange(low, high + width + 0.5, width) - 0.5
-    else:
-        if high == low:
-            high = low + 1  # bins need a width
-        edges = np.linspace(low, high, bins + 1)
-    counts, _ = np.histogram(values, edges)
-    return edges, counts.astype(np.int64)
+        return np.arange(low, high + width + 0.5, width) - 0.5
+    if high == low:
+        high = low + 1  # bins need a width
+    return np.linspace(low, high, bins + 1)
 
 
 def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     """Return what a shard adds to each array of a `DatasetStatistics`."""
     maps = labels.maps
-    movement = maps.movement
     passages = maps.rooms - 1
     # arrays are padded to the most rooms of the shard: which rows are passages
     used = np.arange(maps.directions.shape[1]) < passages[:, None]
     starts = maps.seed_points[:, :-1][used]
     goals = maps.seed_points[:, 1:][used]
-    steps = np.diff(labels.astar.offsets)
-    diagonal = _diagonal_moves(labels)
-    costs = steps - diagonal + diagonal * movement.diagonal_cost
-    costs[~labels.reachable] = -1
-    hard = hardness(costs, starts, goals, movement)
+    straight, diagonal = labels.astar.costs[maps.segment_pairs].T
+    costs = straight + diagonal * maps.movement.diagonal_cost
+    hard = hardness(costs, starts, goals, maps.movement)
     hardest = np.zeros(len(maps))
     owners = np.repeat(np.arange(len(maps)), passages)
     np.maximum.at(hardest, owners, hard)
@@ -193,7 +187,7 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
         "all_connected": labels.all_connected,
         "redundant": labels.all_connected & skipped & rooms_known,
         "hardest": hardest,
-        "lengths": np.where(labels.reachable, steps + 1, 0),
+        "lengths": np.where(labels.reachable, np.diff(labels.astar.offsets) + 1, 0),
         "hardness": hard,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
@@ -201,13 +195,6 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
         "exact": exact,
         "symmetric": symmetric,
     }
-
-
-def _diagonal_moves(labels: Labels) -> Ints:
-    """Return (S,) int64, the diagonal moves of A* on each segment."""
-    is_diagonal = labels.astar.moves >= 4  # 0..7 = N E S W NE SE SW NW
-    before = np.concatenate(([0], np.cumsum(is_diagonal)))
-    return np.diff(before[labels.astar.offsets])
 
 
 def _grid_columns(maps: Maps, hashes: bool) -> tuple[Floats, Array, Array]:
