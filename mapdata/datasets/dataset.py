@@ -40,6 +40,10 @@ if TYPE_CHECKING:
 
 Transform = Callable[[Sample], Any]
 
+Sampled = tuple[Bytes, Ints, list[tuple[Ints, Paths]]]
+"""Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
+the paths found, pieces for `Paths.join`, none where they have not been searched."""
+
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
@@ -203,14 +207,8 @@ class ProblemDataset(Dataset[Sample], ABC):
 
         return self._as_batch(indices, places, grids, starts, goals, paths)
 
-    def _sample(
-        self, places: Ints, indices: Ints, epoch: int
-    ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
-        """Sample a problem on each of the maps at some places.
-
-        Returns the maps; start and goal on each, (B, 4), -1 where it has none; and the paths found,
-        pieces for `Paths.join`, none where they have not been searched.
-        """
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
+        """Sample a problem on each of the maps at some places."""
         problems = self.serving.problems
         assert isinstance(problems, Random)
         grids = self._grids(places)

@@ -11,7 +11,7 @@ import torch
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
-from mapdata.datasets.dataset import ProblemDataset, Transform
+from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform
 from mapdata.datasets.fields import Paths, Rooms, room_matrices
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
@@ -107,9 +107,7 @@ class OnlineMapDataset(ProblemDataset):
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return self.length + (indices + attempt) % self.length
 
-    def _sample(
-        self, places: Ints, indices: Ints, epoch: int
-    ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
         problems = self.serving.problems
         if isinstance(problems, Random):
             return super()._sample(places, indices, epoch)

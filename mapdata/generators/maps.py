@@ -148,9 +148,7 @@ def unpacked(packed: Words, columns: Int) -> Bytes:
 
 def pack(grids: Bytes) -> Words:
     """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`, (N, H, ceil(W / 64)) uint64."""
-    count, rows, columns = grids.shape
-    words = -(-columns // WORD)
-    padded = np.zeros((count, rows, 8 * words), np.uint8)  # packbits ends rows at whole bytes
     bits = np.packbits(grids, axis=2, bitorder="little")
-    padded[:, :, : bits.shape[2]] = bits
-    return np.ascontiguousarray(padded.view("<u8").astype(np.uint64, copy=False))
+    spare = -bits.shape[2] % 8  # packbits ends rows at whole bytes
+    words = np.pad(bits, ((0, 0), (0, 0), (0, spare))).view("<u8")
+    return words.astype(np.uint64, copy=False)

@@ -1,8 +1,7 @@
 """The report: one page to look at a dataset, without a server and without a network.
 
-`report.html` is the template. The maps travel in it as one block: tables of numbers, compressed, in
-base64; its script lists them under ``data``. The page allows no script but its own, whatever text
-the dataset holds.
+`report.html` is the template. The maps travel in it as one block of JSON, compressed, in base64.
+The page allows no script but its own, whatever text the dataset holds.
 """
 
 from __future__ import annotations
@@ -16,24 +15,23 @@ from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from io import BytesIO
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from mapdata.arrays import Floats, Ints
+from mapdata.generators.maps import unpacked
 from mapdata.plotting.figures import figure_of, plot_distribution
 from mapdata.plotting.plot import new_axes
 from mapdata.search.labels import Labels
 from mapdata.shards.dataset_card import Section, sections, title
 from mapdata.shards.root import Places
-from mapdata.shards.shard import SEARCHES, Array, bits_of, pack_moves
+from mapdata.shards.shard import SEARCHES
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
 MAPS = 500
 """Maps in the browser of a report."""
-
-_TYPES = {"b": "u1", "u": "u1", "i": "i4", "f": "f8"}
-"""How the page's script names the type of a table, by the kind of numbers in it."""
 
 
 def report(root: Places, maps: int = MAPS) -> str:
@@ -54,7 +52,6 @@ def report(root: Places, maps: int = MAPS) -> str:
     first, *others = sections(of)
     count = min(maps, len(of))
     places = np.arange(count) * len(of) // max(count, 1)
-    header, block = _pack(of, places)
     sampled = f"{count:,} of {len(of):,} maps, evenly spaced."
     if count == len(of):
         sampled = f"All {count:,} maps."
@@ -67,8 +64,7 @@ def report(root: Places, maps: int = MAPS) -> str:
         "SAMPLED": sampled,
         "CHARTS": "".join(charts),
         "CARD": "".join(map(_html, others)),
-        "HEADER": escape(json.dumps(header)),
-        "DATA": base64.b64encode(block).decode(),
+        "DATA": base64.b64encode(_pack(of, places)).decode(),
     }
     # one pass: text that looks like a mark stays text
     return re.sub("@@([A-Z]+)@@", lambda match: values[match[1]], template)
@@ -87,75 +83,52 @@ def _policy(template: str) -> str:
     return "; ".join([*allowed, rest])
 
 
-def _pack(of: DatasetStatistics, places: Ints) -> tuple[dict[str, Any], bytes]:
-    """Return what the page's script must know, and the tables of the maps at ``places``."""
+def _pack(of: DatasetStatistics, places: Ints) -> bytes:
+    """Return what the page's script reads: the maps at ``places`` as compressed JSON."""
     root = of.root
-    columns = _columns(of, places)
-    tables = {}
-    block = b""
-    for name, values in columns.items():
-        kind = _TYPES[values.dtype.kind]
-        tables[name] = (kind, len(block), values.size)
-        block += np.ascontiguousarray(values, f"<{kind}").tobytes()
-        block += bytes(-len(block) % 8)  # where a script's array may begin
-    header = {
-        "tables": tables,
+    place_of = dict(zip(of.index[places].tolist(), places.tolist(), strict=True))
+    maps = []
+    for labels in root.labels():
+        for i, index in enumerate(labels.maps.index.tolist()):
+            if index in place_of:
+                place = place_of[index]
+                values = {"free": of.free[place], "hardest": of.hardest[place]}
+                maps.append({**_shown(labels, i), **values})
+    page = {
         "size": root.map_size,
-        "bits": bits_of(root.movement),
-        "diagonal": root.movement.diagonal_cost,
+        "connectivity": root.movement.connectivity,
         "resolution": root.manifests[0].resolution,
         "word": "rooms" if of.rooms_known else "seed points",
+        "maps": maps,
     }
-    return header, zlib.compress(block, 9)
+    return zlib.compress(json.dumps(page).encode(), 9)
 
 
-def _columns(of: DatasetStatistics, places: Ints) -> dict[str, Array]:
-    """Return the tables of a page: what it shows of the maps at ``places``, one after another."""
-    wanted = set(of.index[places].tolist())
-    parts = [
-        _map_columns(labels, i)
-        for labels in of.root.labels()
-        for i, index in enumerate(labels.maps.index.tolist())
-        if index in wanted
-    ]
-    names = parts[0] if parts else ()
-    columns = {name: np.concatenate([np.ravel(part[name]) for part in parts]) for name in names}
-    for name, values in columns.items():
-        if name.endswith("_moves"):
-            columns[name] = pack_moves(values, bits_of(of.root.movement))
-    columns["hardest"] = of.hardest[places]
-    columns["free"] = of.free[places]
-    return columns
-
-
-def _map_columns(labels: Labels, i: int) -> dict[str, Any]:
-    """Return what the page shows of map ``i`` of a batch."""
+def _shown(labels: Labels, i: int) -> dict[str, Any]:
+    """Return what the page shows of map ``i`` of a batch, as plain values."""
     maps = labels.maps
-    n = maps.rooms[i]
-    segments = slice(*maps.segment_offsets[i : i + 2])
-    pairs = slice(*maps.pair_offsets[i : i + 2])
-    octets = maps.packed[i].astype("<u8", copy=False).view(np.uint8)
-    columns: dict[str, Any] = {
-        "maps": octets[:, : -(-maps.columns // 8)],
-        "index": float(maps.index[i]),  # it may be larger than 32 bits
-        "split": maps.split[i],
-        "connected": labels.all_connected[i],
-        "rooms": n,
-        "width": maps.passage_width[i],
-        "seeds": maps.seed_points[i, :n],
-        "sizes": maps.sizes[i, :n],
-        "directions": maps.directions[i, : n - 1],
-        "reachable": labels.reachable[segments],
-        "astar_diagonal": labels.astar.costs[pairs, 1],  # BFS counts all moves as straight
+    n = int(maps.rooms[i])
+    grids = unpacked(maps.packed[i : i + 1], maps.columns)
+    shown: dict[str, Any] = {
+        "index": int(maps.index[i]),
+        "cells": np.packbits(grids, axis=2).tobytes().hex(),  # four in a digit
+        "split": int(maps.split[i]),
+        "connected": bool(labels.all_connected[i]),
+        "width": int(maps.passage_width[i]),
+        "seeds": maps.seed_points[i, :n].tolist(),
+        "sizes": maps.sizes[i, :n].tolist(),
+        "directions": maps.directions[i, : n - 1].tolist(),
     }
+    first, last = maps.segment_offsets[i : i + 2]
     for name in SEARCHES:
         search = labels.of(name)
-        offsets = search.offsets[segments.start : segments.stop + 1]
-        columns[f"{name}_steps"] = np.diff(offsets)
-        columns[f"{name}_moves"] = search.moves[offsets[0] : offsets[-1]]
-        columns[f"{name}_iterations"] = search.iterations[segments]
-        columns[f"{name}_straight"] = search.costs[pairs, 0]
-    return columns
+        bounds = pairwise(search.offsets[first : last + 1].tolist())
+        shown[name] = {
+            "moves": ["".join(map(str, search.moves[a:b].tolist())) for a, b in bounds],
+            "iterations": labels.iterations(name, i).tolist(),
+            "matrix": labels.matrix(name, i).round(2).tolist(),
+        }
+    return shown
 
 
 def _html(section: Section) -> str:

@@ -35,11 +35,7 @@ class Recipe:
         Raises:
             ValueError: none of these, or a recipe with impossible values.
         """
-        if isinstance(given, str) and given in PRESETS:
-            return Recipe(PRESETS[given])
-        values: object = given
-        if isinstance(given, str):
-            values = _parsed(given)
+        values = _parsed(given) if isinstance(given, str) else given
         known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
         if not isinstance(values, dict):
             raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
@@ -60,7 +56,9 @@ class Recipe:
 
 
 def _parsed(text: str) -> object:
-    """Return the value of JSON text or of a JSON file, whichever ``text`` is."""
+    """Return the values that ``text`` names: a preset, a JSON file or JSON text."""
+    if text in PRESETS:
+        return {"spec": text}
     if not text.lstrip().startswith("{"):
         if not Path(text).is_file():
             raise ValueError(

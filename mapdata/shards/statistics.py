@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -126,11 +125,9 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
         ShardError: a shard is missing or damaged.
     """
     opened = Root.open(root)
-    parts = [_columns(labels, repeats) for labels in opened.labels()]
-    if not parts:
-        # the columns of a dataset without maps have their types too
-        nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
-        parts = [_columns(nothing, repeats)]
+    # the columns of a dataset without maps have their types too
+    nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
+    parts = [_columns(labels, repeats) for labels in chain([nothing], opened.labels())]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     rooms_known = bool(table.pop("rooms_known").any())
     digests = (table.pop("exact"), table.pop("symmetric"))
@@ -214,15 +211,12 @@ def _grid_columns(maps: Maps, hashes: bool) -> tuple[Floats, Array, Array]:
     return np.concatenate(free), np.array(exact, _DIGESTS), np.array(symmetric, _DIGESTS)
 
 
-def _images(grids: Bytes) -> Iterator[Bytes]:
-    """Yield the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
+def _images(grids: Bytes) -> list[Bytes]:
+    """Return the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
     bases = [grids]
     if grids.shape[1] == grids.shape[2]:
         bases.append(grids.swapaxes(1, 2))
-    for base in bases:
-        for flipped in (base, base[:, ::-1]):
-            yield flipped
-            yield flipped[:, :, ::-1]
+    return [np.flip(base, axes) for base in bases for axes in ((), 1, 2, (1, 2))]
 
 
 def _digests(grids: Bytes) -> list[bytes]:
@@ -236,8 +230,10 @@ def _repeats(digests: Array, split: Bytes) -> Repeats:
     # equal digests get equal numbers, which compare faster
     _, kinds = np.unique(digests, return_inverse=True)
     kinds_of = {name: kinds[split == code] for code, name in enumerate(SPLITS)}
-    inside = {name: len(found) - len(np.unique(found)) for name, found in kinds_of.items()}
-    across = {
-        (a, b): int(np.isin(kinds_of[b], kinds_of[a]).sum()) for a, b in combinations(SPLITS, 2)
-    }
+    inside = {}
+    for name, own in kinds_of.items():
+        inside[name] = len(own) - len(np.unique(own))
+    across = {}
+    for a, b in combinations(SPLITS, 2):
+        across[a, b] = int(np.isin(kinds_of[b], kinds_of[a]).sum())
     return Repeats(inside, across)
