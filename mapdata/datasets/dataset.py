@@ -398,9 +398,8 @@ class MapDataset(ProblemDataset):
 
         from mapdata.shards.table import map_rows
 
-        rows: list[dict[str, Any]] = []
-        for k in range(len(self.reader.shards)):
-            rows += map_rows(self.reader.open(k), self.split)
+        shards = map(self.reader.open, range(len(self.reader.shards)))
+        rows = [row for shard in shards for row in map_rows(shard, self.split)]
         return pd.DataFrame(rows)
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:

@@ -165,7 +165,7 @@ PRESETS: dict[str, Generator] = {}
 """Specs with a name, of all families."""
 
 
-def register(family: type[Generator], presets: Mapping[str, Generator] | None = None) -> None:
+def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> None:
     """Make a family and its presets known by name, to recipes, manifests and shards.
 
     Raises:
@@ -177,7 +177,7 @@ def register(family: type[Generator], presets: Mapping[str, Generator] | None = 
     taken = GENERATORS.setdefault(family.name, family)
     if taken.__qualname__ != family.__qualname__:
         raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken.__name__}")
-    for name, spec in (presets or {}).items():
+    for name, spec in presets.items():
         if PRESETS.setdefault(name, spec) != spec:
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
 

@@ -45,6 +45,8 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
     rows, columns = grid.shape
     owner = np.zeros(rows * columns, np.int32)  # number of the component of a cell, from 1
     stack = np.empty(rows * columns, np.int64)
+    best = 0
+    most = 0
     number = 0
     for first in range(rows * columns):
         if grid[first // columns, first % columns] != 0 or owner[first] != 0:
@@ -54,8 +56,10 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
         owner[first] = number
         stack[0] = first
         height = 1
+        size = 0
         while height:
             height -= 1
+            size += 1
             row = stack[height] // columns
             column = stack[height] % columns
             for down in range(-1, 2):
@@ -71,24 +75,26 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
                         owner[cell] = number
                         stack[height] = cell
                         height += 1
-    sizes = np.bincount(owner)
-    sizes[0] = 0  # occupied cells are of no component
-    best = max(np.argmax(sizes), 1)  # without a free cell, 1 is nowhere
-    return np.flatnonzero(owner == best)
+        if size > most:
+            best = number
+            most = size
+    cells = np.empty(most, np.int64)
+    k = 0
+    for cell in range(rows * columns):
+        if most and owner[cell] == best:  # without a free cell, best is 0, as all owners are
+            cells[k] = cell
+            k += 1
+    return cells
 
 
 @kernel
 def draw_points(cells: Ints, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
     """Return ``count`` of ``cells``, none twice: draw k is one of those left, in their order."""
-    left = cells.copy()
+    left = list(cells)
     drawn = np.empty(count, np.int64)
     for k in range(count):
-        last = len(cells) - 1 - k
         word, _, _, _ = block(seed, index, 0, POINTS, k)
-        j = bounded(word, 0, last)
-        drawn[k] = left[j]
-        for m in range(j, last):
-            left[m] = left[m + 1]
+        drawn[k] = left.pop(bounded(word, 0, len(left) - 1))
     return drawn
 
 

@@ -186,7 +186,7 @@ WITH_GRID = ("map", "path", "gallery")
 def _height(labels: Labels, width: float) -> float:
     """Return the height of a picture of a map of this width, in inches."""
     rows, columns = labels.maps.occupancy.shape[1:]
-    return float(min(max(width * rows / columns, 1.2), 3 * width))
+    return float(np.clip(width * rows / columns, 1.2, 3 * width))
 
 
 def figure_of(axes: Axes) -> Figure:

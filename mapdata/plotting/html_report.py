@@ -86,14 +86,13 @@ def _policy(template: str) -> str:
 def _pack(of: DatasetStatistics, places: Ints) -> bytes:
     """Return what the page's script reads: the maps at ``places`` as compressed JSON."""
     root = of.root
-    place_of = dict(zip(of.index[places].tolist(), places.tolist(), strict=True))
+    wanted = set(places.tolist())
     maps = []
-    for labels in root.labels():
-        for i, index in enumerate(labels.maps.index.tolist()):
-            if index in place_of:
-                place = place_of[index]
-                values = {"free": of.free[place], "hardest": of.hardest[place]}
-                maps.append({**_shown(labels, i), **values})
+    every = ((labels, i) for labels in root.labels() for i in range(len(labels.maps)))
+    for place, (labels, i) in enumerate(every):
+        if place in wanted:
+            values = {"free": of.free[place], "hardest": of.hardest[place]}
+            maps.append({**_shown(labels, i), **values})
     page = {
         "size": root.map_size,
         "connectivity": root.movement.connectivity,

@@ -36,11 +36,11 @@ class Recipe:
             ValueError: none of these, or a recipe with impossible values.
         """
         values = _parsed(given) if isinstance(given, str) else given
-        known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
+        known = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
         if not isinstance(values, dict):
-            raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
+            raise ValueError(f"recipe: expected an object with {', '.join(known)}")
         for name in values:
-            check_choice("recipe", name, sorted(known))
+            check_choice("recipe", name, known)
         check_version(values.get("format_version", 1), "recipe: ", ValueError)
         recipe = Recipe(
             spec=Generator.from_dict(values.get("spec", {})),

@@ -149,14 +149,12 @@ def bin_edges(values: Floats, bins: int = 30) -> Floats:
     >>> bin_edges(np.array([2.0, 3.0, 3.0]))
     array([1.5, 2.5, 3.5])
     """
-    low = float(values.min()) if len(values) else 0.0
-    high = float(values.max()) if len(values) else 1.0
-    if (values == np.rint(values)).all():
+    if len(values) and (values == np.rint(values)).all():
+        low = values.min()
+        high = values.max()
         width = max(1, math.ceil((high - low + 1) / bins))
         return np.arange(low, high + width + 0.5, width) - 0.5
-    if high == low:
-        high = low + 1  # bins need a width
-    return np.linspace(low, high, bins + 1)
+    return np.histogram_bin_edges(values, bins)
 
 
 def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
