@@ -95,9 +95,10 @@ def row(batch: Sample, i: int) -> Sample:
 
 def cast(batch: Sample, dtype: torch.dtype) -> Sample:
     """Return a sample or batch whose maps and masks have another type; all else stays as it is."""
-    names = [name for name in MAPS_AND_MASKS if name in batch._fields]
-    changed: Sample = batch._replace(**{name: getattr(batch, name).to(dtype) for name in names})
-    return changed
+    for name in MAPS_AND_MASKS:
+        if name in batch._fields:
+            batch = batch._replace(**{name: getattr(batch, name).to(dtype)})
+    return batch
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:

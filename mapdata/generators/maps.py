@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -54,16 +54,17 @@ class Maps:
         """Return maps to be filled in, each with up to ``most`` rooms; -1 is unknown."""
         rows, columns = map_size
         count = len(index)
+        unknown = partial(np.full, fill_value=-1, dtype=np.int64)
         return Maps(
             movement=movement,
             columns=columns,
             index=index,
             packed=np.empty((count, rows, -(-columns // WORD)), np.uint64),
             rooms=np.zeros(count, np.int64),
-            passage_width=np.full(count, -1, np.int64),
-            seed_points=np.full((count, most, 2), -1, np.int64),
-            sizes=np.full((count, most, 2), -1, np.int64),
-            directions=np.full((count, most - 1, 2), -1, np.int64),
+            passage_width=unknown(count),
+            seed_points=unknown((count, most, 2)),
+            sizes=unknown((count, most, 2)),
+            directions=unknown((count, most - 1, 2)),
             split=np.zeros(count, np.uint8),
         )
 

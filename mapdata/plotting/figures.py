@@ -60,14 +60,13 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     add("not connected", ~of.all_connected)
     add("redundant", of.redundant)
     add(_in_words(most, of.rooms_known), of.rooms == most)
-    marks: list[float] = []
     if len(of) and not fewer:
-        marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest").tolist()
+        marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest")
+        for mark in marks.tolist():
+            add(f"hardness {mark:.2f}", of.hardest == mark)
     hardest = of.hardest.max(initial=0)
     if hardest > 1:
-        marks.append(hardest)
-    for mark in marks:
-        add(f"hardness {mark:.2f}", of.hardest == mark)
+        add(f"hardness {hardest:.2f}", of.hardest == hardest)
     return examples
 
 
@@ -110,7 +109,7 @@ def plot_distributions(of: DatasetStatistics, axes: Sequence[Axes] | None = None
     axes = new_axes(2, 2, (9, 6)) if axes is None else list(axes)
     for ax, (name, values) in zip(axes, of.distributions().items(), strict=False):
         plot_distribution(name, values, ax)
-    return list(axes)
+    return axes
 
 
 def plot_distribution(name: str, values: Floats, ax: Axes) -> None:

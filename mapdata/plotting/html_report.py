@@ -100,23 +100,25 @@ def _pack(of: DatasetStatistics, places: Ints) -> bytes:
         "word": "rooms" if of.rooms_known else "seed points",
         "maps": maps,
     }
-    return zlib.compress(json.dumps(page).encode(), 9)
+    # numpy's numbers and arrays become plain ones
+    text = json.dumps(page, default=lambda value: value.tolist())
+    return zlib.compress(text.encode(), 9)
 
 
 def _shown(labels: Labels, i: int) -> dict[str, Any]:
-    """Return what the page shows of map ``i`` of a batch, as plain values."""
+    """Return what the page shows of map ``i`` of a batch."""
     maps = labels.maps
-    n = int(maps.rooms[i])
+    n = maps.rooms[i]
     grids = unpacked(maps.packed[i : i + 1], maps.columns)
-    shown: dict[str, Any] = {
-        "index": int(maps.index[i]),
+    shown = {
+        "index": maps.index[i],
         "cells": np.packbits(grids, axis=2).tobytes().hex(),  # four in a digit
-        "split": int(maps.split[i]),
-        "connected": bool(labels.all_connected[i]),
-        "width": int(maps.passage_width[i]),
-        "seeds": maps.seed_points[i, :n].tolist(),
-        "sizes": maps.sizes[i, :n].tolist(),
-        "directions": maps.directions[i, : n - 1].tolist(),
+        "split": maps.split[i],
+        "connected": labels.all_connected[i],
+        "width": maps.passage_width[i],
+        "seeds": maps.seed_points[i, :n],
+        "sizes": maps.sizes[i, :n],
+        "directions": maps.directions[i, : n - 1],
     }
     first, last = maps.segment_offsets[i : i + 2]
     for name in SEARCHES:
@@ -124,8 +126,8 @@ def _shown(labels: Labels, i: int) -> dict[str, Any]:
         bounds = pairwise(search.offsets[first : last + 1].tolist())
         shown[name] = {
             "moves": ["".join(map(str, search.moves[a:b].tolist())) for a, b in bounds],
-            "iterations": labels.iterations(name, i).tolist(),
-            "matrix": labels.matrix(name, i).round(2).tolist(),
+            "iterations": labels.iterations(name, i),
+            "matrix": labels.matrix(name, i).round(2),
         }
     return shown
 

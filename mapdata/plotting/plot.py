@@ -54,10 +54,8 @@ def plot_grid(
         paper_colours: free black, occupied white.
     """
     axes = axes or new_axes()[0]
-    if paper_colours:
-        cmap, top = "gray", 1.0
-    else:
-        cmap, top = "gray_r", 1.25  # a grey black, on which dark lines are seen
+    cmap = "gray" if paper_colours else "gray_r"
+    top = 1.0 if paper_colours else 1.25  # a grey black, on which dark lines are seen
     axes.imshow(np.asarray(occupancy), cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     return axes
@@ -302,7 +300,7 @@ def head(axes: Axes, title: str) -> None:
 def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
     """Put the legend under the axis label, whatever the size of the axes."""
     axes.legend(
-        handles=handles or axes.get_legend_handles_labels()[0],
+        handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0),
         borderaxespad=4.08,  # the height of the axis label and its ticks, in font sizes

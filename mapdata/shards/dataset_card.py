@@ -114,8 +114,7 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
         else:
             found.append(_rebuild(name, manifest))
     found += [_splits(of), _shares(of), _distributions(of), _duplicates(of), _use(of, copied)]
-    found.append(Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex"))
-    return found
+    return [*found, Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
 
 
 def _introduction(of: DatasetStatistics) -> str:

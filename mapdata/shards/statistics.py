@@ -98,8 +98,8 @@ class DatasetStatistics:
         """
         if self.digests is None:
             raise ValueError("repeats: not counted; use dataset_statistics(root, repeats=True)")
-        exact, symmetric = (_repeats(digests, self.split) for digests in self.digests)
-        return exact, symmetric
+        exact, symmetric = self.digests
+        return _repeats(exact, self.split), _repeats(symmetric, self.split)
 
     def distributions(self) -> dict[str, Floats]:
         """Return the values of each distribution that is shown; segments are those with a path."""
