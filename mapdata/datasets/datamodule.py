@@ -107,7 +107,8 @@ class MapDataModule(_Base):
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"
             )
-        if build is not None and (len(self.roots) > 1 or any(is_url(each) for each in self.roots)):
+        several = len(self.roots) > 1
+        if build is not None and (several or any(map(is_url, self.roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
         if batch_size < 1:
             raise ValueError(f"batch_size: got {batch_size}, expected at least 1")
@@ -120,9 +121,10 @@ class MapDataModule(_Base):
             "prefetch_factor": prefetch_factor,
             "multiprocessing_context": multiprocessing_context,
         }
-        moves = Movement(*movement) if isinstance(movement, (tuple, list)) else movement
+        if isinstance(movement, (tuple, list)):
+            movement = Movement(*movement)
         source = problem_source(problems)
-        self.serving = Serving(fields, source, search, moves, augment, sampling_seed, max_length)
+        self.serving = Serving(fields, source, search, movement, augment, sampling_seed, max_length)
         self.datasets: dict[str, Dataset] = {}
         plain = {**self.loading, **self.serving.plain(), "build": build, "batch_size": batch_size}
         plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None
@@ -164,20 +166,19 @@ class MapDataModule(_Base):
         if self.trainer is None:
             self.prepare_data()
         stages = {
+            None: SPLITS,
             "fit": ("train", "val"),
             "validate": ("val",),
             "test": ("test",),
             "predict": ("test",),
         }
-        for split in SPLITS if stage is None else stages[stage]:
+        for split in stages[stage]:
             if split not in self.datasets:
-                dataset = self._open(split)
-                self.datasets[split] = dataset
-                self._describe(dataset)
-        self._log()
+                self.datasets[split] = self._open(split)
+        self._describe(self.datasets[split])
 
     def _describe(self, dataset: Dataset) -> None:
-        """Say in ``hparams``, and so in checkpoints, what the maps are."""
+        """Say in ``hparams``, and so in checkpoints, what the maps are; tell the loggers all."""
         if isinstance(dataset, MapDataset):
             found: list[tuple[str | None, ...]] = [
                 (each.recipe() if each.spec else None, each.identity, each.content_hash)
@@ -187,13 +188,10 @@ class MapDataModule(_Base):
             found = [(None, identity(dataset.spec, dataset.seed), None)]
         values = found[0] if len(found) == 1 else zip(*found, strict=True)
         self.hparams.update(zip(("recipe", "identity", "content_hash"), values, strict=True))
-        self._movement = astuple(dataset.movement)
-
-    def _log(self) -> None:
-        """Tell the loggers what was trained on."""
         # In a group of its own, since Lightning refuses a name that a model gives another value.
         # Unlike the arguments it has the stored movement, and the names of functions.
-        told = {**self.hparams, "fields": self.serving.names, "movement": self._movement}
+        movement = astuple(dataset.movement)
+        told = {**self.hparams, "fields": self.serving.names, "movement": movement}
         for logger in self.trainer.loggers if self.trainer else ():
             logger.log_hyperparams({"data": json.loads(json.dumps(told))})  # YAML has no tuples
 

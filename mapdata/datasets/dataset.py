@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +14,10 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
-from mapdata.datasets.fields import hardness as problem_hardness
-from mapdata.datasets.fields import length as path_length_of
 from mapdata.datasets.sample import (
     MAPS_AND_MASKS,
     Rows,
@@ -43,8 +40,21 @@ if TYPE_CHECKING:
 
 Transform = Callable[[Sample], Any]
 
+Sampled = tuple[Bytes, Ints, list[tuple[Ints, Paths]]]
+"""Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
+the paths found, pieces for `Paths.join`, none where they have not been searched."""
+
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
+
+CONDITIONS: dict[str, Callable[[Batch], npt.NDArray[Any]]] = {
+    "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),
+    "path_length": FIELDS["length"],
+    "reachable": lambda batch: np.diff(batch.paths.offsets) > 0,
+    "all_connected": lambda batch: (batch.rooms.matrix != -1).all(axis=(1, 2)),  # -2 is padding
+    "hardness": FIELDS["hardness"],
+}
+"""What the conditions of `MapDataset.filter` are about: a value for each problem of a batch."""
 
 
 class ProblemDataset(Dataset[Sample], ABC):
@@ -76,35 +86,32 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise ValueError(
                 f"augment: would change the split {split!r}, expected the training split"
             )
+        if transform is not None and not callable(transform):
+            raise ValueError(f"transform: got {transform!r}, expected a function of a sample")
+        names = frozenset(serving.names)
+        changes = isinstance(dtype, torch.dtype) and names.intersection(MAPS_AND_MASKS)
+        if dtype is not None and not changes:
+            raise ValueError(
+                f"dtype: got {dtype!r}, expected one of torch, such as torch.float32, and one of "
+                f"{', '.join(MAPS_AND_MASKS)} among the fields"
+            )
         self.split = split
         self.serving = serving
         self.dtype = dtype
         self.transform = transform
         self._arguments = {**vars(serving), "dtype": dtype, "transform": transform}
-        _keep_freed_memory()
         self._class = sample_class(serving.names, serving.max_length)
-        self._wanted = frozenset(serving.names)
-        if transform is not None and not callable(transform):
-            raise ValueError(f"transform: got {transform!r}, expected a function of a sample")
-        changed = isinstance(dtype, torch.dtype) and self._wanted.intersection(MAPS_AND_MASKS)
-        if dtype is not None and not changed:
-            raise ValueError(
-                f"dtype: got {dtype!r}, expected one of torch, such as torch.float32, and one of "
-                f"{', '.join(MAPS_AND_MASKS)} among the fields"
-            )
+        self._wanted = names
+        _keep_freed_memory()
 
     @abstractmethod
     def __len__(self) -> int:
         """Return the number of problems."""
 
-    @abstractmethod
-    def _batch(self, indices: Ints, epoch: int) -> Batch:
-        """Return problems ``indices`` of an epoch, before fields are made of them."""
-
     def __getitem__(self, index: Any) -> Sample:
         if isinstance(index, slice):
             index = np.arange(*index.indices(len(self)))
-        if isinstance(index, (list, tuple, np.ndarray, torch.Tensor)) and np.ndim(index):
+        if np.ndim(index):
             rows = self.__getitems__(index)
             return rows.batch if isinstance(rows, Rows) else default_collate(rows)
         i = operator.index(index)
@@ -123,16 +130,16 @@ class ProblemDataset(Dataset[Sample], ABC):
         length = len(self)
         if given.size and given.dtype.kind not in "iu":
             raise TypeError(f"indices: got {given.dtype}, expected integers")
-        wanted = given.astype(np.int64, copy=False).reshape(-1)
+        wanted = given.astype(np.int64).reshape(-1)
         if len(wanted) and (length == 0 or wanted.min() < -length):
             raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
-        epochs, indices = np.divmod(np.where(wanted < 0, wanted + length, wanted), length)
-        if len(wanted) == 0:
-            batch = self._make(indices, 0)
-        elif (epochs == epochs[0]).all():
-            batch = self._make(indices, int(epochs[0]))
-        else:
-            singles = [self._make(indices[k : k + 1], epoch) for k, epoch in enumerate(epochs)]
+        wanted[wanted < 0] += length
+        epochs, indices = np.divmod(wanted, length)
+        epoch = int(epochs.max(initial=0))
+        if (epochs == epoch).all():
+            batch = self._make(indices, epoch)
+        else:  # a batch is of one epoch
+            singles = [self._make(indices[k : k + 1], each) for k, each in enumerate(epochs)]
             batch = stack([row(single, 0) for single in singles])
         rows = Rows(batch, len(wanted))
         if self.transform is None or not len(rows):
@@ -172,8 +179,11 @@ class ProblemDataset(Dataset[Sample], ABC):
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return the places of maps to try where those of samples ``indices`` have no problem."""
 
-    def _sampled_batch(self, indices: Ints, epoch: int) -> Batch:
-        """Return a problem for each index, sampled on its own map or on a substitute."""
+    def _batch(self, indices: Ints, epoch: int) -> Batch:
+        """Return problems ``indices`` of an epoch, before fields are made of them.
+
+        Each is sampled on its own map, or on a substitute where that has none.
+        """
         places = indices.copy()
         grids, ends, pieces = self._sample(places, indices, epoch)
         for attempt in range(SUBSTITUTES):
@@ -197,18 +207,14 @@ class ProblemDataset(Dataset[Sample], ABC):
 
         return self._as_batch(indices, places, grids, starts, goals, paths)
 
-    def _sample(
-        self, places: Ints, indices: Ints, epoch: int
-    ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
-        """Sample a problem on each of the maps at some places.
-
-        Returns the maps; start and goal on each, (B, 4), -1 where it has none; and the paths found,
-        pieces for `Paths.join`, none where they have not been searched.
-        """
-        assert isinstance(self.serving.problems, Random)
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
+        """Sample a problem on each of the maps at some places."""
+        problems = self.serving.problems
+        assert isinstance(problems, Random)
         grids = self._grids(places)
-        seed, bands = np.uint64(self.serving.sampling_seed), self.serving.problems.bands
-        sampled = sample_problems(grids, seed, epoch, indices, bands, *rule_of(self.movement))
+        seed = np.uint64(self.serving.sampling_seed)
+        rule = rule_of(self.movement)
+        sampled = sample_problems(grids, seed, epoch, indices, problems.bands, *rule)
         return grids, sampled[:, :4], []
 
     def _as_batch(
@@ -316,8 +322,9 @@ class MapDataset(ProblemDataset):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths and arguments: no file handle, no data."""
+        again = partial(MapDataset, self.roots, self.split, **self._arguments)
         content = [manifest.content_hash for manifest in self.reader.manifests]
-        return _reopen, (self.roots, self.split, self._arguments, self.filters, content)
+        return _reopen, (again, self.filters, content)
 
     @property
     def map_size(self) -> tuple[int, int]:
@@ -353,47 +360,37 @@ class MapDataset(ProblemDataset):
             raise ValueError(
                 "filter: random problems are not stored; give Random(...) the conditions"
             )
-        given = {
+        given: dict[str, Any] = {
             "rooms": rooms,
             "path_length": path_length,
             "reachable": reachable,
             "all_connected": all_connected,
             "hardness": hardness,
         }
-        conditions: dict[str, Any] = {
-            name: value for name, value in given.items() if value is not None
-        }
+        conditions = {name: value for name, value in given.items() if value is not None}
         if not conditions:
             raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
         for name in ("rooms", "path_length", "hardness"):
             if name in conditions and len(conditions[name]) != 2:
                 raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
         indices = np.arange(len(self.reader)) if self._kept is None else self._kept
-        keep = [
-            self._meets(indices[k : k + 4096], conditions) for k in range(0, len(indices), 4096)
-        ]
-        view = copy.copy(self)
+        parts = np.split(indices, range(4096, len(indices), 4096))  # memory stays flat
+        kept = [part[self._meets(part, conditions)] for part in parts]
+        view = object.__new__(type(self))
+        vars(view).update(vars(self))
         view.filters = (*self.filters, conditions)
-        view._kept = indices[np.concatenate([np.zeros(0, np.bool_), *keep])]
+        view._kept = np.concatenate(kept)
         return view
 
-    def _meets(self, indices: Ints, conditions: dict[str, Any]) -> npt.NDArray[np.bool_]:
+    def _meets(self, indices: Ints, conditions: dict[str, Any]) -> Flags:
         """Return which problems meet the conditions of `filter`."""
         batch = self._stored_batch(indices)
-        rooms = cache(partial(self._rooms, indices, batch.grids))
-        values: dict[str, Callable[[], npt.NDArray[Any]]] = {
-            "rooms": lambda: (rooms().seed_points[:, :, 0] >= 0).sum(axis=1),
-            "path_length": lambda: path_length_of(batch),
-            "reachable": lambda: path_length_of(batch) > 0,
-            "all_connected": lambda: (rooms().matrix != -1).all(axis=(1, 2)),  # -2 is padding
-            "hardness": lambda: problem_hardness(batch),
-        }
-        keep = np.ones(len(indices), np.bool_)
+        meets = np.ones(len(indices), np.bool_)
         for name, wanted in conditions.items():
-            lowest, highest = np.broadcast_to(wanted, 2)
-            value = values[name]()
-            keep &= (value >= lowest) & (value <= highest)
-        return keep
+            lowest, highest = np.broadcast_to(wanted, 2)  # one value is both
+            values = CONDITIONS[name](batch)
+            meets &= (values >= lowest) & (values <= highest)
+        return meets
 
     def table(self) -> pd.DataFrame:
         """Return a table of the maps of this split: the items of the paper, and ``split``."""
@@ -401,26 +398,27 @@ class MapDataset(ProblemDataset):
 
         from mapdata.shards.table import map_rows
 
-        rows: list[dict[str, Any]] = []
-        for k in range(len(self.reader.shards)):
-            rows += map_rows(self.reader.open(k), self.split)
+        shards = map(self.reader.open, range(len(self.reader.shards)))
+        rows = [row for shard in shards for row in map_rows(shard, self.split)]
         return pd.DataFrame(rows)
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:
         if self._kept is not None:
             indices = self._kept[indices]
         if isinstance(self.serving.problems, Random):
-            return self._sampled_batch(indices, epoch)
+            return super()._batch(indices, epoch)
         return self._stored_batch(indices)
 
     def _stored_batch(self, indices: Ints) -> Batch:
-        shards, maps, first, second = self.reader.find(indices)
-        grids = self.reader.grids(shards, maps)
-        starts, goals = (self.reader.seed_points(shards, maps, rooms) for rooms in (first, second))
+        reader = self.reader
+        shards, maps, first, second = reader.find(indices)
+        grids = reader.grids(shards, maps)
+        starts = reader.seed_points(shards, maps, first)
+        goals = reader.seed_points(shards, maps, second)
 
         def paths() -> Paths:
-            if isinstance(self.serving.problems, Route) and self.movement == self.reader.movement:
-                return Paths(*self.reader.paths(shards, maps, first, self.serving.search))
+            if isinstance(self.serving.problems, Route) and self.movement == reader.movement:
+                return Paths(*reader.paths(shards, maps, first, self.serving.search))
             return self._solve(grids, starts, goals)
 
         return self._as_batch(indices, indices, grids, starts, goals, paths)
@@ -429,16 +427,13 @@ class MapDataset(ProblemDataset):
         shards, maps, _, _ = self.reader.find(places)
         return self.reader.grids(shards, maps)
 
-    def _stored_rooms(self, places: Ints, search: str) -> Rooms:
-        shards, maps, _, _ = self.reader.find(places)
-        return Rooms(*self.reader.rooms(shards, maps, search))
-
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
-        rooms = self._stored_rooms(places, self.serving.search)
-        if self.movement == self.reader.movement:
-            return rooms
-        matrices = room_matrices(self.serving.search, grids, rooms.seed_points, self.movement)
-        return rooms._replace(matrix=matrices)
+        shards, maps, _, _ = self.reader.find(places)
+        search = self.serving.search
+        matrices, seed_points = self.reader.rooms(shards, maps, search)
+        if self.movement != self.reader.movement:
+            matrices = room_matrices(search, grids, seed_points, self.movement)
+        return Rooms(matrices, seed_points)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return (indices + attempt + 1) % len(self.reader)
@@ -460,46 +455,37 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
     rows, columns = batch.grids.shape[1:]
     codes = sample_symmetries(np.uint64(seed), epoch, batch.problems, rows == columns)
 
+    def transformed(cells: Ints, each: Ints | int = 1) -> Ints:
+        """Return cells (..., 2), of which ``each`` says how many a problem has."""
+        flat = transform_cells(cells.reshape(-1, 2), np.repeat(codes, each), rows, columns)
+        return flat.reshape(cells.shape)
+
     def paths() -> Paths:
-        cells, offsets, iterations = batch.paths
-        return Paths(
-            transform_cells(cells, np.repeat(codes, np.diff(offsets)), rows, columns),
-            offsets,
-            iterations,
-        )
+        found = batch.paths
+        return found._replace(cells=transformed(found.cells, np.diff(found.offsets)))
 
     def rooms() -> Rooms:
-        matrix, seed_points = batch.rooms
-        each = np.repeat(codes, seed_points.shape[1])
-        return Rooms(
-            matrix,
-            transform_cells(seed_points.reshape(-1, 2), each, rows, columns).reshape(
-                seed_points.shape
-            ),
-        )
+        seed_points = batch.rooms.seed_points
+        return batch.rooms._replace(seed_points=transformed(seed_points, seed_points.shape[1]))
 
     return replace(
         batch,
         grids=transform_grids(batch.grids, codes),
-        starts=transform_cells(batch.starts, codes, rows, columns),
-        goals=transform_cells(batch.goals, codes, rows, columns),
+        starts=transformed(batch.starts),
+        goals=transformed(batch.goals),
         find_paths=paths,
         find_rooms=rooms,
     )
 
 
 def _reopen(
-    roots: tuple[str, ...],
-    split: str | None,
-    arguments: dict[str, Any],
-    filters: tuple[dict[str, Any], ...],
-    content: list[str],
+    again: Callable[[], MapDataset], filters: tuple[dict[str, Any], ...], content: list[str]
 ) -> MapDataset:
     """Return the dataset that was pickled, if it still is the same.
 
     In another one, its problems would have other numbers.
     """
-    dataset = MapDataset(roots, split, **arguments)
+    dataset = again()
     for root, manifest, expected in zip(
         dataset.roots, dataset.reader.manifests, content, strict=True
     ):

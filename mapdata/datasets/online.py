@@ -11,14 +11,15 @@ import torch
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
-from mapdata.datasets.dataset import ProblemDataset, Transform
-from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform
+from mapdata.datasets.fields import Paths, Rooms, room_matrices
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, Source, problem_source
-from mapdata.search.lattice import ASTAR, BFS, rule_of
+from mapdata.search.api import SEARCHES
+from mapdata.search.lattice import rule_of
 from mapdata.spec import Movement, check_seed
 
 
@@ -81,39 +82,32 @@ class OnlineMapDataset(ProblemDataset):
         ), ()
 
     def __repr__(self) -> str:
-        arguments = (
-            f"{self.spec}, seed={self.seed}, split={self.split!r}, problems={self.serving.problems}"
+        return (
+            f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}, "
+            f"problems={self.serving.problems}): {self.length} problems"
         )
-        return f"OnlineMapDataset({arguments}): {self.length} problems"
 
     @property
     def map_size(self) -> tuple[int, int]:
         """(rows, columns) of all maps."""
         return self.spec.map_size
 
-    def _batch(self, indices: Ints, epoch: int) -> Batch:
-        return self._sampled_batch(indices, epoch)
-
     def _maps(self, places: Ints) -> Maps:
-        return generate(
-            self.spec, self.seed, places if self._numbers is None else self._numbers[places]
-        )
+        numbers = places if self._numbers is None else self._numbers[places]
+        return generate(self.spec, self.seed, numbers)
 
     def _grids(self, places: Ints) -> Bytes:
         return self._maps(places).occupancy
 
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         seed_points = self._maps(places).seed_points
-        return Rooms(
-            room_matrices(self.serving.search, grids, seed_points, self.movement), seed_points
-        )
+        matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
+        return Rooms(matrices, seed_points)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return self.length + (indices + attempt) % self.length
 
-    def _sample(
-        self, places: Ints, indices: Ints, epoch: int
-    ) -> tuple[Bytes, Ints, list[tuple[Ints, Paths]]]:
+    def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
         problems = self.serving.problems
         if isinstance(problems, Random):
             return super()._sample(places, indices, epoch)
@@ -126,7 +120,7 @@ class OnlineMapDataset(ProblemDataset):
             epoch,
             indices,
             (isinstance(problems, Route), problems.unsolvable),
-            ASTAR if self.serving.search == "astar" else BFS,
+            SEARCHES[self.serving.search],
             rule_of(self.movement),
         )
         return maps.occupancy, ends, [(np.arange(len(ends)), Paths(*found))]

@@ -86,18 +86,19 @@ def row(batch: Sample, i: int) -> Sample:
 
     Its path has no padding, unless the dataset has a ``max_length``.
     """
-    values = [value[i] for value in batch]
+    sample: Sample = type(batch)(*(value[i] for value in batch))
     if batch._capacity is None and "path" in batch._fields:
-        k = batch._fields.index("path")
-        values[k] = values[k][: int((values[k][:, 0] != PADDING).sum())]
-    return type(batch)(*values)
+        path = sample.path
+        sample = sample._replace(path=path[path[:, 0] != PADDING])
+    return sample
 
 
 def cast(batch: Sample, dtype: torch.dtype) -> Sample:
     """Return a sample or batch whose maps and masks have another type; all else stays as it is."""
-    names = [name for name in MAPS_AND_MASKS if name in batch._fields]
-    changed: Sample = batch._replace(**{name: getattr(batch, name).to(dtype) for name in names})
-    return changed
+    for name in MAPS_AND_MASKS:
+        if name in batch._fields:
+            batch = batch._replace(**{name: getattr(batch, name).to(dtype)})
+    return batch
 
 
 def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_map) -> Sample:
@@ -106,15 +107,13 @@ def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_ma
     Paths are padded with -1 to a multiple of 16 cells, or to the dataset's ``max_length``.
     """
     kind = type(samples[0])
-    columns = dict(zip(kind._fields, zip(*samples, strict=True), strict=True))
-    return kind(
-        *(
-            _stack_paths(values, kind._capacity)
-            if name == "path"
-            else collate(list(values), collate_fn_map=collate_fn_map)
-            for name, values in columns.items()
-        )
-    )
+    stacked = []
+    for name, values in zip(kind._fields, zip(*samples, strict=True), strict=True):
+        if name == "path":
+            stacked.append(_stack_paths(values, kind._capacity))
+        else:
+            stacked.append(collate(list(values), collate_fn_map=collate_fn_map))
+    return kind(*stacked)
 
 
 def _stack_paths(paths: Sequence[torch.Tensor], capacity: int | None) -> torch.Tensor:

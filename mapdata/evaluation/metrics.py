@@ -142,14 +142,12 @@ def confidence_intervals(
     if n == 0:
         return np.full((3, *values.shape), np.nan)
     source = np.random.default_rng(seed)
-    flat = outcomes.reshape(n, -1)
-    sums = np.empty((bootstrap, flat.shape[1]))
+    sums = np.empty((bootstrap, *outcomes.shape[1:]))
     for k in range(bootstrap):
         # How often each problem is in the resample times its outcomes: no copy of them is made.
         times_drawn = np.bincount(source.integers(n, size=n), minlength=n)
-        sums[k] = times_drawn @ flat
-    means = sums.reshape(bootstrap, *outcomes.shape[1:]) / n
-    resampled = pd.DataFrame(metrics(means).reshape(bootstrap, -1))
+        sums[k] = np.tensordot(times_drawn, outcomes, 1)
+    resampled = pd.DataFrame(metrics(sums / n).reshape(bootstrap, -1))
     ends = resampled.quantile([0.025, 0.975]).to_numpy()  # leaves NaN out
     return np.concatenate([values[None], ends.reshape(2, *values.shape)])
 
@@ -188,56 +186,48 @@ class _Run(NamedTuple):
 
 def _run(planner: Planner, problems: Problems) -> _Run:
     """Plan and check every problem."""
-    outcomes = np.zeros((len(problems), 5))
+    outcomes = np.empty((len(problems), 5))
     ms = np.empty(len(problems))
-    _timed(planner, problems, 0)  # kernels compile and caches fill in the first call
-    for k in range(len(problems)):
-        plan, ms[k] = _timed(planner, problems, k)
-        cost = _cost(plan, problems, k)
-        if cost is not None:
-            optimal = problems.optimal.cost[k]
-            outcomes[k, 0] = 1
-            outcomes[k, 1] = 1 if cost == optimal else 0
-            outcomes[k, 2] = cost / optimal
-        expansions = int(plan.expansions)
-        iterations = problems.optimal.iterations[k]
-        outcomes[k, 3] = expansions / iterations
-        outcomes[k, 4] = max(0.0, (iterations - expansions) / iterations)
+    for k in (0, *range(len(problems))):  # the first twice: kernels compile and caches fill
+        start_row, start_column = problems.starts[k].tolist()
+        goal_row, goal_column = problems.goals[k].tolist()
+        grid = problems.grids[k].copy()  # a planner may write to it
+        began = time.perf_counter()
+        plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
+        ms[k] = 1000 * (time.perf_counter() - began)
+        outcomes[k] = _outcomes(plan, problems, k)
     ms_batched = _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan
     return _Run(outcomes, ms, ms_batched)
 
 
-def _timed(planner: Planner, problems: Problems, k: int) -> tuple[Plan, float]:
-    """Return the plan for problem k and the milliseconds it took."""
-    start_row, start_column = problems.starts[k].tolist()
-    goal_row, goal_column = problems.goals[k].tolist()
-    grid = problems.grids[k].copy()  # a planner may write to it
-    began = time.perf_counter()
-    plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
-    return plan, 1000 * (time.perf_counter() - began)
+def _outcomes(plan: Plan, problems: Problems, k: int) -> tuple[float, ...]:
+    """Return the outcomes of `_Run` for problem k."""
+    iterations = problems.optimal.iterations[k]
+    ratio = int(plan.expansions) / iterations
+    saved = max(0.0, (iterations - int(plan.expansions)) / iterations)
+    cost = _cost(plan, problems, k)
+    if cost is None:
+        return 0, 0, 0, ratio, saved
+    optimal = problems.optimal.cost[k]
+    return 1, 1 if cost == optimal else 0, cost / optimal, ratio, saved
 
 
 def _batched(planner: BatchPlanner, problems: Problems) -> float:
     """Return the milliseconds a problem in batches."""
-    _timed_batch(planner, problems, 0)  # as in `_run`
-    seconds = [_timed_batch(planner, problems, k) for k in range(0, len(problems), _BATCH)]
-    return 1000 * sum(seconds) / len(problems)
-
-
-def _timed_batch(planner: BatchPlanner, problems: Problems, first: int) -> float:
-    """Return the seconds for one batch."""
-    batch = slice(first, first + _BATCH)
-    grids = problems.grids[batch].copy()
-    starts = problems.starts[batch].copy()
-    goals = problems.goals[batch].copy()
-    began = time.perf_counter()
-    plans = planner.plan_batch(grids, starts, goals)
-    seconds = time.perf_counter() - began
-    if len(plans) != len(starts):
-        raise ValueError(
-            f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
-        )
-    return seconds
+    seconds = []
+    for first in (0, *range(0, len(problems), _BATCH)):
+        batch = slice(first, first + _BATCH)
+        grids = problems.grids[batch].copy()
+        starts = problems.starts[batch].copy()
+        goals = problems.goals[batch].copy()
+        began = time.perf_counter()
+        plans = planner.plan_batch(grids, starts, goals)
+        seconds.append(time.perf_counter() - began)
+        if len(plans) != len(starts):
+            raise ValueError(
+                f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
+            )
+    return 1000 * sum(seconds[1:]) / len(problems)  # without the first call, as in `_run`
 
 
 def _cost(plan: Plan, problems: Problems, k: int) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation.metrics import BatchPlanner, Cell, Plan
-from mapdata.search.api import search_batch, solve_batch
+from mapdata.search.api import BatchResult, search_batch, solve_batch
 from mapdata.spec import Movement
 
 MAX_ESTIMATE = 2**20
@@ -54,8 +54,7 @@ class Search(Batched):
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
-        found = search_batch(self.search, grids, starts, goals, self.movement)
-        return _plans(found.cells, found.offsets, found.iterations)
+        return _plans(search_batch(self.search, grids, starts, goals, self.movement))
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Limit(Batched):
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
         found = search_batch("astar", grids, starts, goals, self.movement)
-        return _plans(found.cells, found.offsets, np.diff(found.offsets))
+        return _plans(found._replace(iterations=np.diff(found.offsets)))
 
 
 @dataclass(frozen=True)
@@ -109,14 +108,14 @@ class BestFirst(Batched):
         if self.weight * sum(np.shape(grids)[1:]) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")
         g_weight = 1 if self.counts_way else 0
-        found = solve_batch((g_weight, float(self.weight)), grids, starts, goals, self.movement)
-        return _plans(found.cells, found.offsets, found.iterations)
+        weights = (g_weight, float(self.weight))
+        return _plans(solve_batch(weights, grids, starts, goals, self.movement))
 
 
-def _plans(cells: Ints, offsets: Ints, expansions: Ints) -> list[Plan]:
-    """Return plan k with the path ``cells[offsets[k]:offsets[k + 1]]``."""
-    bounds = pairwise(offsets.tolist())
+def _plans(found: BatchResult) -> list[Plan]:
+    """Return what a batch of searches found, a plan for each."""
+    bounds = pairwise(found.offsets.tolist())
     return [
-        Plan(cells[begin:end], count)
-        for (begin, end), count in zip(bounds, expansions.tolist(), strict=True)
+        Plan(found.cells[begin:end], count)
+        for (begin, end), count in zip(bounds, found.iterations.tolist(), strict=True)
     ]

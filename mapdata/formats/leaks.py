@@ -35,9 +35,9 @@ def separate(
         if one.split is not None:
             splits[k] = one.split
     digests = [digests_of(one.grid[None]) for one in maps]
-    exact, symmetric = map(np.concatenate, zip(*digests, strict=True))
+    exact, symmetric = (np.concatenate(each) for each in zip(*digests, strict=True))
     # the number of each kind of map, and the last split that has one of it
-    _, kinds = np.unique(symmetric.view("S16")[:, 0], return_inverse=True)
+    _, kinds = np.unique(symmetric, return_inverse=True)
     last = np.zeros_like(splits)
     np.maximum.at(last, kinds, splits)
     kept = np.flatnonzero(splits == last[kinds])

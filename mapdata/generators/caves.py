@@ -7,6 +7,7 @@ PCG 2010.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -50,9 +51,9 @@ class Cave(Generator):
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""
         super().__post_init__()
-        object.__setattr__(self, "occupied", check_probability("occupied", self.occupied))
-        object.__setattr__(self, "steps", check_count("steps", self.steps, 0))
-        object.__setattr__(self, "seed_points", check_seed_points(self.seed_points))
+        self._convert(check_probability, "occupied")
+        self._convert(partial(check_count, lowest=0), "steps")
+        self._convert(check_seed_points, "seed_points")
 
     @property
     def most_seed_points(self) -> int:

@@ -56,9 +56,9 @@ class Forest(Generator):
                 f"cover: got {self.cover!r}, expected (least, most), 0 to {_MOST_COVER}"
             )
         object.__setattr__(self, "cover", cover)
-        object.__setattr__(self, "sizes", check_integers("sizes", self.sizes))
+        self._convert(check_integers, "sizes")
         check_range("sizes", self.sizes, 1, min(self.map_size), ", the shorter side of the map")
-        object.__setattr__(self, "seed_points", check_seed_points(self.seed_points))
+        self._convert(check_seed_points, "seed_points")
 
     @property
     def most_seed_points(self) -> int:

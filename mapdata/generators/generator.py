@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -63,8 +63,8 @@ class Generator(ABC):
         Raises:
             ValueError: a value outside these limits.
         """
-        object.__setattr__(self, "map_size", check_integers("map_size", self.map_size))
-        object.__setattr__(self, "resolution", check_number("resolution", self.resolution))
+        self._convert(check_integers, "map_size")
+        self._convert(check_number, "resolution")
         object.__setattr__(self, "splits", check_fractions(self.splits))
         if not isinstance(self.movement, Movement):
             raise ValueError(f"movement: got {self.movement!r}, expected a Movement")
@@ -75,6 +75,11 @@ class Generator(ABC):
             )
         if not (self.resolution > 0 and math.isfinite(self.resolution)):
             raise ValueError(f"resolution: got {self.resolution}, expected metres per cell above 0")
+
+    def _convert(self, check: Callable[[str, Any], object], *names: str) -> None:
+        """Replace values of this frozen dataclass by what ``check(name, value)`` makes of them."""
+        for name in names:
+            object.__setattr__(self, name, check(name, getattr(self, name)))
 
     @property
     @abstractmethod
@@ -126,13 +131,15 @@ class Generator(ABC):
         """
         if isinstance(values, str):
             return cls.preset(values)
-        given = dict(values) if isinstance(values, dict) else {}
+        if not isinstance(values, dict):
+            raise ValueError(f"spec: got {values!r}, expected an object of named values")
+        given = dict(values)
         name = given.pop("generator", _FIRST)
         check_choice("generator", name, tuple(GENERATORS))  # JSON may hold what has no hash
         kind = GENERATORS[name]
         if not issubclass(kind, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
-        known = known_values("spec", given if isinstance(values, dict) else values, kind)
+        known = known_values("spec", given, kind)
         if "movement" in known:
             known["movement"] = Movement(**known_values("movement", known["movement"], Movement))
         return kind(**known)
@@ -158,7 +165,7 @@ PRESETS: dict[str, Generator] = {}
 """Specs with a name, of all families."""
 
 
-def register(family: type[Generator], presets: Mapping[str, Generator] | None = None) -> None:
+def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> None:
     """Make a family and its presets known by name, to recipes, manifests and shards.
 
     Raises:
@@ -170,7 +177,7 @@ def register(family: type[Generator], presets: Mapping[str, Generator] | None = 
     taken = GENERATORS.setdefault(family.name, family)
     if taken.__qualname__ != family.__qualname__:
         raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken.__name__}")
-    for name, spec in (presets or {}).items():
+    for name, spec in presets.items():
         if PRESETS.setdefault(name, spec) != spec:
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
 

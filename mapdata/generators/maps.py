@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -54,16 +54,17 @@ class Maps:
         """Return maps to be filled in, each with up to ``most`` rooms; -1 is unknown."""
         rows, columns = map_size
         count = len(index)
+        unknown = partial(np.full, fill_value=-1, dtype=np.int64)
         return Maps(
             movement=movement,
             columns=columns,
             index=index,
             packed=np.empty((count, rows, -(-columns // WORD)), np.uint64),
             rooms=np.zeros(count, np.int64),
-            passage_width=np.full(count, -1, np.int64),
-            seed_points=np.full((count, most, 2), -1, np.int64),
-            sizes=np.full((count, most, 2), -1, np.int64),
-            directions=np.full((count, most - 1, 2), -1, np.int64),
+            passage_width=unknown(count),
+            seed_points=unknown((count, most, 2)),
+            sizes=unknown((count, most, 2)),
+            directions=unknown((count, most - 1, 2)),
             split=np.zeros(count, np.uint8),
         )
 
@@ -76,9 +77,7 @@ class Maps:
     @cached_property
     def occupancy(self) -> Bytes:
         """The maps as (N, H, W) uint8: 1 occupied, 0 free."""
-        grids = np.empty((*self.packed.shape[:2], self.columns), np.uint8)
-        unpack_all(self.packed, grids)
-        return grids
+        return unpacked(self.packed, self.columns)
 
     @property
     def connected(self) -> Flags:
@@ -92,6 +91,16 @@ class Maps:
     def segment_offsets(self) -> Ints:
         """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map."""
         return np.concatenate(([0], np.cumsum(self.rooms - 1)))
+
+    @cached_property
+    def segment_pairs(self) -> Ints:
+        """(S,) int64: number of the pair of rooms q and q + 1 that each segment joins."""
+        segments = self.rooms - 1
+        n = np.repeat(self.rooms, segments)
+        q = np.arange(len(n)) - np.repeat(self.segment_offsets[:-1], segments)
+        # Rooms 0 to q - 1 come first as i of a pair, with n - 1, n - 2, ... pairs each.
+        pairs_before: Ints = q * (2 * n - q - 1) // 2
+        return np.repeat(self.pair_offsets[:-1], segments) + pairs_before
 
     @cached_property
     def pair_offsets(self) -> Ints:
@@ -128,18 +137,19 @@ def unpack(words: Words, first: Int, grid: Bytes) -> None:
 
 
 @kernel
-def unpack_all(packed: Words, grids: Bytes) -> None:
-    """Write packed maps, (N, H, words), into ``grids``, (N, H, W)."""
-    words = packed.reshape(-1)
-    for m in range(len(packed)):
-        unpack(words, m * packed.shape[1] * packed.shape[2], grids[m])
+def unpacked(packed: Words, columns: Int) -> Bytes:
+    """Return packed maps, (N, H, words), as (N, H, W) grids: undo `pack`."""
+    count, rows, words = packed.shape
+    grids = np.empty((count, rows, columns), np.uint8)
+    flat = packed.reshape(-1)
+    for m in range(count):
+        unpack(flat, m * rows * words, grids[m])
+    return grids
 
 
 def pack(grids: Bytes) -> Words:
     """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`, (N, H, ceil(W / 64)) uint64."""
-    count, rows, columns = grids.shape
-    words = -(-columns // WORD)
-    padded = np.zeros((count, rows, 8 * words), np.uint8)  # packbits ends rows at whole bytes
     bits = np.packbits(grids, axis=2, bitorder="little")
-    padded[:, :, : bits.shape[2]] = bits
-    return np.ascontiguousarray(padded.view("<u8").astype(np.uint64, copy=False))
+    spare = -bits.shape[2] % 8  # packbits ends rows at whole bytes
+    words = np.pad(bits, ((0, 0), (0, 0), (0, spare))).view("<u8")
+    return words.astype(np.uint64, copy=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -41,12 +42,11 @@ class Maze(Generator):
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""
         super().__post_init__()
-        for name in ("corridor", "wall"):
-            object.__setattr__(self, name, check_count(name, getattr(self, name)))
-        object.__setattr__(self, "reopened", check_probability("reopened", self.reopened))
+        self._convert(check_count, "corridor", "wall")
+        self._convert(check_probability, "reopened")
         pitch = self.corridor + self.wall
         most = min(int(np.prod([(side - self.wall) // pitch for side in self.map_size])), MAX_ROOMS)
-        object.__setattr__(self, "seed_points", check_seed_points(self.seed_points, most))
+        self._convert(partial(check_seed_points, most=most), "seed_points")
 
     @property
     def most_seed_points(self) -> int:

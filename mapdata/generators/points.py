@@ -99,15 +99,11 @@ def _join(owner: Ints, one: Int, other: Int) -> None:
 @kernel
 def draw_points(cells: Ints, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
     """Return ``count`` of ``cells``, none twice: draw k is one of those left, in their order."""
-    left = cells.copy()
+    left = list(cells)
     drawn = np.empty(count, np.int64)
     for k in range(count):
-        last = len(cells) - 1 - k
         word, _, _, _ = block(seed, index, 0, POINTS, k)
-        j = bounded(word, 0, last)
-        drawn[k] = left[j]
-        for m in range(j, last):
-            left[m] = left[m + 1]
+        drawn[k] = left.pop(bounded(word, 0, len(left) - 1))
     return drawn
 
 

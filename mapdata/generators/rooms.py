@@ -63,10 +63,8 @@ class MapSpec(Generator):
     def __post_init__(self) -> None:
         """Check the values."""
         super().__post_init__()
-        for name in ("rooms", "room_rows", "room_columns", "passage_width"):
-            object.__setattr__(self, name, check_integers(name, getattr(self, name)))
-        skip = check_probability("skip_probability", self.skip_probability)
-        object.__setattr__(self, "skip_probability", skip)
+        self._convert(check_integers, "rooms", "room_rows", "room_columns", "passage_width")
+        self._convert(check_probability, "skip_probability")
         rows, columns = self.map_size
         too_tall = f": rooms would be larger than the map of {rows} rows"
         too_wide = f": rooms would be larger than the map of {columns} columns"
@@ -89,6 +87,9 @@ class MapSpec(Generator):
         skip = np.uint64(threshold(self.skip_probability))
         key = np.uint64(seed)
         maps.split[:] = draw_splits(key, indices, split_thresholds(self.splits))
+        # Line 2: all cells are occupied; the spare bits of the last words are 0.
+        maps.packed.fill(_FULL)
+        maps.packed[:, :, -1] >>= np.uint64(-maps.columns % WORD)
         _fill_maps(
             key,
             indices,
@@ -136,7 +137,7 @@ def _fill_maps(
     sizes: Ints,
     directions: Ints,
 ) -> None:
-    """Draw and carve maps ``indices`` into the arrays of `Maps`: Algorithm 1.
+    """Draw maps ``indices`` into the arrays of `Maps`, and carve them out of occupied ``packed``.
 
     ``limits`` is (4, 2): rooms, rows, columns, width. ``skip`` is the threshold of a passage that
     is not drawn. Each room and passage has a block of random words of its own, so that no draw
@@ -146,7 +147,6 @@ def _fill_maps(
     for m in range(len(indices)):
         words = packed[m]
         index = np.uint64(indices[m])
-        _occupy(words, columns)  # line 2
         w0, w1, _, _ = block(seed, index, 0, MAP, 0)
         n = bounded(w0, limits[0, 0], limits[0, 1])
         width = bounded(w1, limits[3, 0], limits[3, 1])  # line 4
@@ -173,15 +173,6 @@ def _fill_maps(
             _carve_passage(
                 words, columns, seed_points[m, q], seed_points[m, q + 1], width, horizontal == 1
             )
-
-
-@kernel
-def _occupy(words: Words, columns: int) -> None:
-    """Occupy all of one packed map; the spare bits of its last words stay 0."""
-    for j in range(words.shape[1]):
-        spare = np.uint64(WORD - min(columns - WORD * j, WORD))
-        for row in range(words.shape[0]):
-            words[row, j] = _FULL >> spare
 
 
 @kernel

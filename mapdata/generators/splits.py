@@ -8,7 +8,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
 from mapdata.generators.generator import Generator
-from mapdata.jit import Int, kernel
+from mapdata.jit import kernel
 from mapdata.rng import SPLIT, block, threshold
 from mapdata.spec import SPLITS, check_fractions, check_seed
 
@@ -29,16 +29,13 @@ def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
     """Return (N,) the codes of the splits of maps ``indices``."""
     codes = np.empty(len(indices), np.uint8)
     for k in range(len(indices)):
-        codes[k] = _split_of(seed, np.uint64(indices[k]), thresholds)
+        word, _, _, _ = block(seed, np.uint64(indices[k]), 0, SPLIT, 0)
+        codes[k] = 2
+        if word < thresholds[0]:
+            codes[k] = 0
+        elif word < thresholds[1]:
+            codes[k] = 1
     return codes
-
-
-@kernel
-def _split_of(seed: np.uint64, index: np.uint64, thresholds: Words) -> Int:
-    word, _, _, _ = block(seed, index, 0, SPLIT, 0)
-    if word < thresholds[0]:
-        return 0
-    return 1 if word < thresholds[1] else 2
 
 
 def maps_of_split(spec: Generator, seed: int, split: str, count: int) -> Ints:
@@ -46,17 +43,12 @@ def maps_of_split(spec: Generator, seed: int, split: str, count: int) -> Ints:
     code = SPLITS.index(split)
     if spec.splits[code] <= 0:
         raise ValueError(f"split: the spec gives no map to {split!r} (splits {spec.splits})")
-    return _maps_of_split(np.uint64(check_seed(seed)), code, split_thresholds(spec.splits), count)
-
-
-@kernel
-def _maps_of_split(seed: np.uint64, code: Int, thresholds: Words, count: Int) -> Ints:
-    indices = np.empty(count, np.int64)
-    found = 0
-    index = 0
-    while found < count:
-        if _split_of(seed, np.uint64(index), thresholds) == code:
-            indices[found] = index
-            found += 1
-        index += 1
-    return indices
+    key = np.uint64(check_seed(seed))
+    thresholds = split_thresholds(spec.splits)
+    found = np.empty(0, np.int64)
+    indices = np.arange(max(count, 4096))
+    while len(found) < count:
+        codes = draw_splits(key, indices, thresholds)
+        found = np.concatenate([found, indices[codes == code]])
+        indices += len(indices)
+    return found[:count]

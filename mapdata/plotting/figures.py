@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Floats
+from mapdata.arrays import Flags, Floats
 from mapdata.plotting.plot import (
     COLOURS,
     new_axes,
@@ -19,7 +19,9 @@ from mapdata.plotting.plot import (
     same_matrices,
 )
 from mapdata.shards.root import Places, Root
-from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
+from mapdata.shards.shard import SEARCHES
+from mapdata.shards.statistics import DatasetStatistics, bin_edges, dataset_statistics
+from mapdata.spec import check_choice
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,30 +45,28 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     does not occur is left out. Where all maps have equally many rooms, as many imported ones, they
     go from easy to hard instead.
     """
-    kinds = np.unique(of.rooms)
-    most = int(kinds[-1]) if len(kinds) else 0
-    few = (
-        kinds[:-1][np.unique(np.linspace(0, len(kinds) - 2, 4).round().astype(int))]
-        if len(kinds) > 1
-        else []
-    )
-    wanted: list[tuple[str, npt.NDArray[np.bool_]]] = [
-        *((_in_words(int(n), of.rooms_known), of.all_connected & (of.rooms == n)) for n in few),
-        ("not connected", ~of.all_connected),
-        ("redundant", of.redundant),
-        (_in_words(most, of.rooms_known), of.rooms == most),
-    ]
-    if len(kinds) == 1:
-        marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest").tolist()
-        wanted += [(f"hardness {mark:.2f}", of.hardest == mark) for mark in marks]
-    if len(of) and of.hardest.max() > 1:
-        wanted.append((f"hardness {of.hardest.max():.2f}", of.hardest == of.hardest.max()))
     examples: dict[str, int] = {}
-    for caption, which in wanted:
-        for index in of.index[which].tolist() if caption not in examples else ():
-            if index not in examples.values():
-                examples[caption] = index
-                break
+
+    def add(caption: str, which: Flags) -> None:
+        """Take the first map of a kind that is not shown yet."""
+        unseen = which & ~np.isin(of.index, list(examples.values()))
+        if caption not in examples and unseen.any():
+            examples[caption] = int(of.index[unseen.argmax()])
+
+    *fewer, most = np.unique(of.rooms).tolist() or [0]
+    if fewer:
+        for n in np.quantile(fewer, np.linspace(0, 1, 4), method="nearest").tolist():
+            add(_in_words(int(n), of.rooms_known), of.all_connected & (of.rooms == n))
+    add("not connected", ~of.all_connected)
+    add("redundant", of.redundant)
+    add(_in_words(most, of.rooms_known), of.rooms == most)
+    if len(of) and not fewer:
+        marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest")
+        for mark in marks.tolist():
+            add(f"hardness {mark:.2f}", of.hardest == mark)
+    hardest = of.hardest.max(initial=0)
+    if hardest > 1:
+        add(f"hardness {hardest:.2f}", of.hardest == hardest)
     return examples
 
 
@@ -81,13 +81,12 @@ def plot_gallery(
         paper_colours: free black, occupied white.
     """
     examples = pick_examples(of)
-    columns = min(4, len(examples)) or 1
-    rows = -(-len(examples) // columns) or 1
-    high, wide = of.root.map_size
-    size = (2.6 * columns, 2.85 * rows * high / wide + 0.5)
-    axes = new_axes(rows, columns, size) if axes is None else list(axes)
-    for ax in axes[len(examples) :]:
-        ax.set_axis_off()
+    if axes is None:
+        count = max(len(examples), 1)
+        columns = min(count, 4)
+        rows = math.ceil(count / columns)
+        high, wide = of.root.map_size
+        axes = new_axes(rows, columns, (2.6 * columns, 2.85 * rows * high / wide + 0.5))
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         labels, i = of.root.map(index)
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
@@ -95,6 +94,8 @@ def plot_gallery(
         ax.plot(seed_points[:, 1], seed_points[:, 0], "o", color=COLOURS["seed"], mec="white", ms=6)
         ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
         ax.set_title(f"{caption}\nmap{index}", fontsize="medium")
+    for ax in axes[len(examples) :]:
+        ax.set_axis_off()
     return list(axes)
 
 
@@ -108,16 +109,15 @@ def plot_distributions(of: DatasetStatistics, axes: Sequence[Axes] | None = None
     axes = new_axes(2, 2, (9, 6)) if axes is None else list(axes)
     for ax, (name, values) in zip(axes, of.distributions().items(), strict=False):
         plot_distribution(name, values, ax)
-    return list(axes)
+    return axes
 
 
 def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
     """Draw one of `DatasetStatistics.distributions`: its histogram, the mean as a dashed line."""
     from matplotlib.ticker import MaxNLocator
 
-    edges, counts = histogram(values)
-    style: dict[str, Any] = {"color": COLOURS["astar"], "edgecolor": "white", "linewidth": 0.5}
-    ax.bar(edges[:-1], counts, np.diff(edges), align="edge", **style)
+    edges = bin_edges(values).tolist()
+    ax.hist(values, edges, color=COLOURS["astar"], edgecolor="white", linewidth=0.5)
     if (values == np.rint(values)).all():
         ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     counted = "segments" if "segment" in name else "maps"
@@ -144,8 +144,7 @@ def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool 
     Raises:
         ValueError: no such figure, or no such map.
     """
-    if kind not in FIGURES:
-        raise ValueError(f"figure: got {kind!r}, expected one of {', '.join(FIGURES)}")
+    check_choice("figure", kind, FIGURES)
     dataset = Root.open(root)
     if kind == "gallery":
         axes = plot_gallery(dataset_statistics(dataset.places), paper_colours=paper_colours)
@@ -160,20 +159,16 @@ def _plot_one_map(kind: str, labels: Labels, i: int, paper_colours: bool) -> lis
     if kind == "map":
         axes = new_axes(size=(6, _height(labels, 5.4) + 1.1))
         plot_map(labels, i, axes[0], paper_colours=paper_colours)
-        return axes
-    if kind == "path":
+    elif kind == "path":
         legend = 0.13 * min(int(labels.maps.rooms[i]), 16)
         axes = new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + legend))
-        plot_path(labels, i, "bfs", axes[0], paper_colours=paper_colours)
-        plot_path(labels, i, "astar", axes[1], paper_colours=paper_colours)
-        return axes
-    if same_matrices(labels, i):
-        axes = new_axes(size=(6, 5.8))
-        plot_matrix(labels, i, axes=axes[0])
+        for search, ax in zip(SEARCHES, axes, strict=True):
+            plot_path(labels, i, search, ax, paper_colours=paper_colours)
     else:
-        axes = new_axes(1, 2, (12, 5.8))
-        plot_matrix(labels, i, "bfs", axes[0])
-        plot_matrix(labels, i, "astar", axes[1])
+        searches = SEARCHES[1:] if same_matrices(labels, i) else SEARCHES
+        axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
+        for search, ax in zip(searches, axes, strict=True):
+            plot_matrix(labels, i, search, ax)
     return axes
 
 
@@ -190,7 +185,7 @@ WITH_GRID = ("map", "path", "gallery")
 def _height(labels: Labels, width: float) -> float:
     """Return the height of a picture of a map of this width, in inches."""
     rows, columns = labels.maps.occupancy.shape[1:]
-    return float(min(max(width * rows / columns, 1.2), 3 * width))
+    return float(np.clip(width * rows / columns, 1.2, 3 * width))
 
 
 def figure_of(axes: Axes) -> Figure:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.transforms import Transform
 
     from mapdata.search.labels import Labels
 from mapdata.spec import check_choice
@@ -55,10 +54,8 @@ def plot_grid(
         paper_colours: free black, occupied white.
     """
     axes = axes or new_axes()[0]
-    if paper_colours:
-        cmap, top = "gray", 1.0
-    else:
-        cmap, top = "gray_r", 1.25  # a grey black, on which dark lines are seen
+    cmap = "gray" if paper_colours else "gray_r"
+    top = 1.0 if paper_colours else 1.25  # a grey black, on which dark lines are seen
     axes.imshow(np.asarray(occupancy), cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     return axes
@@ -151,18 +148,15 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
-    for row, column in np.argwhere(matrix < 0).tolist():
-        square = Rectangle((column - 0.5, row - 0.5), 1, 1, label="no connection")
-        square.set(facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
-        axes.add_patch(square)
-    if n <= _NUMBERED:
-        for row, column in np.argwhere(matrix >= 0).tolist():
-            value = matrix[row, column]
+    look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9 if n <= 10 else 6}
+    for (row, column), value in np.ndenumerate(matrix):
+        if value < 0:
+            square = Rectangle((column - 0.5, row - 0.5), 1, 1, label="no connection")
+            square.set(facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
+            axes.add_patch(square)
+        elif n <= _NUMBERED:
             ink = "black" if value > 0.55 * top else "white"
-            size = 9 if n <= 10 else 6
-            axes.text(
-                column, row, f"{value:.4g}", ha="center", va="center", color=ink, fontsize=size
-            )
+            axes.text(column, row, f"{value:.4g}", color=ink, **look)
     step = 1 if n <= 20 else -(-n // 12)
     places = np.arange(0, n, step)
     names = [str(k + 1) for k in places]
@@ -234,18 +228,14 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
+    from matplotlib.transforms import ScaledTranslation
+
     # Down and to the right, so that horizontal and vertical stretches part alike.
-    shift = _LANE * lane
-    place = axes.transData + _shift(axes, shift, -shift)
-    axes.plot(
-        path[:, 1],
-        path[:, 0],
-        linestyle=style,
-        linewidth=2.2,
-        color=colour,
-        label=label,
-        transform=place,
-    )
+    shift = _LANE * lane / 72
+    aside = ScaledTranslation(shift, -shift, axes.figure.dpi_scale_trans)
+    look: dict[str, Any] = {"color": colour, "transform": axes.transData + aside}
+    rows, columns = path.T
+    axes.plot(columns, rows, linestyle=style, linewidth=2.2, label=label, **look)
     if len(path) < 6:  # an arrow head would hide it
         return
     arrows = -(-len(path) // _ARROW_EVERY)
@@ -254,15 +244,14 @@ def plot_cells(
         down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
         angle = np.degrees(np.arctan2(-down, right)) - 90  # a triangle points up by itself
         axes.scatter(
-            path[middle, 1],
-            path[middle, 0],
+            columns[middle],
+            rows[middle],
             s=90,
             marker=(3, 0, angle),
             edgecolor="white",
             linewidth=0.7,
-            color=colour,
             zorder=3,
-            transform=place,
+            **look,
         )
 
 
@@ -311,22 +300,14 @@ def head(axes: Axes, title: str) -> None:
 def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
     """Put the legend under the axis label, whatever the size of the axes."""
     axes.legend(
-        handles=handles or axes.get_legend_handles_labels()[0],
+        handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0),
-        bbox_transform=axes.transAxes + _shift(axes, 0, -34),
-        borderaxespad=0.0,
+        borderaxespad=4.08,  # the height of the axis label and its ticks, in font sizes
         ncols=ncols,
         frameon=False,
         fontsize="small",
     )
-
-
-def _shift(axes: Axes, x: float, y: float) -> Transform:
-    """Return a shift by points, to the right and upwards."""
-    from matplotlib.transforms import ScaledTranslation
-
-    return ScaledTranslation(x / 72, y / 72, axes.figure.dpi_scale_trans)
 
 
 def _points(labels: Labels, i: int) -> str:

@@ -81,14 +81,7 @@ class Labels:
     @cached_property
     def reachable(self) -> Flags:
         """(S,) bool: a path joins rooms q and q + 1, whether or not a passage was drawn."""
-        maps = self.maps
-        segments = maps.rooms - 1
-        n = np.repeat(maps.rooms, segments)
-        q = np.arange(len(n)) - np.repeat(maps.segment_offsets[:-1], segments)
-        # Rooms 0 to q - 1 come first as i of a pair, with n - 1, n - 2, ... pairs each.
-        pairs_before = q * (2 * n - q - 1) // 2
-        pair = np.repeat(maps.pair_offsets[:-1], segments) + pairs_before
-        return np.asarray(self.astar.costs[pair, 0] >= 0)
+        return np.asarray(self.astar.costs[self.maps.segment_pairs, 0] >= 0)
 
     @cached_property
     def all_connected(self) -> Flags:

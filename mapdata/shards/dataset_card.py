@@ -10,6 +10,7 @@ import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,20 +19,15 @@ from mapdata._version import __version__
 from mapdata.generators.generator import PRESETS, Generator
 from mapdata.shards.manifest import PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
+from mapdata.shards.shard import Array
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.spec import SPLITS, Movement
 
 HARD = 1.05
 """Hardness from which a problem counts as hard."""
 
-_SIZES = (
-    (10**3, "n<1K"),
-    (10**4, "1K<n<10K"),
-    (10**5, "10K<n<100K"),
-    (10**6, "100K<n<1M"),
-    (10**7, "1M<n<10M"),
-)
-"""Size categories of the Hugging Face Hub: each with the number of rows that it stays below."""
+_SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
+"""Size categories of the Hugging Face Hub, parted by 10**3, 10**4, ... 10**7 rows."""
 
 _SOURCES_SHOWN = 10
 
@@ -55,7 +51,7 @@ class Section(NamedTuple):
 
     title: str
     text: str = ""
-    table: tuple[tuple[str, ...], ...] = ()
+    table: Sequence[tuple[str, ...]] = ()
     code: str = ""
     language: str = ""
 
@@ -82,7 +78,7 @@ def card(
 
 def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str:
     """Return the YAML block that the Hub reads; the licence is left to the publisher."""
-    size = next((name for limit, name in _SIZES if len(of) < limit), "n>10M")
+    size = _SIZES[np.digitize(len(of), 10 ** np.arange(3, 8))]
     lines: dict[str, object] = {
         "pretty_name": title(of),
         "task_categories": ["robotics"],
@@ -118,8 +114,7 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
         else:
             found.append(_rebuild(name, manifest))
     found += [_splits(of), _shares(of), _distributions(of), _duplicates(of), _use(of, copied)]
-    found.append(Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex"))
-    return found
+    return [*found, Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
 
 
 def _introduction(of: DatasetStatistics) -> str:
@@ -141,14 +136,13 @@ def _introduction(of: DatasetStatistics) -> str:
 def _facts(of: DatasetStatistics, copied: bool) -> Section:
     """Return what each dataset is, a column each; facts that no dataset has are left out."""
     names = _names(of)
-    head = ("", *names) if len(names) > 1 else ("", "")
     facts = [_facts_of(manifest, copied) for manifest in of.root.manifests]
-    rows = [head]
+    rows = [("", *names) if len(names) > 1 else ("", "")]
     for name in facts[0]:
         values = [each[name] for each in facts]
         if any(values):
             rows.append((name, *values))
-    return Section("What it is", table=tuple(rows))
+    return Section("What it is", table=rows)
 
 
 def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
@@ -207,7 +201,7 @@ def _origin(place: str, rooms_known: bool) -> Section:
     rows += [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
     if len(sources) > _SOURCES_SHOWN:
         rows.append(("...", f"and {len(sources) - _SOURCES_SHOWN:,} more in {PROVENANCE}"))
-    return Section("Where it comes from", text, table=tuple(rows))
+    return Section("Where it comes from", text, table=rows)
 
 
 def _splits(of: DatasetStatistics) -> Section:
@@ -223,7 +217,7 @@ def _splits(of: DatasetStatistics) -> Section:
         "segment between consecutive rooms (seed points), a pair any two of a map; those from a "
         "cell to itself are not counted."
     )
-    return Section("Splits", text, table=tuple(rows))
+    return Section("Splits", text, table=rows)
 
 
 def _shares(of: DatasetStatistics) -> Section:
@@ -245,23 +239,25 @@ def _shares(of: DatasetStatistics) -> Section:
     )
     if of.rooms_known:
         text += " Rooms can reach each other without a passage, where they overlap."
-    return Section("Shares", text, table=tuple(rows))
+    return Section("Shares", text, table=rows)
 
 
 def _distributions(of: DatasetStatistics) -> Section:
-    values = of.distributions()
-    values["iterations of a segment, BFS"] = of.iterations["bfs"].astype(np.float64)
-    values["iterations of a segment, A*"] = of.iterations["astar"].astype(np.float64)
+    values: dict[str, Array] = {
+        **of.distributions(),
+        "iterations of a segment, BFS": of.iterations["bfs"],
+        "iterations of a segment, A*": of.iterations["astar"],
+    }
     rows: list[tuple[str, ...]] = [
         ("", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most")
     ]
     for name, column in values.items():
         if len(column):
             marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
-            shown = [float(column.mean()), *marks]
+            shown = (column.mean(), *marks)
             rows.append((name, *(f"{value:.4g}" for value in shown)))
     text = "Segments without a path are left out, except for iterations."
-    return Section("Distributions", text, tuple(rows))
+    return Section("Distributions", text, rows)
 
 
 def _duplicates(of: DatasetStatistics) -> Section:
@@ -273,7 +269,7 @@ def _duplicates(of: DatasetStatistics) -> Section:
     for a, b in exact.across:
         counts = (f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}")
         rows.append((f"of {b}, also in {a}", *counts))
-    return Section("Duplicates", _verdict(exact, symmetric), table=tuple(rows))
+    return Section("Duplicates", _verdict(exact, symmetric), table=rows)
 
 
 def _verdict(exact: Repeats, symmetric: Repeats) -> str:
@@ -356,5 +352,5 @@ def _markdown(section: Section, level: int) -> str:
 
 def _escaped(text: str) -> str:
     """Return ``text`` so that Markdown and HTML show it as it is, on one line."""
-    line = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    line = escape(" ".join(text.split()), quote=False)
     return re.sub(r"([\\`*_\[\]|#])", r"\\\1", line)

@@ -35,16 +35,12 @@ class Recipe:
         Raises:
             ValueError: none of these, or a recipe with impossible values.
         """
-        if isinstance(given, str) and given in PRESETS:
-            return Recipe(PRESETS[given])
-        values: object = given
-        if isinstance(given, str):
-            values = _parsed(given)
-        known = {"format_version", "spec", "seed", "maps", "identity", "content_hash"}
+        values = _parsed(given) if isinstance(given, str) else given
+        known = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
         if not isinstance(values, dict):
-            raise ValueError(f"recipe: expected an object with {', '.join(sorted(known))}")
+            raise ValueError(f"recipe: expected an object with {', '.join(known)}")
         for name in values:
-            check_choice("recipe", name, sorted(known))
+            check_choice("recipe", name, known)
         check_version(values.get("format_version", 1), "recipe: ", ValueError)
         recipe = Recipe(
             spec=Generator.from_dict(values.get("spec", {})),
@@ -60,7 +56,9 @@ class Recipe:
 
 
 def _parsed(text: str) -> object:
-    """Return the value of JSON text or of a JSON file, whichever ``text`` is."""
+    """Return the values that ``text`` names: a preset, a JSON file or JSON text."""
+    if text in PRESETS:
+        return {"spec": text}
     if not text.lstrip().startswith("{"):
         if not Path(text).is_file():
             raise ValueError(

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
-from mapdata.generators.maps import Maps
+from mapdata.generators.maps import Maps, unpacked
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
@@ -24,6 +23,9 @@ _CELLS_AT_ONCE = 2**22
 
 _DIGEST = 16
 """Bytes of the hash of a map: among 10**9 different maps two collide with probability 1e-21."""
+
+_DIGESTS = f"S{_DIGEST}"
+"""The dtype of hashes: numpy compares each as a whole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,8 @@ class DatasetStatistics:
         hardness: (S,) float64, optimal cost over heuristic, -1 without a path.
         iterations: of "bfs" and "astar", (S,) int64.
         rooms_known: the maps have rooms and passages, not only seed points.
-        digests: (N, 16) and (N, 16) uint8: hash of the map, and the least hash of its symmetric
-            images; None if they were not asked for.
+        digests: (N,) and (N,) bytes of length 16: hash of the map, and the least hash of its
+            symmetric images; None if they were not asked for.
     """
 
     root: Root
@@ -72,7 +74,7 @@ class DatasetStatistics:
     hardness: Floats
     iterations: dict[str, Ints]
     rooms_known: bool
-    digests: tuple[Bytes, Bytes] | None
+    digests: tuple[Array, Array] | None
 
     def __repr__(self) -> str:
         return f"DatasetStatistics({len(self)} maps, {len(self.lengths)} segments, {self.root!r})"
@@ -123,66 +125,55 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
         ShardError: a shard is missing or damaged.
     """
     opened = Root.open(root)
-    parts = [_columns(labels, repeats) for labels in opened.labels()]
-    if not parts:
-        # the columns of a dataset without maps have their types too
-        nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
-        parts = [_columns(nothing, repeats)]
+    # the columns of a dataset without maps have their types too
+    nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
+    parts = [_columns(labels, repeats) for labels in chain([nothing], opened.labels())]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     rooms_known = bool(table.pop("rooms_known").any())
-    exact = table.pop("exact")
-    symmetric = table.pop("symmetric")
+    digests = (table.pop("exact"), table.pop("symmetric"))
     iterations = {search: table.pop(search) for search in SEARCHES}
     return DatasetStatistics(
         root=opened,
         iterations=iterations,
         rooms_known=rooms_known,
-        digests=(exact, symmetric) if repeats else None,
+        digests=digests if repeats else None,
         **table,
     )
 
 
-def histogram(values: Floats, bins: int = 30) -> tuple[Floats, Ints]:
-    """Return edges (k + 1,) and counts (k,) of ``values``, in at most ``bins`` bins.
+def bin_edges(values: Floats, bins: int = 30) -> Floats:
+    """Return the edges (k + 1,) of a histogram of ``values`` with up to ``bins`` + 1 bins.
 
     Whole numbers have bins of one or more whole numbers, each number in the middle of its own.
 
-    >>> histogram(np.array([2.0, 3.0, 3.0]))
-    (array([1.5, 2.5, 3.5]), array([1, 2]))
+    >>> bin_edges(np.array([2.0, 3.0, 3.0]))
+    array([1.5, 2.5, 3.5])
     """
-    low = float(values.min()) if len(values) else 0.0
-    high = float(values.max()) if len(values) else 1.0
-    if bool((values == np.rint(values)).all()):
+    if len(values) and (values == np.rint(values)).all():
+        low = values.min()
+        high = values.max()
         width = max(1, math.ceil((high - low + 1) / bins))
-        edges = np.arange(low, high + width + 0.5, width) - 0.5
-    else:
-        if high == low:
-            high = low + 1  # bins need a width
-        edges = np.linspace(low, high, bins + 1)
-    counts, _ = np.histogram(values, edges)
-    return edges, counts.astype(np.int64)
+        return np.arange(low, high + width + 0.5, width) - 0.5
+    return np.histogram_bin_edges(values, bins)
 
 
 def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     """Return what a shard adds to each array of a `DatasetStatistics`."""
     maps = labels.maps
-    movement = maps.movement
     passages = maps.rooms - 1
     # arrays are padded to the most rooms of the shard: which rows are passages
     used = np.arange(maps.directions.shape[1]) < passages[:, None]
     starts = maps.seed_points[:, :-1][used]
     goals = maps.seed_points[:, 1:][used]
-    steps = np.diff(labels.astar.offsets)
-    diagonal = _diagonal_moves(labels)
-    costs = steps - diagonal + diagonal * movement.diagonal_cost
-    costs[~labels.reachable] = -1
-    hard = hardness(costs, starts, goals, movement)
+    straight, diagonal = labels.astar.costs[maps.segment_pairs].T
+    costs = straight + diagonal * maps.movement.diagonal_cost
+    hard = hardness(costs, starts, goals, maps.movement)
     hardest = np.zeros(len(maps))
     owners = np.repeat(np.arange(len(maps)), passages)
     np.maximum.at(hardest, owners, hard)
     rooms_known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
     skipped = (~maps.connected & used).any(axis=1)
-    free, exact, symmetric = _grid_columns(labels, hashes)
+    free, exact, symmetric = _grid_columns(maps, hashes)
     return {
         "index": maps.index,
         "rooms": maps.rooms,
@@ -191,7 +182,7 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
         "all_connected": labels.all_connected,
         "redundant": labels.all_connected & skipped & rooms_known,
         "hardest": hardest,
-        "lengths": np.where(labels.reachable, steps + 1, 0),
+        "lengths": np.where(labels.reachable, np.diff(labels.astar.offsets) + 1, 0),
         "hardness": hard,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
@@ -201,72 +192,52 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     }
 
 
-def _diagonal_moves(labels: Labels) -> Ints:
-    """Return (S,) int64, the diagonal moves of A* on each segment."""
-    is_diagonal = labels.astar.moves >= 4  # 0..7 = N E S W NE SE SW NW
-    before = np.concatenate(([0], np.cumsum(is_diagonal)))
-    return np.diff(before[labels.astar.offsets])
-
-
-def _grid_columns(labels: Labels, hashes: bool) -> tuple[Floats, Bytes, Bytes]:
+def _grid_columns(maps: Maps, hashes: bool) -> tuple[Floats, Array, Array]:
     """Return the free share of each map and its two digests; those only with ``hashes``."""
-    maps = labels.maps
     count, rows, _ = maps.packed.shape
-    free = np.empty(count)
-    exact = np.zeros((count, _DIGEST), np.uint8)
-    symmetric = exact.copy()
     step = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
-    octets = maps.packed.astype("<u8", copy=False).view(np.uint8)
-    for first in range(0, count, step):
-        part = slice(first, first + step)
-        grids = np.unpackbits(octets[part], axis=2, count=maps.columns, bitorder="little")
-        free[part] = 1 - grids.mean(axis=(1, 2))
+    free: list[Floats] = []
+    exact: list[bytes] = []
+    symmetric: list[bytes] = []
+    for packed in np.split(maps.packed, range(step, count, step)):
+        grids = unpacked(packed, maps.columns)
+        free.append(1 - grids.mean(axis=(1, 2)))
         if hashes:
-            exact[part], symmetric[part] = digests_of(grids)
-    return free, exact, symmetric
+            own, least = digests_of(grids)
+            exact += own
+            symmetric += least
+    return np.concatenate(free), np.array(exact, _DIGESTS), np.array(symmetric, _DIGESTS)
 
 
-def digests_of(grids: Bytes) -> tuple[Bytes, Bytes]:
-    """Return two digests of each of (N, H, W) grids, (N, 16): exact, and up to its symmetries."""
-    images = [_digest(image) for image in _images(grids)]
-    return images[0], _least(images)
+def digests_of(grids: Bytes) -> tuple[list[bytes], list[bytes]]:
+    """Return two digests of each of (N, H, W) grids: its own, and the least of its symmetries."""
+    digests = [_digests(image) for image in _images(grids)]
+    return digests[0], list(map(min, zip(*digests, strict=True)))
 
 
-def _least(digests: list[Bytes]) -> Bytes:
-    """Return the least digest of each map, (N, 16), from those of its images, each (N, 16)."""
-    # one string of 16 bytes for each digest: numpy then compares whole digests
-    keys = np.stack(digests, axis=1).view(f"S{_DIGEST}")[..., 0]
-    least = np.sort(keys, axis=1)[:, :1]
-    return least.copy().view(np.uint8)
-
-
-def _images(grids: Bytes) -> Iterator[Bytes]:
-    """Yield the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
+def _images(grids: Bytes) -> list[Bytes]:
+    """Return the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
     bases = [grids]
     if grids.shape[1] == grids.shape[2]:
         bases.append(grids.swapaxes(1, 2))
-    for base in bases:
-        for flipped in (base, base[:, ::-1]):
-            yield flipped
-            yield flipped[:, :, ::-1]
+    return [np.flip(base, axes) for base in bases for axes in ((), 1, 2, (1, 2))]
 
 
-def _digest(grids: Bytes) -> Bytes:
-    """Return (N, 16) uint8, a hash of each grid."""
-    packed = np.ascontiguousarray(np.packbits(grids, axis=2)).reshape(len(grids), -1)
-    digests = [hashlib.blake2b(row.data, digest_size=_DIGEST).digest() for row in packed]
-    return np.frombuffer(b"".join(digests), np.uint8).reshape(len(grids), _DIGEST)
+def _digests(grids: Bytes) -> list[bytes]:
+    """Return a hash of each grid, (N, H, W)."""
+    packed = np.packbits(grids, axis=2)
+    return [hashlib.blake2b(row.tobytes(), digest_size=_DIGEST).digest() for row in packed]
 
 
-def count_repeats(digests: Bytes, split: Bytes) -> Repeats:
-    """Count equal digests, (N, 16), inside each split and between each two."""
-    # one string of 16 bytes for each digest: numpy then compares whole digests
-    keys = digests.view(f"S{_DIGEST}")[:, 0]
+def count_repeats(digests: Array, split: Bytes) -> Repeats:
+    """Count equal digests, (N,), inside each split and between each two."""
     # equal digests get equal numbers, which compare faster
-    _, kinds = np.unique(keys, return_inverse=True)
+    _, kinds = np.unique(digests, return_inverse=True)
     kinds_of = {name: kinds[split == code] for code, name in enumerate(SPLITS)}
-    inside = {name: len(found) - len(np.unique(found)) for name, found in kinds_of.items()}
-    across = {
-        (a, b): int(np.isin(kinds_of[b], kinds_of[a]).sum()) for a, b in combinations(SPLITS, 2)
-    }
+    inside = {}
+    for name, own in kinds_of.items():
+        inside[name] = len(own) - len(np.unique(own))
+    across = {}
+    for a, b in combinations(SPLITS, 2):
+        across[a, b] = int(np.isin(kinds_of[b], kinds_of[a]).sum())
     return Repeats(inside, across)

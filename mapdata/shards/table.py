@@ -27,9 +27,9 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     rooms = int(maps.rooms[k])
     passages = rooms - 1
     # all arrays are padded to the most rooms of the batch
-    seed_points = maps.seed_points[k, :rooms]
-    sizes = maps.sizes[k, :rooms]
-    first = int(maps.segment_offsets[k])
+    seed_rows, seed_columns = maps.seed_points[k, :rooms].T.tolist()
+    size_rows, size_columns = maps.sizes[k, :rooms].T.tolist()
+    first, last = maps.segment_offsets[k : k + 2]
     row: dict[str, Any] = {
         "item": int(maps.index[k]),
         "label": f"map{maps.index[k]}",
@@ -37,21 +37,21 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
         "resolution": resolution,
         "rooms": rooms,
         "passage_size": int(maps.passage_width[k]),
-        "seed_rows": seed_points[:, 0].tolist(),
-        "seed_columns": seed_points[:, 1].tolist(),
-        "size_rows": sizes[:, 0].tolist(),
-        "size_columns": sizes[:, 1].tolist(),
+        "seed_rows": seed_rows,
+        "seed_columns": seed_columns,
+        "size_rows": size_rows,
+        "size_columns": size_columns,
         "direction_for_passages": maps.directions[k, :passages].reshape(-1).tolist(),
         "connected": maps.connected[k, :passages].tolist(),
-        "reachable": labels.reachable[first : first + passages].tolist(),
+        "reachable": labels.reachable[first:last].tolist(),
         "all_connected": bool(labels.all_connected[k]),
     }
     for search in SEARCHES:
         route = labels.route(search, k)
         iterations = labels.iterations(search, k)
-        cells = joined(route)
-        row[f"{search}_row_path"] = cells[:, 0].tolist()
-        row[f"{search}_column_path"] = cells[:, 1].tolist()
+        rows, columns = joined(route).T.tolist()
+        row[f"{search}_row_path"] = rows
+        row[f"{search}_column_path"] = columns
         row[f"{search}_path_gaps"] = gaps(route)
         row[f"{search}_iterations"] = int(iterations.sum())
         row[f"{search}_segment_iterations"] = iterations.tolist()
@@ -62,13 +62,11 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
 def map_rows(shard: Shard, split: str | None = None) -> list[dict[str, Any]]:
     """Return the rows of a shard's maps, of one split or all, with spaces in the column names."""
     labels = decode(shard)
-    wanted = np.arange(len(labels.maps))
-    if split is not None:
-        wanted = np.flatnonzero(labels.maps.split == SPLITS.index(split))
     rows = []
-    for k in wanted.tolist():
-        row = map_row(labels, k, shard.header.resolution)
-        rows.append({name.replace("_", " "): value for name, value in row.items()})
+    for k, code in enumerate(labels.maps.split.tolist()):
+        if split in (None, SPLITS[code]):
+            row = map_row(labels, k, shard.header.resolution)
+            rows.append({name.replace("_", " "): value for name, value in row.items()})
     return rows
 
 

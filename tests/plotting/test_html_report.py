@@ -278,7 +278,7 @@ def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
     main(["report", str(tmp_path / "d"), "-o", str(path)])
     assert path.stat().st_size < 300_000
     browser.open(path)
-    assert browser.run("places.length") == 500
+    assert browser.run("maps.length") == 500
     numbers = listed(browser)
     assert numbers[0] == 0
     assert set(np.diff(numbers).tolist()) == {2, 3}
