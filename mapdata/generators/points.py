@@ -19,11 +19,11 @@ _CANDIDATES = 8
 """Cells that are drawn for each seed point, of which the one farthest from the others is taken."""
 
 
-def check_seed_points(count: object, most: int = MAX_ROOMS) -> int:
+def check_seed_points(name: str, count: object, most: int = MAX_ROOMS) -> int:
     """Return how many seed points a map has, as an int; ValueError unless 2 to ``most``."""
-    points = check_count("seed_points", count, 2)
+    points = check_count(name, count, 2)
     if points > most:
-        raise ValueError(f"seed_points: got {points}, expected at most {most} here")
+        raise ValueError(f"{name}: got {points}, expected at most {most} here")
     return points
 
 
