@@ -149,7 +149,7 @@ def unpacked(packed: Words, columns: Int) -> Bytes:
 
 def pack(grids: Bytes) -> Words:
     """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`, (N, H, ceil(W / 64)) uint64."""
-    bits = np.packbits(grids, axis=2, bitorder="little")
+    bits = np.packbits(np.ascontiguousarray(grids), axis=2, bitorder="little")
     spare = -bits.shape[2] % 8  # packbits ends rows at whole bytes
     words = np.pad(bits, ((0, 0), (0, 0), (0, spare))).view("<u8")
     return words.astype(np.uint64, copy=False)
