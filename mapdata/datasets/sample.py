@@ -8,6 +8,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch.nn.functional import pad
+from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
 
 from mapdata.arrays import summary
@@ -117,12 +119,13 @@ def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_ma
 
 
 def _stack_paths(paths: Sequence[torch.Tensor], capacity: int | None) -> torch.Tensor:
-    longest = max((len(path) for path in paths), default=0)
-    capacity = -(-longest // PATH_STEP) * PATH_STEP if capacity is None else capacity
-    stacked = paths[0].new_full((len(paths), capacity, 2), PADDING)
-    for k, path in enumerate(paths):
-        stacked[k, : len(path)] = path
-    return stacked
+    longest = max(map(len, paths))
+    if capacity is None:
+        capacity = -(-longest // PATH_STEP) * PATH_STEP
+    if longest > capacity:
+        raise ValueError(f"max_length: a path of {longest} cells does not fit into {capacity}")
+    stacked = pad_sequence(list(paths), batch_first=True, padding_value=PADDING)
+    return pad(stacked, (0, 0, 0, capacity - longest), value=PADDING)
 
 
 def _collate(samples: Any, *, collate_fn_map: Any = None) -> Sample:

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
     from mapdata.search.labels import Labels
 
-LOGARITHMIC = ("hardness of a segment",)
-"""Distributions with a peak and a long tail: drawn with a logarithmic count."""
-
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
@@ -121,7 +118,7 @@ def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
     if (values == np.rint(values)).all():
         ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     counted = "segments" if "segment" in name else "maps"
-    if name in LOGARITHMIC:
+    if name.startswith("hardness"):  # a peak and a long tail
         ax.set_yscale("log")
         counted += " (log)"
     ax.set(xlabel=name, ylabel=counted)
