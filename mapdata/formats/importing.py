@@ -25,18 +25,20 @@ from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
 from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
-    LOCK,
     MANIFEST,
     PROVENANCE,
     Manifest,
     entry_of,
-    is_shard_name,
-    merge,
+    is_known,
+    locked,
+    merge_locked,
     provenance_text,
     read_manifest,
+    refuse_links,
     shard_name,
+    sweep,
 )
-from mapdata.shards.root import file_hash
+from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_count, check_fractions, check_seed
@@ -119,7 +121,7 @@ def import_maps(
         ValueError: bad arguments, no usable map, or a root that holds something else.
         OSError: the disk is full or may not be written to.
     """
-    root = Path(root)
+    root = folder_of(root)
     check_seed(seed)
     check_fractions(splits)
     if check_count("seed_points", seed_points, 2) > MAX_ROOMS:
@@ -160,7 +162,13 @@ def import_maps(
                 resolution=metres,
             )
             ordered = _ordered(maps, source)
-            made.append(_write(folders[group], wanted, ordered, draws, advance, pool))
+            folder = folders[group]
+            folder.mkdir(parents=True, exist_ok=True)
+            # two imports of other maps would take each other's shards away
+            with locked(folder, wait=False) as is_free:
+                if not is_free:
+                    raise ValueError(f"root: another process writes to {folder}; wait for its end")
+                made.append(_write(folder, wanted, ordered, draws, advance, pool))
     return made
 
 
@@ -230,7 +238,7 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
             folders[rows, columns, metres] = root / name
         _check_folder(root, {folder.name for folder in folders.values()}.__contains__)
     for folder in folders.values():
-        _check_folder(folder, _is_ours)
+        _check_folder(folder, is_known)
     return folders
 
 
@@ -242,11 +250,6 @@ def _check_folder(folder: Path, is_known: Callable[[str], bool]) -> None:
                 raise ValueError(
                     f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
                 )
-
-
-def _is_ours(name: str) -> bool:
-    """Return whether an import that did not finish may have left a file of this name."""
-    return is_shard_name(name) or name in (LOCK, PROVENANCE) or name.endswith(".tmp")
 
 
 def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
@@ -267,8 +270,8 @@ def _write(
     advance: Callable[[int], object],
     pool: Executor,
 ) -> Imported:
-    """Write one dataset, shard by shard; keep the shards that are there already."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""
+    refuse_links(folder)
     have = {}
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
@@ -276,7 +279,8 @@ def _write(
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
         have = {(entry.start, entry.stop): entry for entry in found.shards}
     # The plan comes first: who goes on with an import that was stopped knows it by this.
-    manifest = merge(folder, wanted)
+    manifest = merge_locked(folder, wanted)
+    sweep(folder, manifest)
     checked = 0
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
@@ -296,7 +300,7 @@ def _write(
             write_file(path, image)
             entry = entry_of(Shard(path, header, content, {}), labels, image)
             # of two entries for the same maps, the later one counts
-            manifest = merge(folder, replace(wanted, shards=(*manifest.shards, entry)))
+            manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))
     origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}
     write_file(folder / PROVENANCE, provenance_text(origin).encode())

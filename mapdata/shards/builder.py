@@ -19,17 +19,16 @@ from mapdata.generators.generator import generate
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.shards.manifest import (
-    LOCK,
     MANIFEST,
-    MOST_SHARDS,
     Entry,
     Manifest,
     Span,
     entry_of,
-    is_shard_name,
+    is_known,
     load_shard,
     merge,
     read_manifest,
+    refuse_links,
     shard_name,
     sweep,
 )
@@ -108,20 +107,17 @@ def build(
     wanted = Manifest(
         spec=spec,
         seed=check_seed(seed),
-        maps=check_count("maps", maps),
-        shard_size=check_count("shard_size", shard_size),
+        maps=maps,
+        shard_size=shard_size,
         map_size=spec.map_size,
         movement=spec.movement,
         resolution=spec.resolution,
     )
-    if maps > MOST_SHARDS * shard_size:
-        raise ValueError(
-            f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger "
-            "shards"
-        )
     _check_part(part)
     mine = list(headers(wanted))[part[0] :: part[1]]
-    have, damaged = _prepare(root, wanted, {(header.start, header.stop) for header in mine})
+    have, damaged = _prepare(
+        root, wanted, {(header.start, header.stop) for header in mine}, progress
+    )
     present = replace(wanted, shards=tuple(have.values()))
     if os.access(root, os.W_OK):
         sweep(root, present)
@@ -179,8 +175,9 @@ def _check_part(part: tuple[int, int]) -> None:
 
 def headers(manifest: Manifest) -> Iterator[Header]:
     """Yield the header of every shard that ``manifest`` plans."""
+    origin = manifest.origin()
     for start, stop in manifest.plan:
-        yield Header(**manifest.origin(), start=start, stop=stop)
+        yield Header(**origin, start=start, stop=stop)
 
 
 def make_shard(
@@ -261,7 +258,9 @@ def _made(
                 yield entry
 
 
-def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, Entry], Set[Span]]:
+def _prepare(
+    root: Path, wanted: Manifest, mine: Set[Span], progress: bool
+) -> tuple[dict[Span, Entry], Set[Span]]:
     """Make sure that the root is of the wanted dataset; make it if it is missing.
 
     Returns:
@@ -270,12 +269,13 @@ def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, 
             is compared.
 
     Raises:
-        ValueError: it is a file, or holds something else.
+        ValueError: it is a file, holds something else, or links to files elsewhere.
         PermissionError: it may not be written to, or a shard may not be read.
     """
     if root.exists() and not root.is_dir():
         raise ValueError(f"root: {root} is a file, expected a folder")
     root.mkdir(parents=True, exist_ok=True)
+    refuse_links(root)
     if (root / MANIFEST).exists():
         found = read_manifest(root)
     else:
@@ -290,23 +290,24 @@ def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, 
     plan = set(wanted.plan)
     have = {}
     damaged = set()
-    for entry in found.shards:
-        limits = (entry.start, entry.stop)
-        path = root / entry.name
-        # A partial last shard is not in the plan of a larger dataset.
-        size = _size(path)
-        if limits not in plan or size == _MISSING:
-            continue
-        if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
-            have[limits] = entry
-        else:
-            damaged.add(limits)
+    # A partial last shard is not in the plan of a larger dataset.
+    listed = [entry for entry in found.shards if (entry.start, entry.stop) in plan]
+    with bar(progress and bool(listed), _count(listed), unit=" maps checked") as advance:
+        for entry in listed:
+            limits = (entry.start, entry.stop)
+            path = root / entry.name
+            size = _size(path)
+            if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
+                have[limits] = entry
+            elif size != _MISSING:
+                damaged.add(limits)
+            advance(entry.stop - entry.start)
     return have, damaged
 
 
 def _check_unlisted(root: Path, wanted: Manifest) -> None:
     """Refuse a folder without a manifest that holds anything but shards of the wanted dataset."""
-    others = [path.name for path in root.iterdir() if not _is_ours(path.name)]
+    others = [path.name for path in root.iterdir() if not is_known(path.name)]
     if others:
         raise ValueError(
             f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder"
@@ -332,12 +333,6 @@ def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> No
             )
 
 
-def _is_ours(name: str) -> bool:
-    """Return whether a build may have left a file of this name."""
-    is_temporary = name.startswith(".") and name.endswith(".tmp")
-    return is_temporary or is_shard_name(name) or name in (LOCK, MANIFEST)
-
-
 _MISSING = -1
 
 
@@ -349,5 +344,5 @@ def _size(path: Path) -> int:
         return _MISSING
 
 
-def _count(shards: Sequence[Header]) -> int:
+def _count(shards: Sequence[Header | Entry]) -> int:
     return sum(header.stop - header.start for header in shards)

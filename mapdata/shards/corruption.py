@@ -9,7 +9,8 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,10 +26,12 @@ from mapdata.shards.manifest import (
     Manifest,
     Span,
     counts_of,
+    is_known,
     is_shard_name,
     limits_of,
     load_shard,
     merge,
+    path_in,
     provenance_text,
     shard_name,
 )
@@ -37,6 +40,7 @@ from mapdata.shards.root import (
     Places,
     file_hash,
     folder_of,
+    is_url,
     local_file,
     manifest_at,
     places,
@@ -44,6 +48,8 @@ from mapdata.shards.root import (
 )
 from mapdata.shards.shard import Header, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
+
+_STRANGE = "no file of this dataset: keep it elsewhere"
 
 
 @dataclass(frozen=True)
@@ -152,7 +158,7 @@ def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -
     if missing and not shards:
         raise error
     faults = [Corruption(f"{place}/{MANIFEST}", "missing" if missing else str(error))]
-    manifest = _gather(Path(place), shards)
+    manifest = _gather(Path(place), shards, progress)
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
         return Inspection(place, None, tuple(faults))
@@ -180,6 +186,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
             again.append(fault.header)
         elif fault.path.endswith(MANIFEST):
             relisted = True
+        elif fault.what == _STRANGE:
+            left.append(fault)
         else:
             what = f"{fault.what}; it cannot be made again"
             if manifest.spec is None:
@@ -217,13 +225,16 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
 
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
-    planned = {(header.start, header.stop): header for header in headers(manifest)}
-    tasks: list[tuple[Entry, Header | None]] = []
+    planned = {header.start: header for header in headers(manifest)}
+    tasks: list[tuple[Entry, Header]] = []
     for entry in manifest.shards:
-        header = planned.pop((entry.start, entry.stop), None)
-        if header is None:
-            header = _partial(entry, planned.values())
-        tasks.append((entry, header))
+        header = planned[entry.start]
+        if entry.stop == header.stop:
+            del planned[entry.start]
+        # else a partial last shard, which an extension has not replaced yet
+        tasks.append((entry, replace(header, stop=entry.stop)))
+    names = {entry.name for entry in manifest.shards}
+    names |= {shard_name(header.start, header.stop) for header in planned.values()}
     faults = _check_provenance(place) if manifest.spec is None else []
     with (
         bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
@@ -234,36 +245,49 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for limits, header in planned.items():  # what no entry took out
-        path = f"{place}/{shard_name(*limits)}"
+    for header in planned.values():  # what no entry took out
+        path = f"{place}/{shard_name(header.start, header.stop)}"
         if listed:
             what = "missing (the build did not finish)"
         else:
             what = "damaged" if os.path.exists(path) else "missing"
         faults.append(Corruption(path, what, header))
+    if not is_url(place):
+        faults += _strange_files(Path(place), names)
     return faults
 
 
-def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
+def _strange_files(root: Path, shards: Set[str]) -> Iterator[Corruption]:
+    """Yield each file that is none of a dataset with these shards; hidden ones are not looked at."""
+    for path in sorted(root.iterdir()):
+        name = path.name
+        known = name in shards or (is_known(name) and not is_shard_name(name))
+        hidden = name.startswith(".") and not name.endswith(".tmp")
+        if not (known or hidden or path.is_dir()):
+            yield Corruption(str(path), _STRANGE)
+
+
+def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | None:
     """Return the manifest of the dataset that most shards are of, with the sound ones; or None."""
-    headers_found: Counter[Header] = Counter()
-    for path in shards:
-        try:
-            header = open_shard(path).header
-        except (OSError, ShardError):
-            continue
-        # all shards of a dataset have one header but for their limits
-        headers_found[replace(header, start=0, stop=0)] += 1
-    if not headers_found:
+    found: dict[Header, Entry | None] = {}
+    with bar(progress, len(shards), unit=" shards") as advance:
+        for path in shards:
+            with suppress(OSError, ShardError):
+                header = open_shard(path_in(root, path.name)).header
+                found[header] = load_shard(root, header)
+            advance(1)
+    if not found:
         return None
-    ((header, _),) = headers_found.most_common(1)
+    # all shards of a dataset have one header but for their limits
+    votes = Counter(replace(header, start=0, stop=0) for header in found)
+    ((header, _),) = votes.most_common(1)
     limits = [limits_of(path) for path in shards]
     maps = max(stop for _, stop in limits)
     size = _shard_size(root, limits)
     if size is None or maps > MOST_SHARDS * size:
         return None
     manifest = Manifest(**header.origin(), maps=maps, shard_size=size)
-    entries = [load_shard(root, planned) for planned in headers(manifest)]
+    entries = [found.get(planned) for planned in headers(manifest)]
     return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
 
 
@@ -271,8 +295,9 @@ def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
     """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
     # What a damaged manifest still says comes first: a shard that is alone may be a partial one.
-    if (root / MANIFEST).exists():
-        stated = re.search(rb'"shard_size": (\d{1,9})\b', (root / MANIFEST).read_bytes())
+    with suppress(OSError, ShardError), open(path_in(root, MANIFEST), "rb") as file:
+        # it stands before the list of shards
+        stated = re.search(rb'"shard_size": (\d{1,9})\b', file.read(2**20))
         if stated:
             sizes.insert(0, int(stated[1]))
     for size in sizes:
@@ -293,23 +318,13 @@ def _check_provenance(place: str) -> list[Corruption]:
         return [Corruption(path, "damaged (its hash does not fit)")]
     except FileNotFoundError:
         return [Corruption(path, "missing")]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (PermissionError, ValueError, TypeError, KeyError, RecursionError) as error:
         return [Corruption(path, f"damaged ({error})")]
 
 
-def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
-    """Return the header of a partial last shard that an extension has not replaced yet."""
-    for header in planned:
-        if header.start == entry.start and entry.stop < header.stop:
-            return replace(header, stop=entry.stop)
-    return None
-
-
-def _fault(place: str, task: tuple[Entry, Header | None]) -> str | None:
+def _fault(place: str, task: tuple[Entry, Header]) -> str | None:
     """Return what is wrong with one shard file, or None."""
     entry, header = task
-    if header is None:
-        return "not a shard of this dataset"
     try:
         path = local_file(place, entry)
         size = path.stat().st_size
@@ -322,7 +337,7 @@ def _fault(place: str, task: tuple[Entry, Header | None]) -> str | None:
         return error.why
     except FileNotFoundError:
         return "missing"
-    except OSError as error:
+    except PermissionError as error:
         return f"cannot be read ({error})"
     except ShardError as error:
         return str(error)

@@ -10,12 +10,10 @@ import json
 import os
 import re
 import shlex
-import socket
-import stat
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,30 +35,38 @@ from mapdata.shards.shard import (
     ShardError,
     check_version,
     decode,
+    take_lock,
     write_file,
 )
-from mapdata.spec import SPLITS, Movement, canonical_json, check_count, check_seed
+from mapdata.spec import (
+    SPLITS,
+    Movement,
+    canonical_json,
+    check_count,
+    check_integers,
+    check_number,
+    check_seed,
+)
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
 PROVENANCE = "import.json"
 """File beside the manifest that says where each map came from."""
 
-MOST_SHARDS = 10**7
-"""Most files of a dataset."""
-
 MOST_BYTES = 2**28
-"""Largest manifest that is read: room for some 300,000 shards."""
+"""Largest manifest that is read."""
+
+MOST_SHARDS = 250_000
+"""Most files of a dataset: a manifest of `MOST_BYTES` lists them, at up to a kilobyte each."""
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
 
 _A_DAY = 86_400
-"""Seconds after which a temporary file of another machine counts as left behind."""
+"""Seconds after which a temporary file counts as left behind where there are no locks."""
 
-_TEMPORARY = re.compile(
-    r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp"
-)
+_TEMPORARY = re.compile(r"\.(maps-\d+-\d+\.h5|manifest\.json|import\.json|README\.md)\b.+\.tmp")
+"""Names under which `write_file` writes the files of a root."""
 
 
 class DatasetNotFoundError(FileNotFoundError):
@@ -115,11 +121,24 @@ class Manifest(Origin):
         maps: how many maps the dataset shall have.
         shard_size: maps per shard.
         shards: finished shards in the order of their maps.
+
+    Raises:
+        ValueError: no whole number of maps, or more than `MOST_SHARDS` shards.
     """
 
     maps: int
     shard_size: int
     shards: tuple[Entry, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check how many maps and files are planned."""
+        for name in ("maps", "shard_size"):
+            object.__setattr__(self, name, check_count(name, getattr(self, name)))
+        if self.maps > MOST_SHARDS * self.shard_size:
+            raise ValueError(
+                f"maps: {self.maps} in shards of {self.shard_size} are over {MOST_SHARDS} files; "
+                "take larger shards"
+            )
 
     @property
     def content_hash(self) -> str:
@@ -202,9 +221,40 @@ def shard_name(start: int, stop: int) -> str:
     return f"maps-{start:012d}-{stop:012d}.h5"
 
 
+def path_in(root: Path, name: str) -> Path:
+    """Return the path of a file of a root, which may be missing.
+
+    Raises:
+        ShardError: it is a link that leads out of the root, a pipe or a folder.
+    """
+    path = root / name
+    leads_out = not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
+    if leads_out or (path.exists() and not path.is_file()):
+        raise ShardError(
+            f"{path}: a link out of its folder, a pipe or a folder, expected a plain file"
+        )
+    return path
+
+
+def refuse_links(root: Path) -> None:
+    """Refuse a root whose manifest or shards are links that lead out of it.
+
+    Raises:
+        ShardError: one is.
+    """
+    for path in (root / MANIFEST, *root.glob("maps-*.h5")):
+        path_in(root, path.name)
+
+
 def is_shard_name(name: str) -> bool:
     """Return whether `shard_name` gives such names; a manifest's other names are never opened."""
     return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
+
+
+def is_known(name: str) -> bool:
+    """Return whether a file of a root may have this name: a builder or `mapdata info` gave it."""
+    known = name in (MANIFEST, LOCK, PROVENANCE, "README.md", "recipe.json")
+    return known or is_shard_name(name) or _TEMPORARY.fullmatch(name) is not None
 
 
 def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
@@ -225,14 +275,12 @@ def read_manifest(root: Path) -> Manifest:
 
     Raises:
         DatasetNotFoundError: there is none.
-        ShardError: it is damaged, or of another format version (both are named).
+        ShardError: it is damaged, or of another format version (both are named), or no plain file.
     """
-    path = root / MANIFEST
+    path = path_in(root, MANIFEST)
     try:
-        status = path.stat()
-        # before it is opened, since opening a pipe waits for its writer
-        if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
-            raise ShardError(f"{path}: not a file, or larger than {MOST_BYTES} bytes")
+        if path.stat().st_size > MOST_BYTES:
+            raise ShardError(f"{path}: larger than {MOST_BYTES} bytes")
         text = path.read_bytes().decode()
     except (FileNotFoundError, NotADirectoryError):
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
@@ -256,15 +304,19 @@ def parse_manifest(text: str, path: str) -> Manifest:
         manifest = Manifest(
             spec=None if spec is None else Generator.from_dict(spec),
             seed=None if values["seed"] is None else check_seed(values["seed"]),
-            maps=check_count("maps", values["maps"]),
-            shard_size=check_count("shard_size", values["shard_size"]),
-            map_size=(values["map_size"][0], values["map_size"][1]),
+            maps=values["maps"],
+            shard_size=values["shard_size"],
+            map_size=check_integers("map_size", values["map_size"]),
             movement=Movement(**values["movement"]),
-            resolution=values["resolution"],
+            resolution=check_number("resolution", values["resolution"]),
             shards=entries,
         )
-        if manifest.maps > MOST_SHARDS * manifest.shard_size:
-            raise ShardError(f"{path}: damaged (plans over {MOST_SHARDS} files)")
+        before = -1
+        for entry in entries:
+            whole = min(entry.start + manifest.shard_size, manifest.maps)
+            if entry.start % manifest.shard_size or not before < entry.start < entry.stop <= whole:
+                raise ShardError(f"{path}: damaged ({entry.name} is out of order or of the plan)")
+            before = entry.start
         stated = (values["format_version"], values["identity"], values["content_hash"])
         if stated != (manifest.format_version, manifest.identity, manifest.content_hash):
             raise ShardError(
@@ -305,30 +357,30 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
 
 
 @contextmanager
-def _locked(root: Path, wait: bool) -> Iterator[bool]:
+def locked(root: Path, wait: bool = True) -> Iterator[bool]:
     """Hold the lock of a root and yield True; without ``wait``, yield False if another holds it.
 
-    Where there are no locks (Windows, some file systems) it yields True: two merges at once may
-    then lose entries, never shards, and the next build adopts those.
+    Where there are no locks it yields True: two merges at once may then lose entries, never shards,
+    and the next build adopts those.
+
+    Raises:
+        ShardError: what has the name of the lock is not a plain file.
     """
-    with open(root / LOCK, "ab") as file:
-        if sys.platform == "win32":
-            yield True
-            return
-        how = fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB
+    with open(path_in(root, LOCK), "ab", opener=_open_safely) as file:
         try:
-            fcntl.flock(file, how)
-        except BlockingIOError:
-            yield False
-            return
-        except OSError:
-            yield True  # this file system has no locks
-            return
-        try:
-            yield True
+            yield take_lock(file, wait)
         finally:
-            # closing the file is not enough: a process forked meanwhile would keep the lock
-            fcntl.flock(file, fcntl.LOCK_UN)
+            if sys.platform != "win32":
+                # closing the file is not enough: a process forked meanwhile would keep the lock
+                with suppress(OSError):
+                    fcntl.flock(file, fcntl.LOCK_UN)
+
+
+def _open_safely(path: str, flags: int) -> int:
+    """Open a file as `open` asks; a link is an error, and a pipe is not waited for."""
+    for name in ("O_NOFOLLOW", "O_NONBLOCK"):
+        flags |= getattr(os, name, 0)  # Windows has none
+    return os.open(path, flags, 0o666)
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
@@ -340,19 +392,22 @@ def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
     Raises:
         ValueError: the manifest on disk is of another dataset.
     """
-    with _locked(root, wait) as free:
-        if not free:
-            return mine
-        theirs = mine
-        if (root / MANIFEST).exists():
-            theirs = read_manifest(root)
-        union = _union(mine, theirs)
-        write_file(root / MANIFEST, union.to_json().encode())
-        kept = {entry.name for entry in union.shards}
-        for entry in (*mine.shards, *theirs.shards):
-            if entry.name not in kept:
-                (root / entry.name).unlink(missing_ok=True)
-        return union
+    with locked(root, wait) as is_free:
+        return merge_locked(root, mine) if is_free else mine
+
+
+def merge_locked(root: Path, mine: Manifest) -> Manifest:
+    """Do what `merge` does; the caller holds the lock."""
+    theirs = mine
+    if (root / MANIFEST).exists():
+        theirs = read_manifest(root)
+    union = _union(mine, theirs)
+    write_file(root / MANIFEST, union.to_json().encode())
+    kept = {entry.name for entry in union.shards}
+    for entry in (*mine.shards, *theirs.shards):
+        if entry.name not in kept:
+            (root / entry.name).unlink(missing_ok=True)
+    return union
 
 
 def _union(mine: Manifest, theirs: Manifest) -> Manifest:
@@ -371,16 +426,9 @@ def _union(mine: Manifest, theirs: Manifest) -> Manifest:
 def sweep(root: Path, manifest: Manifest) -> None:
     """Remove what dead builders left: temporary files, and shards that larger ones replaced."""
     for path in root.glob(".*.tmp"):
-        match = _TEMPORARY.fullmatch(path.name)
-        if match is None:
-            continue
-        # only processes of this machine can be asked whether they live
-        if match["host"] == socket.gethostname():
-            is_left = not _alive(int(match["pid"]))
-        else:
-            is_left = _old(path)
-        if is_left:
-            path.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # another builder sweeps too
+            if _TEMPORARY.fullmatch(path.name) and path.is_file() and _is_left(path):
+                path.unlink()
     plan = set(manifest.plan)
     finished = [(entry.start, entry.stop) for entry in manifest.shards]
     stops = {start: stop for start, stop in finished if (start, stop) in plan}
@@ -397,30 +445,24 @@ def limits_of(path: Path) -> Span:
     return int(start), int(stop)
 
 
-def _old(path: Path) -> bool:
-    """Return whether no builder can be writing a file still, by the time of its last write."""
-    try:
-        return time.time() - path.stat().st_mtime > _A_DAY
-    except FileNotFoundError:
-        return False
+def _is_left(path: Path) -> bool:
+    """Return whether the writer of a temporary file has died: it holds a lock while it lives.
 
-
-def _alive(pid: int) -> bool:
-    """Return whether a process of this machine lives."""
-    try:
-        os.kill(pid, 0)  # signal 0 only asks
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:
-        return True  # it lives, under another user
-    return True
+    Process numbers and host names would not tell: those of two containers may be equal.
+    """
+    with suppress(PermissionError), open(path, "r+b") as first, open(path, "r+b") as second:
+        if not take_lock(first):
+            return False
+        if not take_lock(second):
+            return True  # locks work here, and nobody held this one
+    return time.time() - path.stat().st_mtime > _A_DAY
 
 
 def load_shard(root: Path, header: Header) -> Entry | None:
     """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
     path = root / shard_name(header.start, header.stop)
     try:
-        shard = open_shard(path)
+        shard = open_shard(path_in(root, path.name))
         labels = decode(shard)
     except (OSError, ShardError):  # gone, not to be read, or damaged
         return None

@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import time
+import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +26,19 @@ from mapdata.shards.manifest import (
     Entry,
     Manifest,
     parse_manifest,
+    path_in,
     read_manifest,
 )
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Header, Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement
+
+MOST_SILENCE = 20.0
+"""Seconds without a byte after which a try to read from a URL is given up."""
+
+PAUSES = (1.0, 4.0)
+"""Seconds before each further try."""
 
 Places = StrPath | Sequence[StrPath]
 """What names a dataset: a folder, a URL, or several of them."""
@@ -212,39 +223,62 @@ def folder_of(place: StrPath) -> Path:
 def manifest_at(place: str) -> Manifest:
     """Return the manifest of a place, which is read or fetched anew.
 
+    When a URL cannot be reached, it is the one that was fetched last.
+
     Raises:
         DatasetNotFoundError: no dataset there.
+        ConnectionError: the URL cannot be reached, and never was.
         ShardError: it is damaged.
     """
     if not is_url(place):
         return read_manifest(Path(place))
-    return parse_manifest(read_file(place, MANIFEST).decode(errors="replace"), place)
+    kept = _cache(place) / MANIFEST
+    try:
+        text = read_file(place, MANIFEST)
+    except ConnectionError as error:
+        if not kept.exists():
+            raise
+        warnings.warn(f"{error}. Going on with what was fetched before", stacklevel=2)
+        return read_manifest(kept.parent)
+    manifest = parse_manifest(text.decode(errors="replace"), place)
+    with suppress(OSError):  # a cache that cannot be written to
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_file(kept, text)
+    return manifest
 
 
 def read_file(place: str, name: str, most: int = MOST_BYTES) -> bytes:
-    """Return a file of a place; of one at a URL no more than one byte above ``most``.
+    """Return a file of a place.
 
     Raises:
         FileNotFoundError: there is none.
+        ConnectionError: the URL cannot be reached.
+        ShardError: it has more than ``most`` bytes, or is a link that leads out of the folder.
     """
-    if is_url(place):
-        return _fetch(place, name, most)
-    return (Path(place) / name).read_bytes()
+    if not is_url(place):
+        return path_in(Path(place), name).read_bytes()
+    for pause in PAUSES:
+        try:
+            return _fetch(place, name, most)
+        except ConnectionError as error:
+            warnings.warn(f"{error}. Trying again in {pause:g} s", stacklevel=2)
+            time.sleep(pause)
+    return _fetch(place, name, most)
 
 
 def local_file(place: str, entry: Entry) -> Path:
     """Return the local file of a shard; one at a URL is fetched to the cache and checked.
 
     Raises:
-        DatasetNotFoundError: it cannot be fetched.
-        ShardError: what was fetched does not have the hash that the manifest states.
+        DatasetNotFoundError: it is not there.
+        ConnectionError: the URL cannot be reached.
+        ShardError: what was fetched does not have the hash that the manifest states, or the file
+            is a link that leads out of the folder.
     """
     if not is_url(place):
-        return Path(place) / entry.name
-    folder = hashlib.sha256(place.encode()).hexdigest()[:24]
-    cache = cache_home() / "mapdata" / "remote" / folder
+        return path_in(Path(place), entry.name)
     # with the hash in its name, a shard that was replaced at the URL is another file here
-    path = cache / f"{entry.sha256[:16]}-{entry.name}"
+    path = _cache(place) / f"{entry.sha256[:16]}-{entry.name}"
     cached = path.exists() and path.stat().st_size == entry.bytes
     if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
         data = read_file(place, entry.name, entry.bytes)
@@ -252,9 +286,14 @@ def local_file(place: str, entry: Entry) -> Path:
             raise ShardError(
                 f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
             )
-        cache.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, data)
     return path
+
+
+def _cache(place: str) -> Path:
+    """Return the folder that keeps what is fetched from a URL."""
+    return cache_home() / "mapdata" / "remote" / hashlib.sha256(place.encode()).hexdigest()[:24]
 
 
 def file_hash(path: Path) -> str:
@@ -263,20 +302,54 @@ def file_hash(path: Path) -> str:
 
 
 def _fetch(place: str, name: str, most: int) -> bytes:
-    """Return a file at a URL, and no more of it than one byte above ``most``."""
-    import fsspec
+    """Return a file at a URL.
 
+    Raises:
+        DatasetNotFoundError: it is not there, or may not be read.
+        ConnectionError: it could not be read this time.
+        ShardError: it has more than ``most`` bytes.
+    """
     url = f"{place}/{name}"
+    data = bytearray()
     try:
-        with fsspec.open(url, "rb") as file:
-            return bytes(file.read(most + 1))
+        with _open_url(url) as file:
+            # a stream gives what has arrived, which may be less than is asked for
+            while len(data) <= most and (piece := file.read(most + 1 - len(data))):
+                data += piece
     except ImportError as error:
         raise ValueError(f"root: {place} needs another package: {error}") from None
     except ValueError as error:  # a protocol that fsspec does not know
         raise ValueError(f"root: {place}: {error}") from None
+    except FileNotFoundError as error:
+        raise DatasetNotFoundError(place, f"{url} was not found") from error
     except Exception as error:
-        # fsspec's HTTP says FileNotFoundError whatever failed: only the cause tells a 404.
+        # a timeout of fsspec says nothing; that of the package below it does
         cause = error.__cause__ or error
-        missing = isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) == 404
-        why = "was not found" if missing else f"could not be read: {cause}"
-        raise DatasetNotFoundError(place, f"{url} {why}") from error
+        why = f"{url} could not be read: {cause}"
+        # a refusal: a client error of HTTP but for a timeout and too many requests
+        if getattr(cause, "status", None) in {*range(400, 500)} - {408, 429}:
+            raise DatasetNotFoundError(place, why) from error
+        raise ConnectionError(
+            f"{why} ({len(PAUSES) + 1} tries, each given up after {MOST_SILENCE:g} s without a byte)"
+        ) from error
+    if len(data) > most:
+        raise ShardError(f"{url}: larger than {most} bytes")
+    return bytes(data)
+
+
+def _open_url(url: str) -> Any:
+    """Open a file at a URL to read its bytes, as a stream where it is HTTP."""
+    import fsspec
+
+    if not url.startswith(("http://", "https://")):
+        return fsspec.open(url, "rb")
+    import aiohttp
+
+    client = {
+        "timeout": aiohttp.ClientTimeout(3600, sock_connect=MOST_SILENCE, sock_read=MOST_SILENCE),
+        # what a server packs could be a bomb
+        "headers": {"Accept-Encoding": "identity"},
+        "auto_decompress": False,
+    }
+    # with any size, fsspec does not ask for the true one first
+    return fsspec.filesystem("http", client_kwargs=client).open(url, block_size=0, size=1)
