@@ -28,15 +28,14 @@ from mapdata.shards.manifest import (
     MANIFEST,
     PROVENANCE,
     Manifest,
+    check_names,
     entry_of,
-    is_known,
     locked,
     merge_locked,
+    path_in,
     provenance_text,
     read_manifest,
-    refuse_links,
     shard_name,
-    sweep,
 )
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
@@ -226,8 +225,6 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
     Raises:
         ValueError: something else stands where they are to be written.
     """
-    if root.exists() and not root.is_dir():
-        raise ValueError(f"root: {root} is a file, expected a folder")
     folders = dict.fromkeys(groups, root)
     if len(groups) > 1:
         sizes = Counter((rows, columns) for rows, columns, _ in groups)
@@ -236,20 +233,10 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
             if sizes[rows, columns] > 1:
                 name += f"-{metres:g}m"
             folders[rows, columns, metres] = root / name
-        _check_folder(root, {folder.name for folder in folders.values()}.__contains__)
+        check_names(root, {folder.name for folder in folders.values()}.__contains__)
     for folder in folders.values():
-        _check_folder(folder, is_known)
+        check_names(folder)
     return folders
-
-
-def _check_folder(folder: Path, is_known: Callable[[str], bool]) -> None:
-    """Refuse a folder without a manifest that holds a name that is not known."""
-    if folder.is_dir() and not (folder / MANIFEST).exists():
-        for path in folder.iterdir():
-            if not is_known(path.name):
-                raise ValueError(
-                    f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
-                )
 
 
 def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
@@ -271,16 +258,13 @@ def _write(
     pool: Executor,
 ) -> Imported:
     """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""
-    refuse_links(folder)
-    have = {}
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
         if replace(found, shards=()) != wanted:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
-        have = {(entry.start, entry.stop): entry for entry in found.shards}
     # The plan comes first: who goes on with an import that was stopped knows it by this.
     manifest = merge_locked(folder, wanted)
-    sweep(folder, manifest)
+    have = {entry.name: entry for entry in manifest.shards}
     checked = 0
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
@@ -292,8 +276,8 @@ def _write(
                 checked += 1
                 disagreements.update(one.check(labels, k))
         image, content = shard_image(labels, header)
-        path = folder / shard_name(header.start, header.stop)
-        old = have.get((header.start, header.stop))
+        path = path_in(folder, shard_name(header.start, header.stop))
+        old = have.get(path.name)
         if old is not None and old.content_hash != content:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
         if old is None or not path.exists() or file_hash(path) != old.sha256:

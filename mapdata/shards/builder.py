@@ -23,12 +23,12 @@ from mapdata.shards.manifest import (
     Entry,
     Manifest,
     Span,
+    check_names,
     entry_of,
-    is_known,
     load_shard,
     merge,
+    path_in,
     read_manifest,
-    refuse_links,
     shard_name,
     sweep,
 )
@@ -107,8 +107,8 @@ def build(
     wanted = Manifest(
         spec=spec,
         seed=check_seed(seed),
-        maps=maps,
-        shard_size=shard_size,
+        maps=check_count("maps", maps),
+        shard_size=check_count("shard_size", shard_size),
         map_size=spec.map_size,
         movement=spec.movement,
         resolution=spec.resolution,
@@ -181,13 +181,13 @@ def headers(manifest: Manifest) -> Iterator[Header]:
 
 
 def make_shard(
-    root: Path, header: Header, *, anew: bool = False, advance: Advance = no_bar
+    root: Path, header: Header, *, damaged: Set[Span] = frozenset(), advance: Advance = no_bar
 ) -> Entry:
-    """Write a shard and return its entry; without ``anew`` a sound shard of that name is kept.
+    """Write a shard and return its entry; a sound one that is there and not ``damaged`` is kept.
 
     ``advance`` is called with numbers of maps as they are done.
     """
-    if not anew:
+    if (header.start, header.stop) not in damaged:
         found = load_shard(root, header)
         if found is not None:
             advance(header.stop - header.start)
@@ -228,12 +228,6 @@ def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
     )
 
 
-def _make(root: Path, damaged: Set[Span], advance: Advance, header: Header) -> Entry:
-    """Make a shard, anew if it is damaged: a function of the module, since processes pickle it."""
-    anew = (header.start, header.stop) in damaged
-    return make_shard(root, header, anew=anew, advance=advance)
-
-
 def _made(
     pool: Executor,
     root: Path,
@@ -243,7 +237,7 @@ def _made(
     advance: Advance,
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
-    make = partial(_make, root, damaged, advance)
+    make = partial(make_shard, root, damaged=damaged, advance=advance)
     left = dict.fromkeys(todo)
     try:
         for header, entry in finished(pool, make, todo, most):
@@ -269,13 +263,10 @@ def _prepare(
             is compared.
 
     Raises:
-        ValueError: it is a file, holds something else, or links to files elsewhere.
+        ValueError: it holds something else, or links to files elsewhere.
         PermissionError: it may not be written to, or a shard may not be read.
     """
-    if root.exists() and not root.is_dir():
-        raise ValueError(f"root: {root} is a file, expected a folder")
     root.mkdir(parents=True, exist_ok=True)
-    refuse_links(root)
     if (root / MANIFEST).exists():
         found = read_manifest(root)
     else:
@@ -295,7 +286,7 @@ def _prepare(
     with bar(progress and bool(listed), _count(listed), unit=" maps checked") as advance:
         for entry in listed:
             limits = (entry.start, entry.stop)
-            path = root / entry.name
+            path = path_in(root, entry.name)
             size = _size(path)
             if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
                 have[limits] = entry
@@ -307,16 +298,12 @@ def _prepare(
 
 def _check_unlisted(root: Path, wanted: Manifest) -> None:
     """Refuse a folder without a manifest that holds anything but shards of the wanted dataset."""
-    others = [path.name for path in root.iterdir() if not is_known(path.name)]
-    if others:
-        raise ValueError(
-            f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder"
-        )
+    check_names(root)
     if not os.access(root, os.W_OK):
         raise PermissionError(f"root: no permission to write in {root}")
     for path in root.glob("maps-*.h5"):
         try:
-            header = open_shard(path).header
+            header = open_shard(path_in(root, path.name)).header
         except ShardError:
             continue  # a corrupt shard is made again
         _check_same(path, wanted, header, "spec", "seed")

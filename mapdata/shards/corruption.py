@@ -6,10 +6,9 @@ A shard that is damaged or missing is made again from the recipe, a manifest fro
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,6 +33,7 @@ from mapdata.shards.manifest import (
     path_in,
     provenance_text,
     shard_name,
+    union,
 )
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import (
@@ -199,7 +199,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
         bar(progress, sum(header.stop - header.start for header in again)) as advance,
         threads() as pool,
     ):
-        for header, entry in finished(pool, partial(make_shard, root, anew=True), again, 2 * CORES):
+        make = partial(make_shard, root, damaged={(header.start, header.stop) for header in again})
+        for header, entry in finished(pool, make, again, 2 * CORES):
             before = stated.get(entry.name, entry.content_hash)
             if entry.content_hash != before:
                 what = (
@@ -209,12 +210,10 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
             else:  # the manifest keeps what it said of the others
                 made.append(entry)
             advance(header.stop - header.start)
-    repaired = replace(manifest, shards=(*manifest.shards, *made))
+    repaired = replace(manifest, shards=tuple(made))
     if relisted:
         # not merged, since the manifest on disk cannot be read
-        shards = {entry.start: entry for entry in repaired.shards}
-        repaired = replace(repaired, shards=tuple(shards[start] for start in sorted(shards)))
-        write_file(root / MANIFEST, repaired.to_json().encode())
+        write_file(root / MANIFEST, union(repaired, manifest).to_json().encode())
     elif made:
         merge(root, repaired)
     return left
@@ -226,15 +225,8 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
     planned = {header.start: header for header in headers(manifest)}
-    tasks: list[tuple[Entry, Header]] = []
-    for entry in manifest.shards:
-        header = planned[entry.start]
-        if entry.stop == header.stop:
-            del planned[entry.start]
-        # else a partial last shard, which an extension has not replaced yet
-        tasks.append((entry, replace(header, stop=entry.stop)))
-    names = {entry.name for entry in manifest.shards}
-    names |= {shard_name(header.start, header.stop) for header in planned.values()}
+    # a partial last shard may not be replaced by the planned one yet
+    tasks = [(entry, replace(planned[entry.start], stop=entry.stop)) for entry in manifest.shards]
     faults = _check_provenance(place) if manifest.spec is None else []
     with (
         bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
@@ -245,26 +237,24 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for header in planned.values():  # what no entry took out
-        path = f"{place}/{shard_name(header.start, header.stop)}"
-        if listed:
+    names = {entry.name for entry in manifest.shards}
+    for header in planned.values():
+        name = shard_name(header.start, header.stop)
+        if name not in names:
+            names.add(name)
             what = "missing (the build did not finish)"
-        else:
-            what = "damaged" if os.path.exists(path) else "missing"
-        faults.append(Corruption(path, what, header))
+            if not listed:
+                what = "damaged" if (Path(place) / name).exists() else "missing"
+            faults.append(Corruption(f"{place}/{name}", what, header))
     if not is_url(place):
-        faults += _strange_files(Path(place), names)
+        # what hides is other programs'; folders may be other datasets
+        for path in sorted(Path(place).iterdir()):
+            name = path.name
+            is_hidden = name.startswith(".") and not name.endswith(".tmp")
+            is_listed = name in names or (is_known(name) and not is_shard_name(name))
+            if not (is_hidden or is_listed or path.is_dir()):
+                faults.append(Corruption(str(path), _STRANGE))
     return faults
-
-
-def _strange_files(root: Path, shards: Set[str]) -> Iterator[Corruption]:
-    """Yield each file that is none of a dataset with these shards; hidden ones are not looked at."""
-    for path in sorted(root.iterdir()):
-        name = path.name
-        known = name in shards or (is_known(name) and not is_shard_name(name))
-        hidden = name.startswith(".") and not name.endswith(".tmp")
-        if not (known or hidden or path.is_dir()):
-            yield Corruption(str(path), _STRANGE)
 
 
 def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | None:

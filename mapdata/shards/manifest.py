@@ -12,7 +12,7 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -123,7 +123,7 @@ class Manifest(Origin):
         shards: finished shards in the order of their maps.
 
     Raises:
-        ValueError: no whole number of maps, or more than `MOST_SHARDS` shards.
+        ValueError: more than `MOST_SHARDS` shards.
     """
 
     maps: int
@@ -131,9 +131,7 @@ class Manifest(Origin):
     shards: tuple[Entry, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check how many maps and files are planned."""
-        for name in ("maps", "shard_size"):
-            object.__setattr__(self, name, check_count(name, getattr(self, name)))
+        """Check how many files are planned."""
         if self.maps > MOST_SHARDS * self.shard_size:
             raise ValueError(
                 f"maps: {self.maps} in shards of {self.shard_size} are over {MOST_SHARDS} files; "
@@ -236,16 +234,6 @@ def path_in(root: Path, name: str) -> Path:
     return path
 
 
-def refuse_links(root: Path) -> None:
-    """Refuse a root whose manifest or shards are links that lead out of it.
-
-    Raises:
-        ShardError: one is.
-    """
-    for path in (root / MANIFEST, *root.glob("maps-*.h5")):
-        path_in(root, path.name)
-
-
 def is_shard_name(name: str) -> bool:
     """Return whether `shard_name` gives such names; a manifest's other names are never opened."""
     return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
@@ -255,6 +243,20 @@ def is_known(name: str) -> bool:
     """Return whether a file of a root may have this name: a builder or `mapdata info` gave it."""
     known = name in (MANIFEST, LOCK, PROVENANCE, "README.md", "recipe.json")
     return known or is_shard_name(name) or _TEMPORARY.fullmatch(name) is not None
+
+
+def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None:
+    """Refuse a folder without a manifest that holds a file which is not ours.
+
+    Raises:
+        ValueError: the message names one.
+    """
+    if folder.is_dir() and not (folder / MANIFEST).exists():
+        for path in folder.iterdir():
+            if not is_ours(path.name):
+                raise ValueError(
+                    f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
+                )
 
 
 def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
@@ -304,8 +306,8 @@ def parse_manifest(text: str, path: str) -> Manifest:
         manifest = Manifest(
             spec=None if spec is None else Generator.from_dict(spec),
             seed=None if values["seed"] is None else check_seed(values["seed"]),
-            maps=values["maps"],
-            shard_size=values["shard_size"],
+            maps=check_count("maps", values["maps"]),
+            shard_size=check_count("shard_size", values["shard_size"]),
             map_size=check_integers("map_size", values["map_size"]),
             movement=Movement(**values["movement"]),
             resolution=check_number("resolution", values["resolution"]),
@@ -366,21 +368,19 @@ def locked(root: Path, wait: bool = True) -> Iterator[bool]:
     Raises:
         ShardError: what has the name of the lock is not a plain file.
     """
-    with open(path_in(root, LOCK), "ab", opener=_open_safely) as file:
+    path = path_in(root, LOCK)
+    if sys.platform == "win32":
+        yield True
+        return
+    # it may have become a link or a pipe since: neither is followed or waited for
+    flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    with open(os.open(path, flags, 0o666), "ab") as file:
         try:
             yield take_lock(file, wait)
         finally:
-            if sys.platform != "win32":
-                # closing the file is not enough: a process forked meanwhile would keep the lock
-                with suppress(OSError):
-                    fcntl.flock(file, fcntl.LOCK_UN)
-
-
-def _open_safely(path: str, flags: int) -> int:
-    """Open a file as `open` asks; a link is an error, and a pipe is not waited for."""
-    for name in ("O_NOFOLLOW", "O_NONBLOCK"):
-        flags |= getattr(os, name, 0)  # Windows has none
-    return os.open(path, flags, 0o666)
+            # closing the file is not enough: a process forked meanwhile would keep the lock
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
@@ -401,26 +401,24 @@ def merge_locked(root: Path, mine: Manifest) -> Manifest:
     theirs = mine
     if (root / MANIFEST).exists():
         theirs = read_manifest(root)
-    union = _union(mine, theirs)
-    write_file(root / MANIFEST, union.to_json().encode())
-    kept = {entry.name for entry in union.shards}
-    for entry in (*mine.shards, *theirs.shards):
-        if entry.name not in kept:
-            (root / entry.name).unlink(missing_ok=True)
-    return union
+    both = union(mine, theirs)
+    write_file(root / MANIFEST, both.to_json().encode())
+    sweep(root, both)
+    return both
 
 
-def _union(mine: Manifest, theirs: Manifest) -> Manifest:
-    """Return a manifest of all shards of two; of the same maps, those of the larger dataset."""
+def union(mine: Manifest, theirs: Manifest) -> Manifest:
+    """Return a manifest of all shards of two; of the same maps, those of the larger dataset.
+
+    Raises:
+        ValueError: they are of two datasets.
+    """
     if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
         raise ValueError("another dataset appeared under the same root while this one was built")
-    union = replace(mine, maps=max(mine.maps, theirs.maps))
-    plan = set(union.plan)
-    known = {(entry.start, entry.stop): entry for entry in (*theirs.shards, *mine.shards)}
-    whole = {start for start, stop in known if (start, stop) in plan}
-    # a partial last shard stays until the larger one that takes its place is there
-    kept = [key for key in sorted(known) if key in plan or key[0] not in whole]
-    return replace(union, shards=tuple(known[key] for key in kept))
+    entries = sorted((*theirs.shards, *mine.shards), key=lambda entry: (entry.start, entry.stop))
+    # of those that start together the last one stays: the longest, and of equal ones mine
+    shards = {entry.start: entry for entry in entries}
+    return replace(mine, maps=max(mine.maps, theirs.maps), shards=tuple(shards.values()))
 
 
 def sweep(root: Path, manifest: Manifest) -> None:
@@ -429,9 +427,7 @@ def sweep(root: Path, manifest: Manifest) -> None:
         with suppress(FileNotFoundError):  # another builder sweeps too
             if _TEMPORARY.fullmatch(path.name) and path.is_file() and _is_left(path):
                 path.unlink()
-    plan = set(manifest.plan)
-    finished = [(entry.start, entry.stop) for entry in manifest.shards]
-    stops = {start: stop for start, stop in finished if (start, stop) in plan}
+    stops = {entry.start: entry.stop for entry in manifest.shards}
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
             start, stop = limits_of(path)

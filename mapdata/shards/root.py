@@ -196,12 +196,8 @@ def places(source: Places) -> tuple[str, ...]:
     names = [source] if isinstance(source, (str, os.PathLike)) else source
     if not names:
         raise ValueError("root: got an empty list, expected at least one dataset")
-    return tuple(_place(os.fspath(name)) for name in names)
-
-
-def _place(name: str) -> str:
-    """Return a place without a slash at the end."""
-    return name.rstrip("/") if is_url(name) else str(Path(name))
+    texts = [os.fspath(name) for name in names]
+    return tuple(text.rstrip("/") if is_url(text) else str(Path(text)) for text in texts)
 
 
 def is_url(place: str) -> bool:
@@ -210,60 +206,53 @@ def is_url(place: str) -> bool:
 
 
 def folder_of(place: StrPath) -> Path:
-    """Return a place to write to as a path.
+    """Return a place to write to as a path; there may be nothing yet.
 
     Raises:
-        ValueError: it is a URL.
+        ValueError: it is a URL or a file.
     """
     if is_url(os.fspath(place)):
         raise ValueError(f"root: {place} is a URL, which can only be read; expected a folder")
-    return Path(place)
+    folder = Path(place)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"root: {folder} is a file, expected a folder")
+    return folder
 
 
 def manifest_at(place: str) -> Manifest:
     """Return the manifest of a place, which is read or fetched anew.
 
-    When a URL cannot be reached, it is the one that was fetched last.
-
     Raises:
         DatasetNotFoundError: no dataset there.
-        ConnectionError: the URL cannot be reached, and never was.
         ShardError: it is damaged.
+        ConnectionError: as `read_file`.
     """
     if not is_url(place):
         return read_manifest(Path(place))
-    kept = _cache(place) / MANIFEST
+    return parse_manifest(read_file(place, MANIFEST).decode(errors="replace"), place)
+
+
+def read_file(place: str, name: str) -> bytes:
+    """Return a file of a place; where a URL cannot be reached, as it was when fetched last.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ConnectionError: the URL cannot be reached, and the file was never fetched.
+        ShardError: it is a link that leads out of the folder.
+    """
+    if not is_url(place):
+        return path_in(Path(place), name).read_bytes()
+    kept = _cache(place) / name
     try:
-        text = read_file(place, MANIFEST)
+        data = _fetch(place, name, MOST_BYTES)
     except ConnectionError as error:
         if not kept.exists():
             raise
         warnings.warn(f"{error}. Going on with what was fetched before", stacklevel=2)
-        return read_manifest(kept.parent)
-    manifest = parse_manifest(text.decode(errors="replace"), place)
-    with suppress(OSError):  # a cache that cannot be written to
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        write_file(kept, text)
-    return manifest
-
-
-def read_file(place: str, name: str, most: int = MOST_BYTES) -> bytes:
-    """Return a file of a place.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ConnectionError: the URL cannot be reached.
-        ShardError: it has more than ``most`` bytes, or is a link that leads out of the folder.
-    """
-    if not is_url(place):
-        return path_in(Path(place), name).read_bytes()
-    for pause in PAUSES:
-        try:
-            return _fetch(place, name, most)
-        except ConnectionError as error:
-            warnings.warn(f"{error}. Trying again in {pause:g} s", stacklevel=2)
-            time.sleep(pause)
-    return _fetch(place, name, most)
+        return kept.read_bytes()
+    with suppress(OSError):  # a cache that may only be read
+        _keep(kept, data)
+    return data
 
 
 def local_file(place: str, entry: Entry) -> Path:
@@ -281,13 +270,12 @@ def local_file(place: str, entry: Entry) -> Path:
     path = _cache(place) / f"{entry.sha256[:16]}-{entry.name}"
     cached = path.exists() and path.stat().st_size == entry.bytes
     if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
-        data = read_file(place, entry.name, entry.bytes)
+        data = _fetch(place, entry.name, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise ShardError(
                 f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
             )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, data)
+        _keep(path, data)
     return path
 
 
@@ -296,25 +284,41 @@ def _cache(place: str) -> Path:
     return cache_home() / "mapdata" / "remote" / hashlib.sha256(place.encode()).hexdigest()[:24]
 
 
+def _keep(path: Path, data: bytes) -> None:
+    """Write a file of the cache."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, data)
+
+
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _fetch(place: str, name: str, most: int) -> bytes:
-    """Return a file at a URL.
+    """Return a file at a URL, no more of it than one byte above ``most``; try several times.
 
     Raises:
-        DatasetNotFoundError: it is not there, or may not be read.
-        ConnectionError: it could not be read this time.
-        ShardError: it has more than ``most`` bytes.
+        DatasetNotFoundError: it is not there.
+        ConnectionError: no try got it; the message says why the last one did not.
     """
+    for pause in PAUSES:
+        try:
+            return _fetch_once(place, name, most)
+        except ConnectionError as error:
+            warnings.warn(f"{error}. Trying again in {pause:g} s", stacklevel=3)
+            time.sleep(pause)
+    return _fetch_once(place, name, most)
+
+
+def _fetch_once(place: str, name: str, most: int) -> bytes:
+    """Do what `_fetch` does, in one try."""
     url = f"{place}/{name}"
     data = bytearray()
     try:
         with _open_url(url) as file:
             # a stream gives what has arrived, which may be less than is asked for
-            while len(data) <= most and (piece := file.read(most + 1 - len(data))):
+            while piece := file.read(most + 1 - len(data)):
                 data += piece
     except ImportError as error:
         raise ValueError(f"root: {place} needs another package: {error}") from None
@@ -324,16 +328,11 @@ def _fetch(place: str, name: str, most: int) -> bytes:
         raise DatasetNotFoundError(place, f"{url} was not found") from error
     except Exception as error:
         # a timeout of fsspec says nothing; that of the package below it does
-        cause = error.__cause__ or error
-        why = f"{url} could not be read: {cause}"
-        # a refusal: a client error of HTTP but for a timeout and too many requests
-        if getattr(cause, "status", None) in {*range(400, 500)} - {408, 429}:
-            raise DatasetNotFoundError(place, why) from error
+        why = " ".join((str(error) or str(error.__cause__)).split())
         raise ConnectionError(
-            f"{why} ({len(PAUSES) + 1} tries, each given up after {MOST_SILENCE:g} s without a byte)"
+            f"{url} could not be read: {why} ({len(PAUSES) + 1} tries, each given up after "
+            f"{MOST_SILENCE:g} s without a byte)"
         ) from error
-    if len(data) > most:
-        raise ShardError(f"{url}: larger than {most} bytes")
     return bytes(data)
 
 
@@ -346,7 +345,7 @@ def _open_url(url: str) -> Any:
     import aiohttp
 
     client = {
-        "timeout": aiohttp.ClientTimeout(3600, sock_connect=MOST_SILENCE, sock_read=MOST_SILENCE),
+        "timeout": aiohttp.ClientTimeout(sock_connect=MOST_SILENCE, sock_read=MOST_SILENCE),
         # what a server packs could be a bomb
         "headers": {"Accept-Encoding": "identity"},
         "auto_decompress": False,
