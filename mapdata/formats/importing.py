@@ -131,13 +131,15 @@ def import_maps(
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
-    for one in _tiles(source, tile):
-        why = _unusable(one, movement)
-        if why is not None:
-            source.left_out.append((one.name, why))
-            continue
-        metres = resolution or one.resolution or RESOLUTION
-        groups.setdefault((*one.shape, metres), []).append(one)
+    with bar(progress, len(source.maps), unit=" maps checked") as advance:
+        for one in _tiles(source, tile):
+            why = _unusable(one, movement)
+            if why is not None:
+                source.left_out.append((one.name, why))
+            else:
+                metres = resolution or one.resolution or RESOLUTION
+                groups.setdefault((*one.shape, metres), []).append(one)
+            advance(1)
     if not groups:
         why = ""
         if source.left_out:

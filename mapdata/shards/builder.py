@@ -290,7 +290,7 @@ def _prepare(
             size = _size(path)
             if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
                 have[limits] = entry
-            elif size != _MISSING:
+            elif size is not None:
                 damaged.add(limits)
             advance(entry.stop - entry.start)
     return have, damaged
@@ -320,15 +320,12 @@ def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> No
             )
 
 
-_MISSING = -1
-
-
-def _size(path: Path) -> int:
-    """Return the size of a file in bytes; `_MISSING` if there is none."""
+def _size(path: Path) -> int | None:
+    """Return the size of a file in bytes, None if there is none."""
     try:
         return path.stat().st_size
     except FileNotFoundError:
-        return _MISSING
+        return None
 
 
 def _count(shards: Sequence[Header | Entry]) -> int:

@@ -139,8 +139,8 @@ def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
         return _inspect_unlisted(place, error, progress)
     faults: list[Corruption] = []
     # the hash inside the manifest is of its values, so its text is checked too
-    text = read_file(place, MANIFEST).decode()
-    if text != json.dumps(json.loads(text), indent=1) + "\n":
+    text = read_file(place, MANIFEST)
+    if text != f"{json.dumps(json.loads(text), indent=1)}\n".encode():
         what = "damaged (its text is not as it was written)"
         faults.append(Corruption(f"{place}/{MANIFEST}", what))
     faults += _check_files(place, manifest, True, progress)

@@ -56,8 +56,8 @@ PROVENANCE = "import.json"
 MOST_BYTES = 2**28
 """Largest manifest that is read."""
 
-MOST_SHARDS = 250_000
-"""Most files of a dataset: a manifest of `MOST_BYTES` lists them, at up to a kilobyte each."""
+MOST_SHARDS = 100_000
+"""Most files of a dataset; a manifest that lists them has some 80 MB."""
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
@@ -65,8 +65,11 @@ Span = tuple[int, int]
 _A_DAY = 86_400
 """Seconds after which a temporary file counts as left behind where there are no locks."""
 
-_TEMPORARY = re.compile(r"\.(maps-\d+-\d+\.h5|manifest\.json|import\.json|README\.md)\b.+\.tmp")
-"""Names under which `write_file` writes the files of a root."""
+_OURS = r"(maps-\d{12,}-\d{12,}\.h5|manifest\.json|import\.json|README\.md|recipe\.json)"
+"""Names of files that a root may hold, as a regular expression."""
+
+_TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
+"""Names under which `write_file` writes them."""
 
 
 class DatasetNotFoundError(FileNotFoundError):
@@ -226,8 +229,11 @@ def path_in(root: Path, name: str) -> Path:
         ShardError: it is a link that leads out of the root, a pipe or a folder.
     """
     path = root / name
-    leads_out = not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
-    if leads_out or (path.exists() and not path.is_file()):
+    # unlike `Path.resolve`, `realpath` does not fail on links in a circle
+    leads_out = path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(
+        os.path.realpath(root)
+    )
+    if leads_out or (os.path.lexists(path) and not path.is_file()):
         raise ShardError(
             f"{path}: a link out of its folder, a pipe or a folder, expected a plain file"
         )
@@ -241,8 +247,7 @@ def is_shard_name(name: str) -> bool:
 
 def is_known(name: str) -> bool:
     """Return whether a file of a root may have this name: a builder or `mapdata info` gave it."""
-    known = name in (MANIFEST, LOCK, PROVENANCE, "README.md", "recipe.json")
-    return known or is_shard_name(name) or _TEMPORARY.fullmatch(name) is not None
+    return re.fullmatch(rf"{_OURS}|{_TEMPORARY}|\{LOCK}", name) is not None
 
 
 def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None:
@@ -283,16 +288,13 @@ def read_manifest(root: Path) -> Manifest:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ShardError(f"{path}: larger than {MOST_BYTES} bytes")
-        text = path.read_bytes().decode()
+        return parse_manifest(path.read_bytes(), str(path))
     except (FileNotFoundError, NotADirectoryError):
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
         raise DatasetNotFoundError(root, why) from None
-    except UnicodeDecodeError as error:
-        raise ShardError(f"{path}: damaged ({error})") from None
-    return parse_manifest(text, str(path))
 
 
-def parse_manifest(text: str, path: str) -> Manifest:
+def parse_manifest(text: str | bytes, path: str) -> Manifest:
     """Return the manifest that ``text`` states; ``path`` names it in errors."""
     try:
         values = json.loads(text)
@@ -425,7 +427,7 @@ def sweep(root: Path, manifest: Manifest) -> None:
     """Remove what dead builders left: temporary files, and shards that larger ones replaced."""
     for path in root.glob(".*.tmp"):
         with suppress(FileNotFoundError):  # another builder sweeps too
-            if _TEMPORARY.fullmatch(path.name) and path.is_file() and _is_left(path):
+            if re.fullmatch(_TEMPORARY, path.name) and path.is_file() and _is_left(path):
                 path.unlink()
     stops = {entry.start: entry.stop for entry in manifest.shards}
     for path in root.glob("maps-*.h5"):
@@ -456,9 +458,9 @@ def _is_left(path: Path) -> bool:
 
 def load_shard(root: Path, header: Header) -> Entry | None:
     """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
-    path = root / shard_name(header.start, header.stop)
     try:
-        shard = open_shard(path_in(root, path.name))
+        path = path_in(root, shard_name(header.start, header.stop))
+        shard = open_shard(path)
         labels = decode(shard)
     except (OSError, ShardError):  # gone, not to be read, or damaged
         return None

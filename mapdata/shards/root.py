@@ -229,7 +229,7 @@ def manifest_at(place: str) -> Manifest:
     """
     if not is_url(place):
         return read_manifest(Path(place))
-    return parse_manifest(read_file(place, MANIFEST).decode(errors="replace"), place)
+    return parse_manifest(read_file(place, MANIFEST), place)
 
 
 def read_file(place: str, name: str) -> bytes:

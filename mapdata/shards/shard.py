@@ -325,14 +325,15 @@ def write_file(path: Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if not isinstance(error, FileNotFoundError) or not path.parent.is_dir():
+    except FileNotFoundError:
+        if not path.parent.is_dir():
             raise
         # it was swept while it had no lock: just made, just closed, or where there are no locks
         write_file(path, data)
-    else:
-        sync_folder(path.parent)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
 
 
 def take_lock(file: IO[bytes], wait: bool = False) -> bool:
