@@ -119,13 +119,13 @@ def build(
         root, wanted, {(header.start, header.stop) for header in mine}, progress
     )
     present = replace(wanted, shards=tuple(have.values()))
+    todo = [header for header in mine if (header.start, header.stop) not in have]
     if os.access(root, os.W_OK):
         sweep(root, present)
-    todo = [header for header in mine if (header.start, header.stop) not in have]
+    elif todo:
+        raise PermissionError(f"root: no permission to write in {root}")
     if not todo:
         return present  # nothing to write, so a root that may only be read will do
-    if not os.access(root, os.W_OK):
-        raise PermissionError(f"root: no permission to write in {root}")
     if executor is not None:
         # kernels are compiled here, once, rather than in each process of the executor at once
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))

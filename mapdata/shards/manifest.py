@@ -361,7 +361,7 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
 
 
 @contextmanager
-def locked(root: Path, wait: bool = True) -> Iterator[bool]:
+def locked(root: Path, wait: bool) -> Iterator[bool]:
     """Hold the lock of a root and yield True; without ``wait``, yield False if another holds it.
 
     Where there are no locks it yields True: two merges at once may then lose entries, never shards,

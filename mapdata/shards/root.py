@@ -1,6 +1,6 @@
 """`Root`: the dataset of a folder, of a URL or of several, read a shard at a time.
 
-Shards at a URL are fetched once, to a local cache, and checked against their hashes.
+What lies at a URL is fetched to a local cache, shards once, and checked against its hashes.
 """
 
 from __future__ import annotations
@@ -74,6 +74,7 @@ class Root:
 
         Raises:
             DatasetNotFoundError: there is no dataset.
+            ConnectionError: a URL cannot be reached, and never was.
             ShardError: a manifest is damaged.
             ValueError: no place; places that do not fit together; an unfinished dataset; a URL
                 that needs a package that is not installed (the message names it).
@@ -132,7 +133,8 @@ class Root:
 
         Raises:
             ShardError: it is missing, damaged, or not what the manifest says.
-            DatasetNotFoundError: it lies at a URL, and cannot be fetched.
+            DatasetNotFoundError: it lies at a URL, and is not there.
+            ConnectionError: it lies at a URL that cannot be reached.
         """
         number, _, entry = self.shards[k]
         place = self.places[number]
@@ -153,7 +155,7 @@ class Root:
         """Return the maps of shard ``k`` with their labels, numbered as by `labels`.
 
         Raises:
-            ShardError, DatasetNotFoundError: as `open_shard`.
+            ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
         _, first, _ = self.shards[k]
         labels = decode(self.open_shard(k))
@@ -167,7 +169,7 @@ class Root:
         number of maps that the first one has when it is finished.
 
         Raises:
-            ShardError, DatasetNotFoundError: as `open_shard`.
+            ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
         with bar(progress, sum(entry.stop - entry.start for _, _, entry in self.shards)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):

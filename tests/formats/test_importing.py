@@ -14,8 +14,8 @@ from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
 
-from mapdata import Labels, MapDataset, Maps, ShardError, read_shard, verify
-from mapdata.formats import Collection, ForeignMap, import_maps, importing
+from mapdata import Labels, MapDataset, Maps, ShardError, label, read_shard, verify
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 from mapdata.spec import Movement
@@ -158,14 +158,13 @@ def test_the_same_import_goes_on(tmp_path: Path) -> None:
 def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While one writes, another one is refused on one line, and takes nothing away."""
     begun, go_on = threading.Event(), threading.Event()
-    true_label = importing.label
 
-    def label(maps: Maps) -> Labels:
+    def slow_label(maps: Maps) -> Labels:
         begun.set()
         assert go_on.wait(60)
-        return true_label(maps)
+        return label(maps)
 
-    monkeypatch.setattr(importing, "label", label)
+    monkeypatch.setattr("mapdata.formats.importing.label", slow_label)
     root = tmp_path / "maps"
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(import_maps, root, collection(*random_grids(5)), shard_size=2)
