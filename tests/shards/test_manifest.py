@@ -26,7 +26,6 @@ import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
 from mapdata.shards import MANIFEST, PROVENANCE, Manifest, read_manifest, write_file
 from mapdata.shards.builder import headers
-from mapdata.shards.content import combine
 from mapdata.shards.manifest import (
     LOCK,
     Entry,
@@ -38,7 +37,6 @@ from mapdata.shards.manifest import (
     sweep,
     union,
 )
-from mapdata.shards.shard import take_lock
 from mapdata.spec import SPLITS
 
 SETTINGS = settings(max_examples=60)
@@ -222,8 +220,8 @@ def test_a_flipped_bit_changes_no_value(built: Path) -> None:
 def shards_of(values: dict[str, Any], order: list[int]) -> None:
     """List shards in another order, or twice, with the content hash that fits them."""
     values["shards"] = [values["shards"][k] for k in order]
-    content = combine([entry["content_hash"] for entry in values["shards"]])
-    values.update(content_hash=content)
+    total = sum(int(entry["content_hash"], 16) for entry in values["shards"])
+    values.update(content_hash=f"{total % 2**256:064x}")
 
 
 LIES: dict[str, Callable[[dict[str, Any]], object]] = {
@@ -440,9 +438,24 @@ def test_sweep_leaves_what_is_locked(name: str, tmp_path: Path) -> None:
     """
     path = tmp_path / name
     with open(path, "xb") as file:
-        assert take_lock(file)
+        fcntl.flock(file, fcntl.LOCK_EX)
         assert not is_swept(path)
     assert is_swept(path)
+
+
+def test_a_writer_holds_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others may sweep as often as they like while it writes."""
+    true_fsync = os.fsync
+    seen = []
+
+    def fsync(descriptor: int) -> None:
+        seen.extend(path for path in tmp_path.glob(".*.tmp") if not is_swept(path))
+        true_fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_file(tmp_path / MANIFEST, b"whole")
+    assert len(seen) == 1
+    assert os.listdir(tmp_path) == [MANIFEST]
 
 
 @pytest.mark.parametrize("kind", ["that fail", "that do nothing"])

@@ -38,6 +38,7 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.cli import main
 from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
 from mapdata.shards import (
@@ -504,6 +505,32 @@ def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
     assert verify(server.url)[0].startswith(f"{server.url}/{MANIFEST}: ")
     with pytest.raises(DatasetNotFoundError):
         verify([server.folder, server.url + "x"])
+
+
+def test_every_verb_takes_a_url_or_says_why_not(
+    server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those that read do; what writes a dataset, or reads foreign files, names the URL whole."""
+    url = server.url
+    for line in (
+        ["info", url],
+        ["verify", url],
+        ["show", url, "-o", str(tmp_path / "map.png")],
+        ["report", url, "-o", str(tmp_path / "report.html")],
+        ["export", url, str(tmp_path / "paper"), "--format", "paper"],
+    ):
+        main(line)
+    capsys.readouterr()
+    for line in (
+        ["build", url],
+        ["import", url, str(tmp_path / "maps")],
+        ["verify", url, "--repair"],
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main(line)
+        (error,) = capsys.readouterr().err.splitlines()
+        assert re.match(rf"mapdata: .*{url}.* a URL, ", error), error
+    assert not Path("http:").exists()
 
 
 def test_a_url_can_only_be_read(server: Server, tmp_path: Path) -> None:
