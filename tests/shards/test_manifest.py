@@ -446,7 +446,7 @@ def test_sweep_leaves_what_is_locked(name: str, tmp_path: Path) -> None:
 def test_a_writer_holds_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Others may sweep as often as they like while it writes."""
     true_fsync = os.fsync
-    seen = []
+    seen: list[Path] = []
 
     def fsync(descriptor: int) -> None:
         seen.extend(path for path in tmp_path.glob(".*.tmp") if not is_swept(path))
