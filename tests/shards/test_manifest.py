@@ -408,6 +408,7 @@ def test_a_lock_is_a_plain_file(what: str, tmp_path: Path) -> None:
     with pytest.raises((ShardError, OSError), match=re.escape(str(root / LOCK))) as caught:
         merge(root, manifest_of(SPEC, 1, 6, 3))
     assert "\n" not in str(caught.value)
+    assert what == "link inside" or "expected a plain file" in str(caught.value)
     assert not outside.exists()
     assert not (root / MANIFEST).exists()
 
@@ -449,7 +450,9 @@ def test_a_writer_holds_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     seen: list[Path] = []
 
     def fsync(descriptor: int) -> None:
-        seen.extend(path for path in tmp_path.glob(".*.tmp") if not is_swept(path))
+        paths = list(tmp_path.glob(".*.tmp"))
+        assert not any(is_swept(path) for path in paths)
+        seen.extend(paths)
         true_fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)

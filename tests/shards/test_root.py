@@ -54,6 +54,9 @@ from mapdata.shards import root as root_module
 from mapdata.shards.corruption import inspect, repair_found
 from mapdata.shards.root import folder_of, places
 
+TRIES = (root_module.PAUSES, root_module.MOST_SILENCE)
+"""What users have; tests wait for less."""
+
 
 class Handler(SimpleHTTPRequestHandler):
     """Serves a folder, remembers which files were fetched, and fails as it is told."""
@@ -302,6 +305,14 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
     assert server.fetched[1:] == [f"/maps/{name}"] * 3
     samples.assert_same(dataset[0], MapDataset(server.folder)[0])  # it may be asked again
+
+
+def test_the_tries_are_those_of_the_page() -> None:
+    """docs/loading.md says how often, after what pauses, and within what limit."""
+    page = (Path(__file__).parents[2] / "docs" / "loading.md").read_text(encoding="utf-8")
+    assert TRIES == ((1, 4), 20)
+    for text in ("asked three times", "pauses of 1 and 4", "after 20 seconds without a byte"):
+        assert text in " ".join(page.split())
 
 
 def test_what_is_missing_is_not_tried_again(server: Server) -> None:
