@@ -63,14 +63,13 @@ def _is_main() -> bool:
     return current_process().name == "MainProcess"
 
 
+_CONFIG: Any = numba.config  # whose stub knows no settings
+
 CACHE_FOLDER = cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
 _CACHED = _writable(CACHE_FOLDER)
-if not _CACHED and _is_main():
-    warnings.warn(
-        f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process; set "
-        "NUMBA_CACHE_DIR to a folder that is",
-        stacklevel=2,
-    )
+
+COMPILED = not _CONFIG.DISABLE_JIT
+"""Whether kernels are compiled; with the environment variable NUMBA_DISABLE_JIT they are not."""
 
 _FEW = 4
 """Kernels that are compiled without a word, since they take a moment."""
@@ -88,17 +87,20 @@ class _CompileNotice(event.Listener):
             if self.compiled == _FEW and _is_main():
                 from tqdm.auto import tqdm  # whose bars the line must not break
 
-                often = "once for this machine" if _CACHED else "for this process"
-                tqdm.write(f"compiling kernels, {often} ...", file=sys.stderr)
+                tqdm.write("compiling kernels, once for this machine ...", file=sys.stderr)
 
     def on_end(self, ended: event.Event) -> None:
         """Hear that one is ready."""
 
 
-event.register("numba:compile", _CompileNotice())  # type: ignore[no-untyped-call]
-
-COMPILED = not getattr(numba.config, "DISABLE_JIT")  # noqa: B009  (its stub does not know the setting)
-"""Whether kernels are compiled; with the environment variable NUMBA_DISABLE_JIT they are not."""
+if _CACHED:
+    event.register("numba:compile", _CompileNotice())  # type: ignore[no-untyped-call]
+elif _is_main():
+    warnings.warn(
+        f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process; set "
+        "NUMBA_CACHE_DIR to a folder that is",
+        stacklevel=2,
+    )
 
 
 def kernel(function: F) -> F:
@@ -113,12 +115,12 @@ def kernel(function: F) -> F:
     dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
     if _CACHED:
         # numba reads its cache folder from a process-wide setting, when caching is enabled.
-        before = getattr(numba.config, "CACHE_DIR")  # noqa: B009
-        setattr(numba.config, "CACHE_DIR", str(CACHE_FOLDER))  # noqa: B010  (its stub does not know the setting)
+        before = _CONFIG.CACHE_DIR
+        _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
         try:
             dispatcher.enable_caching()
         finally:
-            setattr(numba.config, "CACHE_DIR", before)  # noqa: B010
+            _CONFIG.CACHE_DIR = before
     return cast(F, dispatcher)
 
 

@@ -20,6 +20,7 @@ from mapdata.plotting.plot import (
 )
 from mapdata.shards.root import Places, Root
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics, histogram
+from mapdata.spec import check_choice
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,8 +145,7 @@ def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool 
     Raises:
         ValueError: no such figure, or no such map.
     """
-    if kind not in FIGURES:
-        raise ValueError(f"figure: got {kind!r}, expected one of {', '.join(FIGURES)}")
+    check_choice("figure", kind, FIGURES)
     dataset = Root.open(root)
     if kind == "gallery":
         axes = plot_gallery(dataset_statistics(dataset.places), paper_colours=paper_colours)
