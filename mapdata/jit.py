@@ -71,8 +71,8 @@ _CACHED = _writable(CACHE_FOLDER)
 COMPILED = not _CONFIG.DISABLE_JIT
 """Whether kernels are compiled; with the environment variable NUMBA_DISABLE_JIT they are not."""
 
-_FEW = 4
-"""Kernels that are compiled without a word, since they take a moment."""
+_FEW = 2
+"""The line appears with this many kernels; a single one takes a moment."""
 
 
 class _CompileNotice(event.Listener):
