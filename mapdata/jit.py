@@ -7,10 +7,13 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from multiprocessing import current_process
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
+import numpy as np
+from numba.core import event
 
 Int: TypeAlias = Any
 """An integer inside a kernel, where Python's and numpy's mix."""
@@ -55,28 +58,69 @@ def _writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
+def _is_main() -> bool:
+    """Return whether this is no worker process, which would repeat what the main one says."""
+    return current_process().name == "MainProcess"
+
+
+_CONFIG: Any = numba.config  # whose stub knows no settings
+
 CACHE_FOLDER = cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
 _CACHED = _writable(CACHE_FOLDER)
-if not _CACHED:
+
+COMPILED = not _CONFIG.DISABLE_JIT
+"""Whether kernels are compiled; with the environment variable NUMBA_DISABLE_JIT they are not."""
+
+_FEW = 2
+"""The line appears with this many kernels; a single one takes a moment."""
+
+
+class _CompileNotice(event.Listener):
+    """Says on stderr, once, that kernels are being compiled."""
+
+    compiled = 0
+
+    def on_start(self, started: event.Event) -> None:
+        """Hear of a kernel that the cache did not have; numba's own functions do not count."""
+        if started.data["dispatcher"].py_func.__module__.startswith("mapdata."):
+            self.compiled += 1
+            if self.compiled == _FEW and _is_main():
+                from tqdm.auto import tqdm  # whose bars the line must not break
+
+                tqdm.write("compiling kernels, once for this machine ...", file=sys.stderr)
+
+    def on_end(self, ended: event.Event) -> None:
+        """Hear that one is ready."""
+
+
+if _CACHED:
+    event.register("numba:compile", _CompileNotice())  # type: ignore[no-untyped-call]
+elif _is_main():
     warnings.warn(
-        f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process", stacklevel=2
+        f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process; set "
+        "NUMBA_CACHE_DIR to a folder that is",
+        stacklevel=2,
     )
 
 
 def kernel(function: F) -> F:
     """Compile ``function`` with numba on its first call: no Python objects, no GIL, one thread.
 
-    The static type is that of the plain function, so that callers are checked.
+    The static type is that of the plain function, so that callers are checked. Unless `COMPILED`,
+    it stays a plain function, for a debugger: slow, with equal results.
     """
+    if not COMPILED:
+        # Integers wrap without a warning, as in compiled code.
+        return np.errstate(all="ignore")(function)
     dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
     if _CACHED:
         # numba reads its cache folder from a process-wide setting, when caching is enabled.
-        before = getattr(numba.config, "CACHE_DIR")  # noqa: B009
-        setattr(numba.config, "CACHE_DIR", str(CACHE_FOLDER))  # noqa: B010  (its stub does not know the setting)
+        before = _CONFIG.CACHE_DIR
+        _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
         try:
             dispatcher.enable_caching()
         finally:
-            setattr(numba.config, "CACHE_DIR", before)  # noqa: B010
+            _CONFIG.CACHE_DIR = before
     return cast(F, dispatcher)
 
 

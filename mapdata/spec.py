@@ -53,12 +53,10 @@ class Movement:
         if not isinstance(self.corner_cutting, bool):
             raise ValueError(f"corner_cutting: got {self.corner_cutting!r}, expected True or False")
         cost = check_number("diagonal_cost", self.diagonal_cost)
-        if math.isclose(cost, 1, rel_tol=1e-6):
-            cost = 1.0
-        elif math.isclose(cost, math.sqrt(2), rel_tol=1e-6):
-            cost = math.sqrt(2)
-        else:
+        near = [exact for exact in (1.0, math.sqrt(2)) if math.isclose(cost, exact, rel_tol=1e-6)]
+        if not near:
             raise ValueError(f"diagonal_cost: got {cost!r}, expected 1 or sqrt(2) = {math.sqrt(2)}")
+        cost = near[0]
         object.__setattr__(self, "diagonal_cost", cost)
         if self.connectivity == 4 and (self.corner_cutting or cost == 1):
             raise ValueError(

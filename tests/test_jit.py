@@ -56,13 +56,13 @@ class Copy:
         assert old in source
         path.write_text(source.replace(old, new), encoding="utf-8")
 
-    def run(self, code: str) -> subprocess.CompletedProcess[str]:
+    def run(self, code: str, **variables: str) -> subprocess.CompletedProcess[str]:
         """Run ``code`` with the copy in place of the package."""
         environment = {
             name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")
         }
         environment |= {"PYTHONPATH": str(self.home), "XDG_CACHE_HOME": str(self.cache)}
-        environment |= {"HOME": str(self.home), "LOCALAPPDATA": str(self.cache)}
+        environment |= {"HOME": str(self.home), "LOCALAPPDATA": str(self.cache), **variables}
         command = [
             sys.executable,
             "-B",
@@ -113,6 +113,47 @@ def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
     assert done.stdout == "6627e8d5 e169c58d bc57ac4c 9b00dbd8\n"
     assert "is not writable: kernels are compiled anew in every process" in done.stderr
     assert copy.cached() == {}
+
+
+def test_compiling_is_announced_once(copy: Copy) -> None:
+    """One line when kernels are compiled; none for a few, and none when the cache has them."""
+    assert copy.run(WORDS).stderr == ""
+    code = "mapdata.generate(mapdata.MapSpec(), 0, [0])"
+    assert copy.run(code).stderr == "compiling kernels, once for this machine ...\n"
+    assert copy.run(code).stderr == ""
+
+
+def test_workers_do_not_repeat_what_to_set(copy: Copy) -> None:
+    """Of a cache folder that cannot be made one process speaks."""
+    (copy.home / "without").write_text("a file", encoding="utf-8")
+    worker = (
+        "import multiprocessing\n"
+        "from mapdata import jit\n"
+        "worker = multiprocessing.get_context('spawn').Process(target=jit.cache_home)\n"
+        "worker.start()\n"
+        "worker.join()\n"
+        "assert worker.exitcode == 0"
+    )
+    done = copy.run(worker, NUMBA_CACHE_DIR=str(copy.home / "without"))
+    assert done.stderr.count("is not writable") == 1
+    assert "set NUMBA_CACHE_DIR to a folder that is" in done.stderr
+
+
+def test_kernels_as_plain_python(copy: Copy, tmp_path: Path) -> None:
+    """With NUMBA_DISABLE_JIT, for a debugger, labels and batches are the same."""
+    mapdata.build(tmp_path / "maps", mapdata.MapSpec(), maps=3)
+    code = (
+        "from mapdata.shards import content_hash\n"
+        "labels = mapdata.label(mapdata.generate(mapdata.MapSpec(), 0, range(10)))\n"
+        "print(content_hash(labels))\n"
+        f"print(mapdata.MapDataset({str(tmp_path / 'maps')!r}, problems='random')[:].path.tolist())"
+    )
+    done = copy.run(code, NUMBA_DISABLE_JIT="1")
+    content, paths = done.stdout.splitlines()
+    assert content == "356538d522b09c70e056be7ed6e395c79c2ae7e4b60549dac6914ade3b53fd87"
+    served = mapdata.MapDataset(tmp_path / "maps", problems="random")[:]
+    assert paths == str(served.path.tolist())
+    assert done.stderr == ""
 
 
 # --- which sources count ------------------------------------------------------------------------

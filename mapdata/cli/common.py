@@ -87,6 +87,16 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"unknown flag {flag}{hint}")
         return super().parse_known_args(given, namespace)
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse what is not one of the choices by naming the nearest, too."""
+        from mapdata.spec import did_you_mean
+
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, map(str, action.choices or ()))
+            raise
+
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
         sys.exit(complain(f"{message} ({self.prog} --help says more)", 2))

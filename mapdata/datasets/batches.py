@@ -6,6 +6,7 @@ arrays of all open shards.
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
 import llvmlite.ir
@@ -17,7 +18,7 @@ from numba.extending import intrinsic
 
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.generators.maps import WORD, unpack
-from mapdata.jit import Int, inlined, kernel
+from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.lattice import STEPS
 from mapdata.shards.manifest import Entry, Manifest
@@ -47,7 +48,7 @@ _MAPS, _ROOMS, _PAIRS, _SEEDS, _DIAGONAL = 0, 1, 2, 3, 12
 
 
 @intrinsic
-def _pointer(_context: Any, address: Any) -> Any:
+def _compiled_pointer(_context: Any, address: Any) -> Any:
     """Turn an address into a pointer."""
 
     def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -55,6 +56,13 @@ def _pointer(_context: Any, address: Any) -> Any:
 
     return types.voidptr(types.int64), generate
 
+
+def _plain_pointer(address: Int) -> ctypes.c_void_p:
+    """Do what `_compiled_pointer` does in plain Python, which has no intrinsics."""
+    return ctypes.c_void_p(int(address))
+
+
+_pointer: Any = _compiled_pointer if COMPILED else _plain_pointer
 
 _LONG = 2**40
 """The length of each view that kernels take: who opened the shard has checked where its arrays
@@ -65,15 +73,13 @@ end.
 @inlined
 def _array(address: Int, dtype: Any) -> Any:
     """Return the array at an address, as a view."""
-    pointer: Any = _pointer
-    return numba.carray(pointer(address), _LONG, dtype)  # type: ignore[attr-defined]
+    return numba.carray(_pointer(address), _LONG, dtype)  # type: ignore[attr-defined]
 
 
 @inlined
 def _cells(address: Int) -> Any:
     """Return the seed points at an address, as a view (_, 2)."""
-    pointer: Any = _pointer
-    return numba.carray(pointer(address), (_LONG, 2), np.int16)  # type: ignore[attr-defined]
+    return numba.carray(_pointer(address), (_LONG, 2), np.int16)  # type: ignore[attr-defined]
 
 
 @kernel

@@ -120,6 +120,9 @@ def _fields(path: Path) -> dict[str, Any]:
     """Return the fields of a .yaml file by name."""
     text = read_text(path, Limits(unpacked=2**20))
     try:
+        # 700 bytes with aliases of aliases can stand for minutes of work.
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            raise yaml.YAMLError("an alias: write out what it stands for")
         fields = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
         raise FormatError(f"{path}: not plain YAML ({error})") from None

@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.spec import check_number, known_values
+from mapdata.spec import check_number, did_you_mean, known_values
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
@@ -114,11 +114,12 @@ def problem_source(value: str | Source | dict[str, Any]) -> Source:
     given: Any = value
     if isinstance(value, str):
         given = _parsed(value) if value.startswith("{") else {value: {}}
-    if not isinstance(given, dict) or len(given) != 1 or next(iter(given)) not in SOURCES:
+    name = " ".join(map(str, given)) if isinstance(given, dict) else ""
+    if name not in SOURCES:
         expected = f'one of {", ".join(SOURCES)}, or one with its arguments, {{"random": {{...}}}}'
-        raise ValueError(f"problems: got {value!r}, expected {expected}")
-    ((name, arguments),) = given.items()
-    return SOURCES[name](**known_values(f"problems: {name}", arguments, SOURCES[name]))
+        hint = did_you_mean(name, SOURCES)
+        raise ValueError(f"problems: got {value!r}, expected {expected}{hint}")
+    return SOURCES[name](**known_values(f"problems: {name}", given[name], SOURCES[name]))
 
 
 def plain_text(source: Source) -> str:

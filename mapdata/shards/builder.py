@@ -34,7 +34,7 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import file_hash, folder_of
-from mapdata.shards.shard import Header, Origin, Shard, ShardError, StrPath, shard_image, write_file
+from mapdata.shards.shard import Header, Shard, ShardError, StrPath, shard_image, write_file
 from mapdata.shards.workers import CORES, Advance, bar, finished, no_bar, threads
 from mapdata.spec import check_count, check_seed
 
@@ -273,7 +273,7 @@ def _prepare(
         _check_unlisted(root, wanted)
         # The manifest comes before the first shard: whoever finds the root knows what it is for.
         found = merge(root, wanted)
-    _check_same(root, wanted, found, "spec", "seed", "shard_size")
+    _check_same(root, wanted, found)
     if wanted.maps < found.maps:
         raise ValueError(
             f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows"
@@ -306,18 +306,25 @@ def _check_unlisted(root: Path, wanted: Manifest) -> None:
             header = open_shard(path_in(root, path.name)).header
         except ShardError:
             continue  # a corrupt shard is made again
-        _check_same(path, wanted, header, "spec", "seed")
+        _check_same(path, wanted, replace(wanted, spec=header.spec, seed=header.seed))
 
 
-def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> None:
-    """Refuse what is found if it is of another dataset than the wanted one."""
-    for name in names:
-        mine = getattr(wanted, name)
-        theirs = getattr(found, name)
-        if mine != theirs:
-            raise ValueError(
-                f"root: {where} is of a dataset with {name} {theirs}, asked for {name} {mine}"
-            )
+def _check_same(where: Path, wanted: Manifest, found: Manifest) -> None:
+    """Refuse what is found if it is of another dataset than the wanted one; say what differs."""
+    mine = _facts(wanted)
+    theirs = _facts(found)
+    names = [name for name in mine if name in theirs and mine[name] != theirs[name]]
+    if names:
+        there = ", ".join(f"{name} {theirs[name]}" for name in names)
+        here = ", ".join(f"{name} {mine[name]}" for name in names)
+        raise ValueError(f"root: {where} is of a dataset with {there}, asked for {here}")
+
+
+def _facts(manifest: Manifest) -> dict[str, object]:
+    """Return by name what tells a dataset from others."""
+    spec = manifest.spec
+    facts = {"generator": spec.name, **spec.to_dict()} if spec else {"generator": "none: imported"}
+    return {"seed": manifest.seed, "shard_size": manifest.shard_size, **facts}
 
 
 def _size(path: Path) -> int | None:

@@ -440,11 +440,19 @@ def test_bad_recipe_files(says: str, content: bytes, run: Command, tmp_path: Pat
 def test_another_dataset_under_the_root(
     says: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """Both values are named; exit code 2; the dataset stays as it is."""
+    """Both values of what differs are named, exit code 2; the dataset stays as it is."""
     before = stamps(dataset)
+    other = spec_file(tmp_path, skip_probability=0.2)
+    only = "with skip_probability 0.3, asked for skip_probability 0.2$"
+    run.refused(2, only, "build", dataset, "--recipe", other, "--maps", MAPS, "--shard-size", SIZE)
     run.refused(2, says, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
     run.refused(
-        2, r"with spec MapSpec\(.*asked for spec MapSpec\(", "build", dataset, "--maps", MAPS
+        2,
+        r"map_size \(16, 70\), .*asked for seed 0, .*map_size \(64, 64\)",
+        "build",
+        dataset,
+        "--maps",
+        MAPS,
     )
     assert stamps(dataset) == before
 

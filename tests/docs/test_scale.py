@@ -9,6 +9,7 @@ import shlex
 import subprocess
 from pathlib import Path
 
+import numba
 import pytest
 import yaml
 from helpers.builds import stamps
@@ -93,6 +94,19 @@ def test_the_scripts_are_sound() -> None:
             compile(block, "docs/scale.md", "exec")
     (job,) = (yaml.safe_load(block) for language, block in BLOCKS if language == "yaml")
     assert (job["spec"]["completionMode"], job["spec"]["completions"]) == ("Indexed", 100)
+
+
+def test_the_lines_of_the_image_are_sound() -> None:
+    """Numba knows the settings; the shell and Python can read the commands."""
+    ((setting, serve, clean),) = (
+        block.splitlines() for language, block in BLOCKS if language == "dockerfile"
+    )
+    names = re.findall(r"NUMBA_(\w+)=", setting)
+    assert len(names) == 3
+    assert [name for name in names if name not in vars(numba.config)] == []
+    subprocess.run(["bash", "-n"], input=clean.removeprefix("RUN "), text=True, check=True)
+    _, _, _, program = shlex.split(serve)
+    compile(program, "docs/scale.md", "exec")
 
 
 @pytest.mark.parametrize("part", ["1", "3/3", "-1/3", "a/b", "1/0"])

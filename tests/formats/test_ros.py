@@ -216,7 +216,7 @@ FIELDS = {
     "negate list": ({"negate": "[0]"}, "negate is"),
     "raw negate": ({"mode": "raw", "negate": "1"}, "mode raw with negate"),
     "not yaml": ({"image": "{unclosed"}, "not plain YAML"),
-    "alias": ({"image": "*nothing"}, "not plain YAML"),
+    "alias": ({"image": "*nothing"}, "not plain YAML \\(an alias: write out"),
 }
 
 
@@ -252,9 +252,15 @@ def test_yaml_that_is_none(tmp_path: Path) -> None:
         f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n"
         for old, new in zip("abcdefgh", "bcdefghi", strict=True)
     )
+    merged = "a: &a {x: 1}\n" + "".join(
+        f"{new}: &{new} {{<<: [{','.join(['*' + old] * 9)}]}}\n"
+        for old, new in zip("abcdefghijklmno", "bcdefghijklmnop", strict=True)
+    )
+    assert len(merged) < 700
     for text in (
         "",
         "- 1\n",
+        merged,
         "[" * 2000,
         laughs,
         laughs + "image: *i\n",

@@ -142,6 +142,7 @@ def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, k
         (["--figure", "gallery", "--index", "3"], "--index: does nothing"),
         (["--figure", "matrix", "--paper-colours"], "--paper-colours: does nothing"),
         (["--figure", "pie"], "invalid choice"),
+        (["--figure", "galery"], "; did you mean gallery?"),
         (["--index", "60"], "holds maps 0 to 59"),
         (["-o", "map.xyz"], "xyz"),
     ],

@@ -64,6 +64,8 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
     ("value", "says"),
     [
         ("rooms", "problems: got 'rooms', expected one of route, pairs, random"),
+        ("rout", "; did you mean route?"),
+        ({"randm": {}}, "; did you mean random?"),
         ("{}", "problems: got '{}', expected one of"),
         ("{random}", "Expecting property name"),
         (None, "problems: got None"),

@@ -404,12 +404,16 @@ def test_extending_removes_the_partial_shard(root: Path) -> None:
 @pytest.mark.parametrize(
     ("says", "arguments"),
     [
-        (["spec", str(SPEC), str(OTHER)], {"spec": OTHER}),
+        (["skip_probability 0.3, asked for skip_probability 0.2"], {"spec": OTHER}),
+        (
+            ["generator rooms, asked for generator maze"],
+            {"spec": Maze(SPEC.map_size)},
+        ),
         (["seed", "5", "6"], {"seed": 6}),
         (["shard_size", "4", "5"], {"shard_size": 5}),
         (["11", "10", "grows"], {"maps": 10}),
     ],
-    ids=["spec", "seed", "shard size", "fewer maps"],
+    ids=["spec", "family", "seed", "shard size", "fewer maps"],
 )
 def test_another_dataset_under_the_root_is_refused(
     says: list[str], arguments: dict[str, Any], root: Path
