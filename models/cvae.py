@@ -57,7 +57,7 @@ def draw_latent(code: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Autoencoder(Sampler):
-    """What both have in common: ``latent`` numbers, and ``divergence_weight`` in the loss."""
+    """What both have in common, with hyperparameters ``latent`` and ``divergence_weight``."""
 
     def latents(self, count: int, n: int, source: Generator) -> Tensor:
         """Return draws from the prior, (count, n, z)."""
@@ -119,15 +119,17 @@ class CVAE(Autoencoder):
         """Return the condition of each problem, (B, code + 4): its code and its ends in [0, 1]."""
         seen = encode(padded(occupied), starts, goals)
         code = self.condition(F.pixel_unshuffle(seen, 2)).float()  # (B, code)
-        return torch.cat([code, to_unit(starts, occupied), to_unit(goals, occupied)], dim=1)
+        ends = [to_unit(cells, occupied) for cells in (starts, goals)]  # (B, 2) each
+        return torch.cat([code, *ends], dim=1)
 
     def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the squared error and the divergence."""
         conditions = self(batch["map"], batch["start"], batch["goal"])[owners]  # (M, code + 4)
         unit = to_unit(points, batch["map"])  # (M, 2)
-        latent, divergences = draw_latent(self.encoder(torch.cat([unit, conditions], dim=1)))
-        decoded = self.decoder(torch.cat([latent, conditions], dim=1)).float()  # (M, 2)
-        errors = ((decoded - unit) ** 2).mean(dim=1)  # (M,)
+        code = self.encoder(torch.cat([unit, conditions], dim=1))  # (M, 2 z)
+        latent, divergences = draw_latent(code)  # (M, z) and (M,)
+        decoded = self.decoder(torch.cat([latent, conditions], dim=1))  # (M, 2)
+        errors = ((decoded.float() - unit) ** 2).mean(dim=1)  # (M,)
         return self.total(errors, divergences)
 
     def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
@@ -202,9 +204,9 @@ class LocalCVAE(Autoencoder):
     def likelihoods(self, latent: Tensor, keys: Tensor, code: Tensor) -> Tensor:
         """Return how likely, in log, each latent (B, n, z) makes each cell: (B, n, H * W)."""
         codes = code[:, None].expand(-1, latent.shape[1], -1)  # (B, n, widths[2])
-        query = self.decoder(torch.cat([latent.to(code.dtype), codes], dim=2))  # (B, n, keys)
-        found: Tensor = query @ keys.transpose(1, 2)
-        return found
+        asking = torch.cat([latent.to(code.dtype), codes], dim=2)
+        query: Tensor = self.decoder(asking)  # (B, n, keys)
+        return query @ keys.transpose(1, 2)
 
     def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the cross entropy of the cells and the divergence.
@@ -215,16 +217,17 @@ class LocalCVAE(Autoencoder):
         first = counts.cumsum(0) - counts  # (B,) each problem's first point
         some = counts.nonzero()[:, 0]  # (S,)
         shares = torch.rand(len(some), POINTS, device=points.device)
-        chosen = (shares * counts[some, None]).long()
+        chosen = (shares * counts[some, None]).long()  # which of its problem's points
         points = points[first[some, None] + chosen]  # (S, POINTS, 2)
         occupied = batch["map"][some]
+        # (S, H * W, keys) and (S, widths[2])
         keys, code = self(occupied, batch["start"][some], batch["goal"][some])
         cells = cell_numbers(points.flatten(0, 1), occupied)  # (S * POINTS,)
         problems = torch.arange(len(some), device=points.device)[:, None]
         near = keys[problems, cells.view(-1, POINTS)]  # (S, POINTS, keys)
         codes = code[:, None].expand(-1, POINTS, -1)  # (S, POINTS, widths[2])
-        asked = torch.cat([to_unit(points, occupied), near, codes], dim=2)
-        latent, divergences = draw_latent(self.encoder(asked))  # (S, POINTS, z), (S, POINTS)
+        described = torch.cat([to_unit(points, occupied), near, codes], dim=2)
+        latent, divergences = draw_latent(self.encoder(described))  # (S, POINTS, z) and (S, POINTS)
         scores = self.likelihoods(latent, keys, code).float()
         scores = scores.masked_fill(occupied.flatten(2) != 0, -30)  # as in `Heatmap.loss`
         errors = F.cross_entropy(scores.flatten(0, 1), cells, reduction="none")
