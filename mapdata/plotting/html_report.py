@@ -127,7 +127,7 @@ def _shown(labels: Labels, i: int) -> dict[str, Any]:
         shown[name] = {
             "moves": ["".join(map(str, search.moves[a:b].tolist())) for a, b in bounds],
             "iterations": labels.iterations(name, i),
-            "matrix": labels.matrix(name, i).round(2),
+            "matrix": np.triu(labels.matrix(name, i).round(2)),  # it is symmetric
         }
     return shown
 
