@@ -6,6 +6,8 @@ format fixes (docs/format.md).
 
 from __future__ import annotations
 
+import threading
+from functools import lru_cache
 from operator import index
 from typing import NamedTuple
 
@@ -13,12 +15,36 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Ints, summary
-from mapdata.search.kernels import first_bad_cell, solve_all, solve_one, write_field
-from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, Weights, rule_of
+from mapdata.search.kernels import (
+    first_bad_cell,
+    narrow,
+    scratch_bytes,
+    solve_all,
+    solve_one,
+    write_field,
+)
+from mapdata.search.lattice import (
+    ASTAR,
+    BFS,
+    COSTS,
+    MAX_CELLS,
+    Rule,
+    Weights,
+    lattice_of,
+    rule_of,
+)
 from mapdata.spec import Movement
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
+
+KEPT_BYTES = 2**29
+"""Scratch memory that a thread keeps from one call to the next, at most.
+
+To fault in new pages takes longer than most searches. What is kept is address space: only pages
+that searches touched take memory, mostly a tenth to a third of it. A call that needs more (A* on
+4 M cells with diagonals, on 20 M without) takes it for itself and gives it back.
+"""
 
 _UINT8 = np.dtype(np.uint8)  # comparing with the class itself takes twice as long
 
@@ -152,7 +178,9 @@ def solve_batch(
                 f"problem {k}: {name} {_cell_text(cells[k])} is outside the map of "
                 f"{_size(stack)} cells"
             )
-    path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement))
+    rule = rule_of(movement)
+    memory = _scratch_memory(search, stack.shape[1:], rule)
+    path, found, solved = solve_all(stack, begins, ends, search, rule, memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         start = tuple(begins[solved].tolist())
@@ -182,7 +210,9 @@ def distance_field(
     array = _grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    good = write_field(array, row, column, rule_of(movement), out)
+    rule = rule_of(movement)
+    memory = _scratch_memory(COSTS, array.shape, rule)
+    good = write_field(array, row, column, rule, memory, out)
     if not good:
         raise ValueError(_values_complaint(array))
     if array[row, column]:
@@ -206,7 +236,9 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
     2.0
     """
     array = _grid(grid, 2)
-    cells = np.array(_whole("path", path), order="C")  # a copy: one flavour for the kernel
+    cells = _whole("path", path)
+    if not cells.flags.carray:
+        cells = cells.copy()  # one flavour for the kernel
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
     bad, diagonal = first_bad_cell(array, cells, rule_of(movement))
@@ -230,11 +262,38 @@ def _search(
     array = _grid(grid, 2)
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
-    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))
+    rule = rule_of(movement)
+    memory = _scratch_memory(search, array.shape, rule)
+    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule, memory)
     if iterations == 0:  # every search expands its start
         raise ValueError(_complaint(array, begin, end))
     cost = straight + diagonal * movement.diagonal_cost
     return SearchResult(path, cost, iterations)
+
+
+class _Kept(threading.local):
+    """What each thread keeps: kernels run without the GIL, so that threads cannot share it."""
+
+    memory = np.empty(0, np.uint8)
+
+
+_kept = _Kept()
+
+
+def _scratch_memory(search: Weights, shape: tuple[int, ...], rule: Rule) -> Bytes:
+    """Return memory for a search on a grid of ``shape``, this thread's own until its next call."""
+    needed = _scratch_bytes(search, shape, rule)
+    memory = _kept.memory
+    if needed > len(memory):
+        memory = np.empty(needed, np.uint8)
+        if needed <= KEPT_BYTES:
+            _kept.memory = memory
+    return memory
+
+
+@lru_cache(maxsize=64)
+def _scratch_bytes(search: Weights, shape: tuple[int, int], rule: Rule) -> int:
+    return int(scratch_bytes(search, lattice_of(shape, rule)))
 
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
@@ -252,7 +311,7 @@ def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
         raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
     if array.dtype != _UINT8:
         array = _as_bytes(array)
-    if not (array.flags.c_contiguous and array.flags.writeable):
+    if not array.flags.carray:
         array = np.array(array, order="C")
     return array
 
@@ -263,9 +322,15 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
         return array.view(np.uint8)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
-    if not np.isin(array, (0, 1)).all():
+    if array.dtype == np.int64 and array.flags.carray:
+        narrowed = np.empty(array.shape, np.uint8)
+        good = narrow(array.reshape(-1), narrowed.reshape(-1))
+    else:
+        narrowed = (array != 0).view(np.uint8)
+        good = ((array == 0) | (array == 1)).all()
+    if not good:
         raise ValueError(_values_complaint(array))
-    return array.astype(np.uint8)
+    return narrowed
 
 
 def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
@@ -304,7 +369,7 @@ def _complaint(grid: Bytes, start: tuple[int, ...], goal: tuple[int, ...]) -> st
 
 
 def _values_complaint(grid: npt.NDArray[np.generic]) -> str:
-    other = grid[~np.isin(grid, (0, 1))].flat[0]
+    other = grid[(grid != 0) & (grid != 1)][0]
     return f"grid: got the value {other}, expected 0 free and 1 occupied only"
 
 

@@ -1,4 +1,4 @@
-"""The search kernels: BFS, two A*, and shortest costs from one cell to all.
+"""The search kernels: BFS, three A*, and shortest costs from one cell to all.
 
 How they order the cells is part of the data (docs/format.md): BFS is first in, first out; A* pops
 the least f, among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW;
@@ -17,6 +17,10 @@ Two habits of these kernels look odd and are for speed:
   buckets and heaps. No entry moves or is changed when its cell gets a smaller g: the cell is pushed
   again, and the older entry is dropped when it is popped. The log also says which cells a search
   has touched, so `wipe` makes a grid ready for the next search without a pass over all of it.
+
+What searches write to, `Scratch`, has room for the most pushes that there can be: up to 105 bytes a
+cell. Only what a search touches becomes memory of the process, mostly 10 to 40 bytes for each cell
+that it expands and 1 for each cell of the grid.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ from mapdata.search.lattice import (
     CLOSED,
     COSTS,
     FAR,
+    LONGEST,
     ROOT,
     STEPS,
     UNIT,
@@ -45,6 +50,7 @@ from mapdata.search.lattice import (
     cell_at,
     heuristic,
     in_cells,
+    is_binary,
     is_legal,
     lattice_of,
     load,
@@ -55,6 +61,14 @@ _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
 _MOVE = np.uint8(7)
 """The bits of ``came`` that hold the move."""
+
+_SLICE_BITS = UNIT_BITS - 6
+"""A bucket of `astar_diagonal` is a slice of f, 1/64 of a straight move wide."""
+
+_SLICES = 256
+"""So many buckets cover 4 straight moves: more than f grows by at once, 2 sqrt(2)."""
+
+_TOO_LONG = f"a path on this grid costs more than {LONGEST} cells, beyond which costs are not exact"
 
 
 class Scratch(NamedTuple):
@@ -67,7 +81,8 @@ class Scratch(NamedTuple):
         g: (cells,) cost of the best path to a cell so far; valid where ``came`` holds a move.
         pushed: (pushes,) the log: cells, in the order in which they were pushed.
         links: (pushes,) a heap of pushes, or for each push the next one of its list.
-        f: (pushes,) priorities of the pushes in the heap; empty where a search has none.
+        f: (pushes,) priorities of the pushes, or of those in the heap; empty where a search needs
+            none.
     """
 
     came: Bytes
@@ -234,6 +249,131 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
                 pushes += np.uint32(1)
 
 
+@kernel
+def astar_diagonal(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
+    """A* with 8-connected moves, octile or Chebyshev heuristic; return (iterations, pushes).
+
+    As in `astar_manhattan`, no heap is needed: f never falls, and a move adds one of few values to
+    it: 0, 2 - sqrt(2), 2 sqrt(2) - 2, sqrt(2), 2 or 2 sqrt(2); where diagonals cost 1, 0, 1 or 2.
+    So a push goes
+
+    - on top of ``near``, a stack of pushes with the f that is being expanded, if it has that f:
+      being the latest, it is the next to be expanded;
+    - else on top of the bucket of its f, one of a ring. A bucket is a stack for a slice of f, thin
+      enough that such a push never belongs to the slice that is being expanded.
+
+    Once ``near`` is empty, those of the least f in the nearest bucket, in their order, become it.
+    Mostly they are the whole bucket, since few values of f are closer than a slice is wide.
+
+    A cell is pushed at most once for each of the values: if a later push has a smaller f, although
+    the cell that it came from has none, then less was added to it. `scratch` relies on that.
+    """
+    came = buffers.came
+    g = buffers.g
+    pushed = buffers.pushed
+    links = buffers.links
+    f = buffers.f
+    stride = np.uint32(lattice.stride)
+    target = np.uint32(goal)
+    goal_row, goal_column = position(goal, lattice)
+    row, column = position(start, lattice)
+    least = heuristic(row - goal_row, column - goal_column, lattice)  # the f of ``near``
+    buckets = np.zeros(_SLICES, np.uint32)
+    at = least >> _SLICE_BITS
+    near = np.uint32(1)
+    pushes = np.uint32(2)
+    expansions = 0
+    pushed[1] = start
+    links[1] = 0
+    came[start] = 0  # any move: a path is traced back only as far as its start
+    g[start] = 0
+    while True:
+        if near == 0:
+            end = at + _SLICES
+            while buckets[np.uint64(at & (_SLICES - 1))] == 0:
+                at += 1
+                if at == end:
+                    return expansions, np.int64(pushes)
+            if at >= LONGEST << (UNIT_BITS - _SLICE_BITS):
+                raise ValueError(_TOO_LONG)
+            slot = np.uint64(at & (_SLICES - 1))
+            near, buckets[slot], least = _split(buckets[slot], links, f)
+        cell = pushed[np.uint64(near)]
+        near = links[np.uint64(near)]
+        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
+        if came[np.uint64(cell)] & CLOSED:
+            continue
+        came[np.uint64(cell)] |= CLOSED
+        expansions += 1
+        if cell == target:
+            return expansions, np.int64(pushes)
+        cost = g[np.uint64(cell)]
+        padded_row = cell // stride
+        rows = np.int64(padded_row) - 1 - goal_row
+        columns = np.int64(cell - padded_row * stride) - 1 - goal_column
+        for move in range(8):
+            to = np.uint64(cell + lattice.offsets[move])
+            tentative = cost + (UNIT if move < 4 else lattice.step)
+            before = came[to]
+            # First what most neighbours fail: only the corners of the others need a look.
+            if not (before == UNSEEN or (before < CLOSED and g[to] > tentative)):
+                continue
+            if not is_legal(came, cell, move, lattice):
+                continue
+            h = heuristic(rows + STEPS[move, 0], columns + STEPS[move, 1], lattice)
+            came[to] = move
+            g[to] = tentative
+            pushed[np.uint64(pushes)] = to
+            f[np.uint64(pushes)] = tentative + h
+            if tentative + h == least:
+                links[np.uint64(pushes)] = near
+                near = pushes
+            else:
+                slot = np.uint64(((tentative + h) >> _SLICE_BITS) & (_SLICES - 1))
+                links[np.uint64(pushes)] = buckets[slot]
+                buckets[slot] = pushes
+            pushes += np.uint32(1)
+
+
+@inlined
+def _split(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
+    """Split the stack below push ``top`` into pushes of the least f and others, both in order.
+
+    Returns the top of each, 0 if it is empty, and the least f.
+    """
+    least = f[np.uint64(top)]
+    most = least
+    push = links[np.uint64(top)]
+    while push:
+        least = min(least, f[np.uint64(push)])
+        most = max(most, f[np.uint64(push)])
+        push = links[np.uint64(push)]
+    if least == most:
+        return top, np.uint32(0), least
+    near = np.uint32(0)
+    near_end = np.uint32(0)
+    rest = np.uint32(0)
+    rest_end = np.uint32(0)
+    push = top
+    while push:
+        # Each push is appended to one of the two. Entry 0 of ``links``, which ends a list, takes
+        # the link of an end that does not exist yet.
+        if f[np.uint64(push)] == least:
+            links[np.uint64(near_end)] = push
+            near_end = push
+            if near == 0:
+                near = push
+        else:
+            links[np.uint64(rest_end)] = push
+            rest_end = push
+            if rest == 0:
+                rest = push
+        push = links[np.uint64(push)]
+    links[np.uint64(near_end)] = 0
+    links[np.uint64(rest_end)] = 0
+    return near, rest, least
+
+
 @inlined
 def wipe(buffers: Scratch, pushes: Int) -> None:
     """Make ``came`` fresh again after an A*: every cell that it changed is in the log."""
@@ -249,8 +389,8 @@ def astar_heap(
 ) -> tuple[Int, Int]:
     """A* with any moves and weights; return (iterations, pushes).
 
-    The textbook's A* with a binary heap. ``links`` is the heap, of the numbers of pushes, and ``f``
-    their priorities beside it; ``g`` is in 1 / UNIT.
+    The textbook's A* with a binary heap, for weights under which f may fall. ``links`` is the heap,
+    of the numbers of pushes, and ``f`` their priorities beside it; ``g`` is in 1 / UNIT.
     """
     came = buffers.came
     g = buffers.g
@@ -275,6 +415,8 @@ def astar_heap(
             continue
         came[cell] |= CLOSED
         cost = g[cell]
+        if cost >= LONGEST * UNIT:
+            raise ValueError(_TOO_LONG)
         expansions += 1
         if cell == goal:
             break
@@ -341,7 +483,9 @@ def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, key: Int) -> None:
 
 @kernel
 def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[Int, Int]:
-    """Return how many straight and diagonal moves led from ``start`` to ``goal``."""
+    """Return how many straight and diagonal moves led from ``start`` to ``goal``, or (-1, 0)."""
+    if came[goal] == UNSEEN:
+        return -1, 0
     straight: Int = 0
     diagonal: Int = 0
     cell = goal
@@ -392,26 +536,68 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 
 
 @kernel
-def scratch(search: Weights, lattice: Lattice) -> Scratch:
-    """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
+def scratch_bytes(search: Weights, lattice: Lattice) -> Int:
+    """Return how many bytes `scratch_in` needs: up to 105 a cell, for A* with diagonals."""
+    pushes, linked, keyed = _capacities(search, lattice)
+    return 9 * lattice.cells + 4 * pushes + 4 * linked + 8 * keyed
+
+
+@kernel
+def _capacities(search: Weights, lattice: Lattice) -> tuple[Int, Int, Int]:
+    """Return how many entries ``pushed``, ``links`` and ``f`` have: for all pushes there can be."""
     cells = lattice.cells
-    # A cell is pushed at most once for each neighbour, so that the logs cannot overflow. Two more:
-    # the start, and the entry 0 that does not exist.
-    pushes = len(lattice.offsets) * cells + 2
-    keys = 0
+    # Two more than there are pushes: the start, and the entry 0 that does not exist.
     if search == BFS or (search == COSTS and lattice.step == UNIT):
-        pushes = cells + 2
-    elif search == ASTAR and lattice.diagonals == 0:
+        return cells + 2, 0, 0
+    pushes = 8 * cells + 2  # a cell is pushed at most once for each neighbour
+    if search == COSTS:
+        return pushes, pushes, 0
+    if search == ASTAR and lattice.diagonals == 0:
         pushes = 2 * cells + 2  # once on each stack
-    elif search != COSTS:
-        keys = pushes
+        return pushes, pushes, 0
+    if search == ASTAR:
+        pushes = (3 if lattice.step == UNIT else 6) * cells + 2
+    return pushes, pushes, pushes
+
+
+@kernel
+def scratch_in(memory: Bytes, search: Weights, lattice: Lattice) -> Scratch:
+    """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS, in ``memory``.
+
+    Nothing is written: `load` makes ``came`` ready, and the rest needs no content.
+    """
+    pushes, linked, keyed = _capacities(search, lattice)
+    # The widest items come first, so that all are aligned.
+    keys = 8 * lattice.cells
+    log = keys + 8 * keyed
+    lists = log + 4 * pushes
+    moves = lists + 4 * linked
     return Scratch(
-        np.full(cells, WALL),
-        np.empty(cells, np.int64),
-        np.empty(pushes, np.uint32),
-        np.empty(pushes, np.uint32),
-        np.empty(keys, np.int64),
+        memory[moves : moves + lattice.cells],
+        memory[:keys].view(np.int64),
+        memory[log:lists].view(np.uint32),
+        memory[lists:moves].view(np.uint32),
+        memory[keys:log].view(np.int64),
     )
+
+
+@kernel
+def scratch(search: Weights, lattice: Lattice) -> Scratch:
+    """Return `scratch_in` memory of its own, for many searches in one kernel."""
+    return scratch_in(np.empty(scratch_bytes(search, lattice), np.uint8), search, lattice)
+
+
+@kernel
+def astar(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int, Int, Int]:
+    """Search one problem by A* on a grid that is loaded; return what `find` does."""
+    if lattice.diagonals == 0:
+        expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
+        if buffers.came[goal] != UNSEEN:
+            return buffers.g[goal], 0, expansions, pushes
+        return -1, 0, expansions, pushes
+    expansions, pushes = astar_diagonal(start, goal, lattice, buffers)
+    straight, diagonal = count_moves(buffers.came, start, goal, lattice)
+    return straight, diagonal, expansions, pushes
 
 
 @kernel
@@ -423,24 +609,17 @@ def find(
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
     moves, counts all as straight.
     """
-    came = buffers.came
-    pushes = 0
+    if search == ASTAR:
+        return astar(start, goal, lattice, buffers)
     if search == BFS:
         target = np.empty(1, np.int64)
         target[0] = goal
         count = flood(start, target, lattice, buffers)
         expansions = expansions_until(buffers.pushed, count, goal)
-    elif search == ASTAR and lattice.diagonals == 0:
-        expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
-        if came[goal] != UNSEEN:
-            return buffers.g[goal], 0, expansions, pushes
-    else:
-        expansions, pushes = astar_heap(start, goal, search, lattice, buffers)
-    if came[goal] == UNSEEN:
-        return -1, 0, expansions, pushes
-    straight, diagonal = count_moves(came, start, goal, lattice)
-    if search == BFS:
-        return straight + diagonal, 0, expansions, pushes
+        straight, diagonal = count_moves(buffers.came, start, goal, lattice)
+        return straight + diagonal, 0, expansions, 0
+    expansions, pushes = astar_heap(start, goal, search, lattice, buffers)
+    straight, diagonal = count_moves(buffers.came, start, goal, lattice)
     return straight, diagonal, expansions, pushes
 
 
@@ -453,13 +632,14 @@ def solve_one(
     goal_column: Int,
     search: Weights,
     rule: Rule,
+    memory: Bytes,
 ) -> tuple[Ints, Int, Int, Int]:
     """Search one problem; return its path, straight and diagonal moves, and iterations.
 
     The iterations are 0 if ``grid`` holds other values than 0 and 1, or if an end is occupied.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch(search, lattice)
+    buffers = scratch_in(memory, search, lattice)
     bad = not load(grid, buffers.came)
     if bad or grid[start_row, start_column] or grid[goal_row, goal_column]:
         return np.empty((0, 2), np.int64), -1, 0, 0
@@ -473,7 +653,7 @@ def solve_one(
 
 @kernel
 def solve_all(
-    grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule
+    grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule, memory: Bytes
 ) -> tuple[Ints, Ints, Int]:
     """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]``, or on the one grid.
 
@@ -483,7 +663,7 @@ def solve_all(
         one was found bad.
     """
     lattice = lattice_of(grids.shape[1:], rule)
-    buffers = scratch(search, lattice)
+    buffers = scratch_in(memory, search, lattice)
     found = np.empty((len(starts), 4), np.int64)
     path = np.empty((64 * len(starts) + 64, 2), np.int64)
     used = 0
@@ -515,52 +695,64 @@ def solve_all(
 
 
 @kernel
+def narrow(values: Ints, out: Bytes) -> Int:
+    """Copy ``values`` into ``out``; return whether all are 0 or 1."""
+    seen = np.int64(0)
+    for k in range(len(values)):
+        seen |= values[np.uint64(k)]
+        out[np.uint64(k)] = values[np.uint64(k)]
+    return np.uint64(seen) <= 1
+
+
+@kernel
 def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
     """Return where ``path`` breaks the rule, and how many of its moves are diagonal.
 
     The first is the least k whose cell is not free or not one move from cell k - 1; -1 when all is
     well; -2 when ``grid`` is not of 0 and 1.
     """
-    lattice = lattice_of(grid.shape, rule)
-    came = np.full(lattice.cells, WALL)
-    if not load(grid, came):
-        return -2, 0
+    diagonals, _ = rule
     diagonal = 0
+    if not is_binary(grid):
+        return -2, 0
     for k in range(len(path)):
         row, column = path[k]
         if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]) or grid[row, column]:
             return k, diagonal
         if k == 0:
             continue
-        before = cell_at(path[k - 1, 0], path[k - 1, 1], lattice)
-        move = 0
-        while move < len(lattice.offsets) and (
-            row - path[k - 1, 0] != STEPS[move, 0] or column - path[k - 1, 1] != STEPS[move, 1]
-        ):
-            move += 1
-        if move == len(lattice.offsets) or not is_legal(came, before, move, lattice):
+        row_before, column_before = path[k - 1]
+        rows = abs(row - row_before)
+        columns = abs(column - column_before)
+        if max(rows, columns) != 1:
             return k, diagonal
-        if move >= 4:
+        if rows and columns:
             diagonal += 1
+            # The rule of `is_legal` on the grid itself: to load it would take most of the time.
+            cuts = grid[row_before, column] or grid[row, column_before]
+            if diagonals == 0 or (diagonals == 1 and cuts):
+                return k, diagonal
     return -1, diagonal
 
 
 @kernel
-def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -> Int:
+def write_field(
+    grid: Bytes, row: Int, column: Int, rule: Rule, memory: Bytes, out: Float32s
+) -> Int:
     """Write the cost from every cell to (row, column) into ``out``, -1 where there is no path.
 
     Returns whether ``grid`` is of 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch(COSTS, lattice)
-    good = load(grid, buffers.came)
-    out[:, :] = -1
-    if good and not grid[row, column]:
-        reached = shortest_costs(cell_at(row, column, lattice), lattice, buffers)
-        for k in range(reached):
-            cell = np.int64(buffers.pushed[k])
-            out[position(cell, lattice)] = in_cells(buffers.g[cell])
-    return good
+    buffers = scratch_in(memory, COSTS, lattice)
+    if not load(grid, buffers.came):
+        return False
+    shortest_costs(cell_at(row, column, lattice), lattice, buffers)
+    for k in range(grid.shape[0]):
+        for j in range(grid.shape[1]):
+            cost = buffers.g[cell_at(k, j, lattice)]
+            out[k, j] = -1 if cost == FAR else in_cells(cost)
+    return True
 
 
 @kernel
@@ -583,6 +775,8 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
     for k in range(1, count):
         cell = np.int64(queue[k])
         costs[cell] = costs[cell - lattice.offsets[came[cell]]] + UNIT
+        if costs[cell] >= LONGEST * UNIT:
+            raise ValueError(_TOO_LONG)
     return count
 
 
@@ -611,6 +805,8 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
         entry = heads[bucket % 3]
         if entry == 0:
             bucket += 1
+            if bucket >= LONGEST:
+                raise ValueError(_TOO_LONG)
             continue
         heads[bucket % 3] = links[entry]
         waiting -= 1

@@ -15,9 +15,9 @@ from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_labels, bit_scratch
 from mapdata.search.kernels import (
     Scratch,
+    astar,
     count_moves,
     expansions_until,
-    find,
     flood,
     scratch,
     shortest_costs,
@@ -335,13 +335,11 @@ def _bfs_labels(
         count = flood(cells[a], cells[a + 1 :], lattice, buffers)
         length = 0
         for b in range(a + 1, len(cells)):
-            costs[pair, 0] = -1
+            straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
+            costs[pair, 0] = straight + diagonal
             costs[pair, 1] = 0
-            if came[cells[b]] != UNSEEN:
-                straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
-                costs[pair, 0] = straight + diagonal
-                if b == a + 1:
-                    length = straight + diagonal
+            if b == a + 1:
+                length = max(straight + diagonal, 0)
             pair += 1
         table[a, 0] = length
         table[a, 1] = expansions_until(buffers.pushed, count, cells[a + 1])
@@ -372,9 +370,7 @@ def _astar_labels(
     came[:] = fresh
     pair = 0
     for a in range(len(cells) - 1):
-        straight, diagonal, expansions, pushes = find(
-            cells[a], cells[a + 1], ASTAR, lattice, buffers
-        )
+        straight, diagonal, expansions, pushes = astar(cells[a], cells[a + 1], lattice, buffers)
         length = max(straight + diagonal, 0)
         table[a, 0] = length
         table[a, 1] = expansions
@@ -420,7 +416,7 @@ def _fill_costs(
                 costs[k, 0], costs[k, 1] = parts(buffers.g[cells[k]])
     else:
         for k in range(len(cells)):
-            straight, diagonal, _, pushes = find(source, cells[k], ASTAR, lattice, buffers)
+            straight, diagonal, _, pushes = astar(source, cells[k], lattice, buffers)
             costs[k, 0] = straight
             costs[k, 1] = diagonal
             wipe(buffers, pushes)

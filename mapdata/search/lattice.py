@@ -5,14 +5,16 @@ of a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
 
 Costs are integers in fixed point. A cost of s straight and d diagonal steps is ``s * UNIT + d *
 DIAGONAL``, where DIAGONAL is sqrt(2) * UNIT rounded, so sums are exact, in any order. Two such
-costs compare as the real numbers s + d * sqrt(2) do: these differ by at least 1 / (2 sqrt(2) d),
-and the rounding is off by less than d / 2**42, which is smaller for all paths on a grid of at most
-`MAX_CELLS` cells. (s, d) can be read back from a cost: modulo UNIT it is d * DIAGONAL, and
-DIAGONAL, being odd, has an inverse modulo UNIT, a power of two.
+costs up to `LONGEST` compare as the real numbers s + d * sqrt(2) do: where these differ, by s' in s
+and d' in d, ``|s' + d' * sqrt(2)| >= 1 / (2 * sqrt(2) * |d'|)``, and the rounding is off by 0.475 *
+``|d'| / UNIT``, which is less as long as ``|d'| * sqrt(2)`` is below 1.8 million. Kernels refuse
+longer paths; a grid of 4096 x 4096 cells can have one, but hardly does unless it is drawn for it.
+(s, d) can be read back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has an
+inverse modulo UNIT, a power of two.
 
-The legal moves, the heuristic and hardness are defined here. The corner rule is written twice more,
-each for a reason that is given there: `flood` in kernels.py, and on tensors `legal_moves` in
-models/path_predictor.py; tests hold all three together.
+The legal moves, the heuristic and hardness are defined here. The corner rule is written three times
+more, each for a reason that is given there: `flood` and `first_bad_cell` in kernels.py, and on
+tensors `legal_moves` in models/path_predictor.py; tests hold all four together.
 """
 
 from __future__ import annotations
@@ -27,8 +29,11 @@ from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.spec import Movement
 
-MAX_CELLS = 2**21
-"""Largest number of cells of a grid: up to here costs order all paths exactly, and fit int64."""
+MAX_CELLS = 2**24
+"""Largest number of cells of a grid: 4096 x 4096."""
+
+LONGEST = 1_800_000
+"""Cost in cells that a path must stay below: up to here costs order all paths exactly."""
 
 UNIT_BITS = 41
 
@@ -185,21 +190,37 @@ def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Fl
 
 @kernel
 def load(grid: Bytes, came: Bytes) -> Int:
-    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL.
+    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL, with the wall around it.
 
-    Returns whether all of it is 0 or 1. The wall around it is there already.
+    Returns whether all of it is 0 or 1.
     """
     rows, columns = grid.shape
     flat = grid.reshape(-1)
-    # A loop of its own, and unsigned indices: so both loops become vector instructions.
+    stride = columns + 2
+    for k in range(stride):
+        came[k] = WALL
+        came[(rows + 1) * stride + k] = WALL
     seen = np.uint8(0)
-    for k in range(len(flat)):
-        seen |= flat[np.uint64(k)]
     for row in range(rows):
-        base = np.uint64((row + 1) * (columns + 2) + 1)
+        base = np.uint64((row + 1) * stride + 1)
         first = np.uint64(row * columns)
+        came[base - np.uint64(1)] = WALL
+        came[base + np.uint64(columns)] = WALL
+        # Two loops, unsigned indices, and no wider sum: so that vector instructions do 64 at once.
+        for column in range(columns):
+            seen = np.uint8(seen | flat[first + np.uint64(column)])
         for column in range(columns):
             came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]  # 1: WALL
+    return seen <= 1
+
+
+@kernel
+def is_binary(grid: Bytes) -> Int:
+    """Return whether all of ``grid`` is 0 or 1."""
+    seen = np.uint8(0)
+    flat = grid.reshape(-1)
+    for k in range(len(flat)):
+        seen = np.uint8(seen | flat[np.uint64(k)])  # as in `load`
     return seen <= 1
 
 
