@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from functools import lru_cache
 from operator import index
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -324,7 +324,7 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
     if array.dtype == np.int64 and array.flags.carray:
         narrowed = np.empty(array.shape, np.uint8)
-        good = narrow(array.reshape(-1), narrowed.reshape(-1))
+        good = narrow(array.view(np.int64).reshape(-1), narrowed.reshape(-1))
     else:
         narrowed = (array != 0).view(np.uint8)
         good = ((array == 0) | (array == 1)).all()
@@ -333,15 +333,18 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
     return narrowed
 
 
-def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
+def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
     """Return ``cell`` as two ints inside ``grid``."""
     try:
-        row, column = map(index, cell)  # type: ignore[call-overload]
+        row, column = cell
+        row = index(row)
+        column = index(column)
     except (TypeError, ValueError):
         raise ValueError(
             f"{name}: got {cell!r}, expected a cell (row, col) of two integers"
         ) from None
-    if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+    rows, columns = grid.shape
+    if not (0 <= row < rows and 0 <= column < columns):
         raise ValueError(f"{name}: {row, column} is outside the map of {_size(grid)} cells")
     return row, column
 

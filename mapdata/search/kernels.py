@@ -68,7 +68,10 @@ _SLICE_BITS = UNIT_BITS - 6
 _SLICES = 256
 """So many buckets cover 4 straight moves: more than f grows by at once, 2 sqrt(2)."""
 
-_TOO_LONG = f"a path on this grid costs more than {LONGEST} cells, beyond which costs are not exact"
+_TOO_LONG = (
+    f"the grid has paths of {LONGEST} cells or more, for which costs are not exact: expected a "
+    "coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
+)
 
 
 class Scratch(NamedTuple):
@@ -294,7 +297,7 @@ def astar_diagonal(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) ->
                 at += 1
                 if at == end:
                     return expansions, np.int64(pushes)
-            if at >= LONGEST << (UNIT_BITS - _SLICE_BITS):
+            if at >= FAR >> _SLICE_BITS:
                 raise ValueError(_TOO_LONG)
             slot = np.uint64(at & (_SLICES - 1))
             near, buckets[slot], least = _split(buckets[slot], links, f)
@@ -415,7 +418,7 @@ def astar_heap(
             continue
         came[cell] |= CLOSED
         cost = g[cell]
-        if cost >= LONGEST * UNIT:
+        if cost >= FAR:
             raise ValueError(_TOO_LONG)
         expansions += 1
         if cell == goal:
@@ -696,12 +699,12 @@ def solve_all(
 
 @kernel
 def narrow(values: Ints, out: Bytes) -> Int:
-    """Copy ``values`` into ``out``; return whether all are 0 or 1."""
+    """Copy flat ``values`` into ``out``; return whether all are 0 or 1."""
     seen = np.int64(0)
     for k in range(len(values)):
         seen |= values[np.uint64(k)]
         out[np.uint64(k)] = values[np.uint64(k)]
-    return np.uint64(seen) <= 1
+    return 0 <= seen <= 1
 
 
 @kernel
@@ -775,7 +778,7 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
     for k in range(1, count):
         cell = np.int64(queue[k])
         costs[cell] = costs[cell - lattice.offsets[came[cell]]] + UNIT
-        if costs[cell] >= LONGEST * UNIT:
+        if costs[cell] >= FAR:
             raise ValueError(_TOO_LONG)
     return count
 

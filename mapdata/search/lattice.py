@@ -5,12 +5,11 @@ of a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
 
 Costs are integers in fixed point. A cost of s straight and d diagonal steps is ``s * UNIT + d *
 DIAGONAL``, where DIAGONAL is sqrt(2) * UNIT rounded, so sums are exact, in any order. Two such
-costs up to `LONGEST` compare as the real numbers s + d * sqrt(2) do: where these differ, by s' in s
-and d' in d, ``|s' + d' * sqrt(2)| >= 1 / (2 * sqrt(2) * |d'|)``, and the rounding is off by 0.475 *
-``|d'| / UNIT``, which is less as long as ``|d'| * sqrt(2)`` is below 1.8 million. Kernels refuse
-longer paths; a grid of 4096 x 4096 cells can have one, but hardly does unless it is drawn for it.
-(s, d) can be read back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has an
-inverse modulo UNIT, a power of two.
+costs below `LONGEST` compare as the real numbers s + d * sqrt(2) do: a test tries every difference
+in d that they can have. A kernel that meets a longer path raises an error; a grid of 4096 x 4096
+cells can have one, of 8 million cells at most, but only if it is drawn for it. (s, d) can be read
+back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has an inverse modulo
+UNIT, a power of two.
 
 The legal moves, the heuristic and hardness are defined here. The corner rule is written three times
 more, each for a reason that is given there: `flood` and `first_bad_cell` in kernels.py, and on
@@ -32,8 +31,11 @@ from mapdata.spec import Movement
 MAX_CELLS = 2**24
 """Largest number of cells of a grid: 4096 x 4096."""
 
-LONGEST = 1_800_000
-"""Cost in cells that a path must stay below: up to here costs order all paths exactly."""
+LONGEST = 2**21
+"""Cost, in cells, that a path must stay below: up to here costs order paths exactly, and fit int64.
+
+A* under 4-connectivity and BFS count moves, and have no such bound.
+"""
 
 UNIT_BITS = 41
 
@@ -60,7 +62,7 @@ ROOT = np.uint8(253)
 CLOSED = np.uint8(8)
 """The bit that A* adds to a cell's move, 0 to 7, when it expands the cell."""
 
-FAR = np.int64(2**62)
+FAR = np.int64(LONGEST * UNIT)
 """The cost of a cell that is not reached: more than any path costs."""
 
 Weights: TypeAlias = tuple[Int, float]
@@ -188,6 +190,18 @@ def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Fl
     return np.where(costs < 0, -1.0, ratio)
 
 
+@inlined
+def is_binary(grid: Bytes) -> Int:
+    """Return whether all of ``grid`` is 0 or 1."""
+    flat = grid.reshape(-1)
+    seen = np.uint8(0)
+    for k in range(len(flat)):
+        # One byte wide, which numba would widen to eight, and with unsigned indices: so a vector
+        # instruction does 64 at once.
+        seen = np.uint8(seen | flat[np.uint64(k)])
+    return seen <= 1
+
+
 @kernel
 def load(grid: Bytes, came: Bytes) -> Int:
     """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL, with the wall around it.
@@ -195,33 +209,19 @@ def load(grid: Bytes, came: Bytes) -> Int:
     Returns whether all of it is 0 or 1.
     """
     rows, columns = grid.shape
-    flat = grid.reshape(-1)
     stride = columns + 2
+    flat = grid.reshape(-1)
     for k in range(stride):
         came[k] = WALL
         came[(rows + 1) * stride + k] = WALL
-    seen = np.uint8(0)
     for row in range(rows):
         base = np.uint64((row + 1) * stride + 1)
         first = np.uint64(row * columns)
         came[base - np.uint64(1)] = WALL
-        came[base + np.uint64(columns)] = WALL
-        # Two loops, unsigned indices, and no wider sum: so that vector instructions do 64 at once.
-        for column in range(columns):
-            seen = np.uint8(seen | flat[first + np.uint64(column)])
         for column in range(columns):
             came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]  # 1: WALL
-    return seen <= 1
-
-
-@kernel
-def is_binary(grid: Bytes) -> Int:
-    """Return whether all of ``grid`` is 0 or 1."""
-    seen = np.uint8(0)
-    flat = grid.reshape(-1)
-    for k in range(len(flat)):
-        seen = np.uint8(seen | flat[np.uint64(k)])  # as in `load`
-    return seen <= 1
+        came[base + np.uint64(columns)] = WALL
+    return is_binary(grid)
 
 
 @kernel
