@@ -7,7 +7,6 @@ format fixes (docs/format.md).
 from __future__ import annotations
 
 import threading
-from functools import lru_cache
 from operator import index
 from typing import Any, NamedTuple
 
@@ -18,7 +17,6 @@ from mapdata.arrays import Bytes, Ints, summary
 from mapdata.search.kernels import (
     first_bad_cell,
     narrow,
-    scratch_bytes,
     solve_all,
     solve_one,
     write_field,
@@ -26,11 +24,8 @@ from mapdata.search.kernels import (
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
-    COSTS,
     MAX_CELLS,
-    Rule,
     Weights,
-    lattice_of,
     rule_of,
 )
 from mapdata.spec import Movement
@@ -38,12 +33,12 @@ from mapdata.spec import Movement
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
 
-KEPT_BYTES = 2**29
-"""Scratch memory that a thread keeps from one call to the next, at most.
+KEPT_BYTES = 2**30
+"""Scratch memory that a thread keeps from one call to the next, at most: that of 2800 x 2800 cells.
 
-To fault in new pages takes longer than most searches. What is kept is address space: only pages
-that searches touched take memory, mostly a tenth to a third of it. A call that needs more (A* on
-4 M cells with diagonals, on 20 M without) takes it for itself and gives it back.
+To fault in new pages takes longer than most searches. What is kept is address space; only pages
+that searches touched take memory, mostly less than a quarter. A call on a larger grid takes its
+memory for itself and gives it back.
 """
 
 _UINT8 = np.dtype(np.uint8)  # comparing with the class itself takes twice as long
@@ -178,9 +173,8 @@ def solve_batch(
                 f"problem {k}: {name} {_cell_text(cells[k])} is outside the map of "
                 f"{_size(stack)} cells"
             )
-    rule = rule_of(movement)
-    memory = _scratch_memory(search, stack.shape[1:], rule)
-    path, found, solved = solve_all(stack, begins, ends, search, rule, memory)
+    memory = _scratch_memory(stack)
+    path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement), memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         start = tuple(begins[solved].tolist())
@@ -210,9 +204,7 @@ def distance_field(
     array = _grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    rule = rule_of(movement)
-    memory = _scratch_memory(COSTS, array.shape, rule)
-    good = write_field(array, row, column, rule, memory, out)
+    good = write_field(array, row, column, rule_of(movement), _scratch_memory(array), out)
     if not good:
         raise ValueError(_values_complaint(array))
     if array[row, column]:
@@ -262,9 +254,10 @@ def _search(
     array = _grid(grid, 2)
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
-    rule = rule_of(movement)
-    memory = _scratch_memory(search, array.shape, rule)
-    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule, memory)
+    memory = _scratch_memory(array)
+    path, straight, diagonal, iterations = solve_one(
+        array, *begin, *end, search, rule_of(movement), memory
+    )
     if iterations == 0:  # every search expands its start
         raise ValueError(_complaint(array, begin, end))
     cost = straight + diagonal * movement.diagonal_cost
@@ -280,20 +273,17 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
-def _scratch_memory(search: Weights, shape: tuple[int, ...], rule: Rule) -> Bytes:
-    """Return memory for a search on a grid of ``shape``, this thread's own until its next call."""
-    needed = _scratch_bytes(search, shape, rule)
+def _scratch_memory(grid: Bytes) -> Bytes:
+    """Return room for any search on ``grid``, this thread's own until its next call."""
+    rows, columns = grid.shape[-2:]
+    # 9 bytes a cell of the lattice and 16 for each of 8 pushes, as `scratch` reckons
+    needed = 137 * (rows + 2) * (columns + 2) + 32
     memory = _kept.memory
     if needed > len(memory):
         memory = np.empty(needed, np.uint8)
         if needed <= KEPT_BYTES:
             _kept.memory = memory
     return memory
-
-
-@lru_cache(maxsize=64)
-def _scratch_bytes(search: Weights, shape: tuple[int, int], rule: Rule) -> int:
-    return int(scratch_bytes(search, lattice_of(shape, rule)))
 
 
 def _grid(grid: npt.ArrayLike, rank: int) -> Bytes:
@@ -322,13 +312,10 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
         return array.view(np.uint8)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
-    if array.dtype == np.int64 and array.flags.carray:
-        narrowed = np.empty(array.shape, np.uint8)
-        good = narrow(array.view(np.int64).reshape(-1), narrowed.reshape(-1))
-    else:
-        narrowed = (array != 0).view(np.uint8)
-        good = ((array == 0) | (array == 1)).all()
-    if not good:
+    wide = np.int64 if array.dtype.kind in "iu" else np.float64
+    values = np.require(array, wide, "CAW")  # contiguous, aligned, writable: one flavour each
+    narrowed = np.empty(array.shape, np.uint8)
+    if not narrow(values.reshape(-1), narrowed.reshape(-1)):
         raise ValueError(_values_complaint(array))
     return narrowed
 

@@ -1,4 +1,4 @@
-"""The search kernels: BFS, three A*, and shortest costs from one cell to all.
+"""The search kernels: BFS, two A*, and shortest costs from one cell to all.
 
 How they order the cells is part of the data (docs/format.md): BFS is first in, first out; A* pops
 the least f, among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW;
@@ -18,14 +18,14 @@ Two habits of these kernels look odd and are for speed:
   again, and the older entry is dropped when it is popped. The log also says which cells a search
   has touched, so `wipe` makes a grid ready for the next search without a pass over all of it.
 
-What searches write to, `Scratch`, has room for the most pushes that there can be: up to 105 bytes a
+What searches write to, `Scratch`, has room for the most pushes that there can be: up to 137 bytes a
 cell. Only what a search touches becomes memory of the process, mostly 10 to 40 bytes for each cell
 that it expands and 1 for each cell of the grid.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,7 +63,7 @@ _MOVE = np.uint8(7)
 """The bits of ``came`` that hold the move."""
 
 _SLICE_BITS = UNIT_BITS - 6
-"""A bucket of `astar_diagonal` is a slice of f, 1/64 of a straight move wide."""
+"""A bucket of `best_first` is a slice of f, 1/64 of a straight move wide."""
 
 _SLICES = 256
 """So many buckets cover 4 straight moves: more than f grows by at once, 2 sqrt(2)."""
@@ -252,131 +252,6 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
                 pushes += np.uint32(1)
 
 
-@kernel
-def astar_diagonal(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
-    """A* with 8-connected moves, octile or Chebyshev heuristic; return (iterations, pushes).
-
-    As in `astar_manhattan`, no heap is needed: f never falls, and a move adds one of few values to
-    it: 0, 2 - sqrt(2), 2 sqrt(2) - 2, sqrt(2), 2 or 2 sqrt(2); where diagonals cost 1, 0, 1 or 2.
-    So a push goes
-
-    - on top of ``near``, a stack of pushes with the f that is being expanded, if it has that f:
-      being the latest, it is the next to be expanded;
-    - else on top of the bucket of its f, one of a ring. A bucket is a stack for a slice of f, thin
-      enough that such a push never belongs to the slice that is being expanded.
-
-    Once ``near`` is empty, those of the least f in the nearest bucket, in their order, become it.
-    Mostly they are the whole bucket, since few values of f are closer than a slice is wide.
-
-    A cell is pushed at most once for each of the values: if a later push has a smaller f, although
-    the cell that it came from has none, then less was added to it. `scratch` relies on that.
-    """
-    came = buffers.came
-    g = buffers.g
-    pushed = buffers.pushed
-    links = buffers.links
-    f = buffers.f
-    stride = np.uint32(lattice.stride)
-    target = np.uint32(goal)
-    goal_row, goal_column = position(goal, lattice)
-    row, column = position(start, lattice)
-    least = heuristic(row - goal_row, column - goal_column, lattice)  # the f of ``near``
-    buckets = np.zeros(_SLICES, np.uint32)
-    at = least >> _SLICE_BITS
-    near = np.uint32(1)
-    pushes = np.uint32(2)
-    expansions = 0
-    pushed[1] = start
-    links[1] = 0
-    came[start] = 0  # any move: a path is traced back only as far as its start
-    g[start] = 0
-    while True:
-        if near == 0:
-            end = at + _SLICES
-            while buckets[np.uint64(at & (_SLICES - 1))] == 0:
-                at += 1
-                if at == end:
-                    return expansions, np.int64(pushes)
-            if at >= FAR >> _SLICE_BITS:
-                raise ValueError(_TOO_LONG)
-            slot = np.uint64(at & (_SLICES - 1))
-            near, buckets[slot], least = _split(buckets[slot], links, f)
-        cell = pushed[np.uint64(near)]
-        near = links[np.uint64(near)]
-        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
-        if came[np.uint64(cell)] & CLOSED:
-            continue
-        came[np.uint64(cell)] |= CLOSED
-        expansions += 1
-        if cell == target:
-            return expansions, np.int64(pushes)
-        cost = g[np.uint64(cell)]
-        padded_row = cell // stride
-        rows = np.int64(padded_row) - 1 - goal_row
-        columns = np.int64(cell - padded_row * stride) - 1 - goal_column
-        for move in range(8):
-            to = np.uint64(cell + lattice.offsets[move])
-            tentative = cost + (UNIT if move < 4 else lattice.step)
-            before = came[to]
-            # First what most neighbours fail: only the corners of the others need a look.
-            if not (before == UNSEEN or (before < CLOSED and g[to] > tentative)):
-                continue
-            if not is_legal(came, cell, move, lattice):
-                continue
-            h = heuristic(rows + STEPS[move, 0], columns + STEPS[move, 1], lattice)
-            came[to] = move
-            g[to] = tentative
-            pushed[np.uint64(pushes)] = to
-            f[np.uint64(pushes)] = tentative + h
-            if tentative + h == least:
-                links[np.uint64(pushes)] = near
-                near = pushes
-            else:
-                slot = np.uint64(((tentative + h) >> _SLICE_BITS) & (_SLICES - 1))
-                links[np.uint64(pushes)] = buckets[slot]
-                buckets[slot] = pushes
-            pushes += np.uint32(1)
-
-
-@inlined
-def _split(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
-    """Split the stack below push ``top`` into pushes of the least f and others, both in order.
-
-    Returns the top of each, 0 if it is empty, and the least f.
-    """
-    least = f[np.uint64(top)]
-    most = least
-    push = links[np.uint64(top)]
-    while push:
-        least = min(least, f[np.uint64(push)])
-        most = max(most, f[np.uint64(push)])
-        push = links[np.uint64(push)]
-    if least == most:
-        return top, np.uint32(0), least
-    near = np.uint32(0)
-    near_end = np.uint32(0)
-    rest = np.uint32(0)
-    rest_end = np.uint32(0)
-    push = top
-    while push:
-        # Each push is appended to one of the two. Entry 0 of ``links``, which ends a list, takes
-        # the link of an end that does not exist yet.
-        if f[np.uint64(push)] == least:
-            links[np.uint64(near_end)] = push
-            near_end = push
-            if near == 0:
-                near = push
-        else:
-            links[np.uint64(rest_end)] = push
-            rest_end = push
-            if rest == 0:
-                rest = push
-        push = links[np.uint64(push)]
-    links[np.uint64(near_end)] = 0
-    links[np.uint64(rest_end)] = 0
-    return near, rest, least
-
-
 @inlined
 def wipe(buffers: Scratch, pushes: Int) -> None:
     """Make ``came`` fresh again after an A*: every cell that it changed is in the log."""
@@ -387,62 +262,138 @@ def wipe(buffers: Scratch, pushes: Int) -> None:
 
 
 @kernel
-def astar_heap(
+def best_first(
     start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch
 ) -> tuple[Int, Int]:
-    """A* with any moves and weights; return (iterations, pushes).
+    """A* with any moves and weights; return (iterations, pushes). ``g`` is in 1 / UNIT.
 
-    The textbook's A* with a binary heap, for weights under which f may fall. ``links`` is the heap,
-    of the numbers of pushes, and ``f`` their priorities beside it; ``g`` is in 1 / UNIT.
+    With weights, f may fall, and the open list is the textbook's binary heap: ``links``, of the
+    numbers of pushes, and ``f``, their priorities.
+
+    Without, f never falls, and as in `astar_manhattan` no heap is needed. A move adds one of few
+    values to f: 0, 2 - sqrt(2), 2 sqrt(2) - 2, sqrt(2), 2 or 2 sqrt(2); where diagonals cost 1, 0,
+    1 or 2. So a push goes
+
+    - on top of ``near``, the stack of pushes whose f is being expanded, if it has that f: being the
+      latest, it is the next to be expanded;
+    - else on top of the bucket of its f, one of a ring. A bucket is the stack of a slice of f, thin
+      enough that such a push never belongs to the slice that is being expanded.
+
+    Once ``near`` is empty, those of the least f in the nearest bucket become it, in their order.
+    Mostly they are the whole bucket, since few values of f are closer than a slice is wide.
     """
     came = buffers.came
     g = buffers.g
     pushed = buffers.pushed
-    heap = buffers.links
+    links = buffers.links
     f = buffers.f
     g_weight, h_weight = search
+    stride = np.uint32(lattice.stride)  # 32 bits, as in `astar_manhattan`
+    target = np.uint32(goal)
     goal_row, goal_column = position(goal, lattice)
+    row, column = position(start, lattice)
+    least = heuristic(row - goal_row, column - goal_column, lattice)  # the f of ``near``
+    slice_of_f = least >> _SLICE_BITS
+    buckets = np.zeros(_SLICES, np.uint32)
+    size = 0  # of the heap
     came[start] = 0  # any move: a path is traced back only as far as its start
     g[start] = 0
     pushed[1] = start
-    f[0] = 0  # alone in the heap, it needs no f
-    heap[0] = 1
-    pushes = 2
-    size = 1
+    links[1] = 0
+    near = np.uint32(1)
+    pushes = np.uint32(2)
     expansions = 0
-    while size:
-        cell = np.int64(pushed[heap[0]])
-        size -= 1
-        _remove_top(heap, f, size)
-        if came[cell] & CLOSED:  # it was pushed again with a smaller g, and expanded then
+    while True:
+        if near:
+            cell = pushed[np.uint64(near)]
+            near = links[np.uint64(near)]
+        elif search != ASTAR:
+            if size == 0:
+                break
+            cell = pushed[np.uint64(links[0])]
+            size -= 1
+            _remove_top(links, f, size)
+        else:
+            end = slice_of_f + _SLICES
+            while slice_of_f < end and buckets[np.uint64(slice_of_f & (_SLICES - 1))] == 0:
+                slice_of_f += 1
+            if slice_of_f == end:
+                break
+            slot = np.uint64(slice_of_f & (_SLICES - 1))
+            near, buckets[slot], least = _split(buckets[slot], links, f)
             continue
-        came[cell] |= CLOSED
-        cost = g[cell]
-        if cost >= FAR:
-            raise ValueError(_TOO_LONG)
+        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
+        if came[np.uint64(cell)] & CLOSED:
+            continue
+        came[np.uint64(cell)] |= CLOSED
         expansions += 1
-        if cell == goal:
+        if cell == target:
             break
-        row, column = position(cell, lattice)
+        cost = g[np.uint64(cell)]
+        if cost >= LONGEST * UNIT:
+            raise ValueError(_TOO_LONG)
+        padded_row = cell // stride
+        row = np.int64(padded_row) - 1
+        column = np.int64(cell - padded_row * stride) - 1
         for move in range(len(lattice.offsets)):
-            if not is_legal(came, cell, move, lattice):
-                continue
-            to = cell + lattice.offsets[move]
+            to = np.uint64(cell + lattice.offsets[move])
             tentative = cost + (UNIT if move < 4 else lattice.step)
             before = came[to]
-            if before == UNSEEN or (before < CLOSED and g[to] > tentative):
-                came[to] = move
-                g[to] = tentative
-                rows = row + STEPS[move, 0] - goal_row
-                columns = column + STEPS[move, 1] - goal_column
-                h = heuristic(rows, columns, lattice)
-                if h_weight != 1:  # with 1, the weight of A*, a float would round large h
+            # First what most neighbours fail: only the corners of the others need a look.
+            if not (before == UNSEEN or (before < CLOSED and g[to] > tentative)):
+                continue
+            if not is_legal(came, cell, move, lattice):
+                continue
+            rows = row + STEPS[move, 0] - goal_row
+            columns = column + STEPS[move, 1] - goal_column
+            h = heuristic(rows, columns, lattice)
+            came[to] = move
+            g[to] = tentative
+            pushed[np.uint64(pushes)] = to
+            if search != ASTAR:
+                if h_weight != 1:  # a float would round large h
                     h = np.int64(h_weight * h)
-                pushed[pushes] = to
-                _insert(heap, f, size, pushes, g_weight * tentative + h)
-                pushes += 1
+                _insert(links, f, size, pushes, g_weight * tentative + h)
                 size += 1
-    return expansions, pushes
+            elif tentative + h == least:
+                links[np.uint64(pushes)] = near
+                near = pushes
+            else:
+                f[np.uint64(pushes)] = tentative + h
+                slot = np.uint64(((tentative + h) >> _SLICE_BITS) & (_SLICES - 1))
+                links[np.uint64(pushes)] = buckets[slot]
+                buckets[slot] = pushes
+            pushes += np.uint32(1)
+    return expansions, np.int64(pushes)
+
+
+@inlined
+def _split(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
+    """Split the stack below push ``top`` into pushes of the least f and others, both in order.
+
+    Returns the top of each, 0 if it is empty, and the least f.
+    """
+    # Turned upside down first, so that moving push by push restores the order.
+    least = f[np.uint64(top)]
+    bottom = np.uint32(0)
+    while top:
+        below = links[np.uint64(top)]
+        least = min(least, f[np.uint64(top)])
+        links[np.uint64(top)] = bottom
+        bottom = top
+        top = below
+    near = np.uint32(0)
+    rest = np.uint32(0)
+    while bottom:
+        above = links[np.uint64(bottom)]
+        if f[np.uint64(bottom)] == least:
+            links[np.uint64(bottom)] = near
+            near = bottom
+        else:
+            links[np.uint64(bottom)] = rest
+            rest = bottom
+        bottom = above
+    return near, rest, least
 
 
 @inlined
@@ -539,68 +490,37 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 
 
 @kernel
-def scratch_bytes(search: Weights, lattice: Lattice) -> Int:
-    """Return how many bytes `scratch_in` needs: up to 105 a cell, for A* with diagonals."""
-    pushes, linked, keyed = _capacities(search, lattice)
-    return 9 * lattice.cells + 4 * pushes + 4 * linked + 8 * keyed
-
-
-@kernel
-def _capacities(search: Weights, lattice: Lattice) -> tuple[Int, Int, Int]:
-    """Return how many entries ``pushed``, ``links`` and ``f`` have: for all pushes there can be."""
-    cells = lattice.cells
-    # Two more than there are pushes: the start, and the entry 0 that does not exist.
-    if search == BFS or (search == COSTS and lattice.step == UNIT):
-        return cells + 2, 0, 0
-    pushes = 8 * cells + 2  # a cell is pushed at most once for each neighbour
-    if search == COSTS:
-        return pushes, pushes, 0
-    if search == ASTAR and lattice.diagonals == 0:
-        pushes = 2 * cells + 2  # once on each stack
-        return pushes, pushes, 0
-    if search == ASTAR:
-        pushes = (3 if lattice.step == UNIT else 6) * cells + 2
-    return pushes, pushes, pushes
-
-
-@kernel
-def scratch_in(memory: Bytes, search: Weights, lattice: Lattice) -> Scratch:
-    """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS, in ``memory``.
-
-    Nothing is written: `load` makes ``came`` ready, and the rest needs no content.
-    """
-    pushes, linked, keyed = _capacities(search, lattice)
-    # The widest items come first, so that all are aligned.
-    keys = 8 * lattice.cells
-    log = keys + 8 * keyed
-    lists = log + 4 * pushes
-    moves = lists + 4 * linked
-    return Scratch(
-        memory[moves : moves + lattice.cells],
-        memory[:keys].view(np.int64),
-        memory[log:lists].view(np.uint32),
-        memory[lists:moves].view(np.uint32),
-        memory[keys:log].view(np.int64),
-    )
-
-
-@kernel
 def scratch(search: Weights, lattice: Lattice) -> Scratch:
-    """Return `scratch_in` memory of its own, for many searches in one kernel."""
-    return scratch_in(np.empty(scratch_bytes(search, lattice), np.uint8), search, lattice)
+    """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
+    pushes = 8 * lattice.cells  # a cell is pushed at most once for each neighbour
+    if search == BFS or (search == COSTS and lattice.step == UNIT):
+        pushes = lattice.cells
+    elif search == ASTAR and lattice.diagonals == 0:
+        pushes = 2 * lattice.cells  # once on each stack
+    # Two more: the start, and the entry 0 that does not exist.
+    return scratch_in(np.empty(9 * lattice.cells + 16 * (pushes + 2), np.uint8), lattice)
 
 
 @kernel
-def astar(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int, Int, Int]:
-    """Search one problem by A* on a grid that is loaded; return what `find` does."""
-    if lattice.diagonals == 0:
-        expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
-        if buffers.came[goal] != UNSEEN:
-            return buffers.g[goal], 0, expansions, pushes
-        return -1, 0, expansions, pushes
-    expansions, pushes = astar_diagonal(start, goal, lattice, buffers)
-    straight, diagonal = count_moves(buffers.came, start, goal, lattice)
-    return straight, diagonal, expansions, pushes
+def scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
+    """Return what searches write to, in ``memory``: with room for as many pushes as fit in.
+
+    Nothing is written yet: `load` makes ``came`` ready, and the rest needs no content.
+    """
+    cells = lattice.cells
+    pushes = (len(memory) - 9 * cells) // 16
+    # The widest items come first, so that all are aligned.
+    f = 8 * cells
+    pushed = f + 8 * pushes
+    links = pushed + 4 * pushes
+    came = links + 4 * pushes
+    return Scratch(
+        memory[came : came + cells],
+        memory[:f].view(np.int64),
+        memory[pushed:links].view(np.uint32),
+        memory[links:came].view(np.uint32),
+        memory[f:pushed].view(np.int64),
+    )
 
 
 @kernel
@@ -612,17 +532,19 @@ def find(
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
     moves, counts all as straight.
     """
-    if search == ASTAR:
-        return astar(start, goal, lattice, buffers)
+    pushes = np.int64(0)
     if search == BFS:
         target = np.empty(1, np.int64)
         target[0] = goal
         count = flood(start, target, lattice, buffers)
         expansions = expansions_until(buffers.pushed, count, goal)
-        straight, diagonal = count_moves(buffers.came, start, goal, lattice)
-        return straight + diagonal, 0, expansions, 0
-    expansions, pushes = astar_heap(start, goal, search, lattice, buffers)
+    elif search == ASTAR and lattice.diagonals == 0:
+        expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
+    else:
+        expansions, pushes = best_first(start, goal, search, lattice, buffers)
     straight, diagonal = count_moves(buffers.came, start, goal, lattice)
+    if search == BFS:
+        return straight + diagonal, 0, expansions, pushes
     return straight, diagonal, expansions, pushes
 
 
@@ -642,7 +564,7 @@ def solve_one(
     The iterations are 0 if ``grid`` holds other values than 0 and 1, or if an end is occupied.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch_in(memory, search, lattice)
+    buffers = scratch_in(memory, lattice)
     bad = not load(grid, buffers.came)
     if bad or grid[start_row, start_column] or grid[goal_row, goal_column]:
         return np.empty((0, 2), np.int64), -1, 0, 0
@@ -666,7 +588,7 @@ def solve_all(
         one was found bad.
     """
     lattice = lattice_of(grids.shape[1:], rule)
-    buffers = scratch_in(memory, search, lattice)
+    buffers = scratch_in(memory, lattice)
     found = np.empty((len(starts), 4), np.int64)
     path = np.empty((64 * len(starts) + 64, 2), np.int64)
     used = 0
@@ -698,13 +620,14 @@ def solve_all(
 
 
 @kernel
-def narrow(values: Ints, out: Bytes) -> Int:
-    """Copy flat ``values`` into ``out``; return whether all are 0 or 1."""
-    seen = np.int64(0)
+def narrow(values: Any, out: Bytes) -> Int:
+    """Copy flat ``values``, integers or floats, into ``out``; return whether all are 0 or 1."""
+    good = True
     for k in range(len(values)):
-        seen |= values[np.uint64(k)]
-        out[np.uint64(k)] = values[np.uint64(k)]
-    return 0 <= seen <= 1
+        value = values[np.uint64(k)]
+        out[np.uint64(k)] = value != 0
+        good &= (value == 0) | (value == 1)  # without a branch: by vector instructions
+    return good
 
 
 @kernel
@@ -747,7 +670,7 @@ def write_field(
     Returns whether ``grid`` is of 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch_in(memory, COSTS, lattice)
+    buffers = scratch_in(memory, lattice)
     if not load(grid, buffers.came):
         return False
     shortest_costs(cell_at(row, column, lattice), lattice, buffers)
@@ -778,7 +701,7 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
     for k in range(1, count):
         cell = np.int64(queue[k])
         costs[cell] = costs[cell - lattice.offsets[came[cell]]] + UNIT
-        if costs[cell] >= FAR:
+        if costs[cell] >= LONGEST * UNIT:
             raise ValueError(_TOO_LONG)
     return count
 

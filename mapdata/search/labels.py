@@ -15,9 +15,9 @@ from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_labels, bit_scratch
 from mapdata.search.kernels import (
     Scratch,
-    astar,
     count_moves,
     expansions_until,
+    find,
     flood,
     scratch,
     shortest_costs,
@@ -370,7 +370,9 @@ def _astar_labels(
     came[:] = fresh
     pair = 0
     for a in range(len(cells) - 1):
-        straight, diagonal, expansions, pushes = astar(cells[a], cells[a + 1], lattice, buffers)
+        straight, diagonal, expansions, pushes = find(
+            cells[a], cells[a + 1], ASTAR, lattice, buffers
+        )
         length = max(straight + diagonal, 0)
         table[a, 0] = length
         table[a, 1] = expansions
@@ -416,7 +418,7 @@ def _fill_costs(
                 costs[k, 0], costs[k, 1] = parts(buffers.g[cells[k]])
     else:
         for k in range(len(cells)):
-            straight, diagonal, _, pushes = astar(source, cells[k], lattice, buffers)
+            straight, diagonal, _, pushes = find(source, cells[k], ASTAR, lattice, buffers)
             costs[k, 0] = straight
             costs[k, 1] = diagonal
             wipe(buffers, pushes)

@@ -62,8 +62,8 @@ ROOT = np.uint8(253)
 CLOSED = np.uint8(8)
 """The bit that A* adds to a cell's move, 0 to 7, when it expands the cell."""
 
-FAR = np.int64(LONGEST * UNIT)
-"""The cost of a cell that is not reached: more than any path costs."""
+FAR = np.int64((LONGEST + 4) * UNIT)
+"""The cost of a cell that is not reached: more than any path costs that is not refused."""
 
 Weights: TypeAlias = tuple[Int, float]
 """Which search, as kernels take it: the weights in f = g_weight * g + h_weight * h.
