@@ -12,11 +12,11 @@ from typing import Any, SupportsIndex, TypeGuard
 FORMAT_VERSIONS = (1, 2)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
 
-Version 2 says what version 1 cannot: maps of another generator than Algorithm 1. All else stays
-version 1.
+Version 2 says what version 1 cannot: maps of another generator than Algorithm 1, and sides over
+1,024. All else stays version 1.
 """
 
-MAX_SIDE = 1024
+MAX_SIDE = 4096
 """Largest number of rows or columns of a map."""
 
 MAX_ROOMS = 255
@@ -63,6 +63,11 @@ class Movement:
                 "connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do "
                 "nothing"
             )
+
+
+def least_version(map_size: Range) -> int:
+    """Return the least version of the format that can say a map size."""
+    return 1 if max(map_size) <= 1024 else 2
 
 
 def canonical_json(values: object) -> str:

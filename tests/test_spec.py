@@ -69,7 +69,7 @@ def test_an_unknown_preset_names_the_known_ones() -> None:
 
 def test_limits_themselves_are_allowed() -> None:
     """The largest side and the most rooms are valid, and so is the smallest map."""
-    assert MAX_SIDE == 1024
+    assert MAX_SIDE == 4096
     assert MAX_ROOMS == 255
     MapSpec(map_size=(MAX_SIDE, MAX_SIDE), rooms=(2, MAX_ROOMS))
     MapSpec(

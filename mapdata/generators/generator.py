@@ -25,6 +25,7 @@ from mapdata.spec import (
     check_number,
     check_seed,
     known_values,
+    least_version,
 )
 
 G = TypeVar("G", bound="Generator")
@@ -96,7 +97,7 @@ class Generator(ABC):
     @property
     def format_version(self) -> int:
         """The least version of the format that can say this distribution."""
-        return 1 if self.name == _FIRST else 2
+        return least_version(self.map_size) if self.name == _FIRST else 2
 
     def to_dict(self) -> dict[str, Any]:
         """Return the spec as plain values for JSON."""

@@ -6,19 +6,40 @@ format fixes (docs/format.md).
 
 from __future__ import annotations
 
+import threading
 from operator import index
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Ints, summary
-from mapdata.search.kernels import first_bad_cell, solve_all, solve_one, write_field
-from mapdata.search.lattice import ASTAR, BFS, MAX_CELLS, Weights, rule_of
+from mapdata.search.kernels import (
+    first_bad_cell,
+    narrow,
+    solve_all,
+    solve_one,
+    write_field,
+)
+from mapdata.search.lattice import (
+    ASTAR,
+    BFS,
+    MAX_CELLS,
+    Weights,
+    rule_of,
+)
 from mapdata.spec import Movement
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
+
+KEPT_BYTES = 2**30
+"""Scratch memory that a thread keeps from one call to the next, at most: that of 2800 x 2800 cells.
+
+To fault in new pages takes longer than most searches. What is kept is address space; only pages
+that searches touched take memory, mostly less than a quarter. A call on a larger grid takes its
+memory for itself and gives it back.
+"""
 
 _UINT8 = np.dtype(np.uint8)  # comparing with the class itself takes twice as long
 
@@ -152,7 +173,8 @@ def solve_batch(
                 f"problem {k}: {name} {_cell_text(cells[k])} is outside the map of "
                 f"{_size(stack)} cells"
             )
-    path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement))
+    memory = _scratch_memory(stack)
+    path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement), memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         start = tuple(begins[solved].tolist())
@@ -182,7 +204,7 @@ def distance_field(
     array = as_grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    good = write_field(array, row, column, rule_of(movement), out)
+    good = write_field(array, row, column, rule_of(movement), _scratch_memory(array), out)
     if not good:
         raise ValueError(_values_complaint(array))
     if array[row, column]:
@@ -206,7 +228,9 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
     2.0
     """
     array = as_grid(grid, 2)
-    cells = np.array(_whole("path", path), order="C")  # a copy: one flavour for the kernel
+    cells = _whole("path", path)
+    if not cells.flags.carray:
+        cells = cells.copy()  # one flavour for the kernel
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
     bad, diagonal = first_bad_cell(array, cells, rule_of(movement))
@@ -230,11 +254,36 @@ def _search(
     array = as_grid(grid, 2)
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
-    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule_of(movement))
+    memory = _scratch_memory(array)
+    path, straight, diagonal, iterations = solve_one(
+        array, *begin, *end, search, rule_of(movement), memory
+    )
     if iterations == 0:  # every search expands its start
         raise ValueError(_complaint(array, begin, end))
     cost = straight + diagonal * movement.diagonal_cost
     return SearchResult(path, cost, iterations)
+
+
+class _Kept(threading.local):
+    """What each thread keeps: kernels run without the GIL, so that threads cannot share it."""
+
+    memory = np.empty(0, np.uint8)
+
+
+_kept = _Kept()
+
+
+def _scratch_memory(grid: Bytes) -> Bytes:
+    """Return room for any search on ``grid``, this thread's own until its next call."""
+    rows, columns = grid.shape[-2:]
+    # 9 bytes a cell of the lattice and 16 for each of 8 pushes, as `scratch` reckons
+    needed = 137 * (rows + 2) * (columns + 2) + 32
+    memory = _kept.memory
+    if needed > len(memory):
+        memory = np.empty(needed, np.uint8)
+        if needed <= KEPT_BYTES:
+            _kept.memory = memory
+    return memory
 
 
 def as_grid(grid: npt.ArrayLike, rank: int) -> Bytes:
@@ -252,7 +301,7 @@ def as_grid(grid: npt.ArrayLike, rank: int) -> Bytes:
         raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
     if array.dtype != _UINT8:
         array = _as_bytes(array)
-    if not (array.flags.c_contiguous and array.flags.writeable):
+    if not array.flags.carray:
         array = np.array(array, order="C")
     return array
 
@@ -263,20 +312,26 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
         return array.view(np.uint8)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
-    if not np.isin(array, (0, 1)).all():
+    wide = np.int64 if array.dtype.kind in "iu" else np.float64
+    values = np.require(array, wide, ("C", "A", "W"))  # contiguous, aligned, writable: one flavour each
+    narrowed = np.empty(array.shape, np.uint8)
+    if not narrow(values.reshape(-1), narrowed.reshape(-1)):
         raise ValueError(_values_complaint(array))
-    return array.astype(np.uint8)
+    return narrowed
 
 
-def _cell(name: str, cell: object, grid: Bytes) -> tuple[int, int]:
+def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
     """Return ``cell`` as two ints inside ``grid``."""
     try:
-        row, column = map(index, cell)  # type: ignore[call-overload]
+        row, column = cell
+        row = index(row)
+        column = index(column)
     except (TypeError, ValueError):
         raise ValueError(
             f"{name}: got {cell!r}, expected a cell (row, col) of two integers"
         ) from None
-    if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+    rows, columns = grid.shape
+    if not (0 <= row < rows and 0 <= column < columns):
         raise ValueError(f"{name}: {row, column} is outside the map of {_size(grid)} cells")
     return row, column
 
@@ -304,7 +359,7 @@ def _complaint(grid: Bytes, start: tuple[int, ...], goal: tuple[int, ...]) -> st
 
 
 def _values_complaint(grid: npt.NDArray[np.generic]) -> str:
-    other = grid[~np.isin(grid, (0, 1))].flat[0]
+    other = grid[(grid != 0) & (grid != 1)][0]
     return f"grid: got the value {other}, expected 0 free and 1 occupied only"
 
 

@@ -17,11 +17,15 @@ Two habits of these kernels look odd and are for speed:
   buckets and heaps. No entry moves or is changed when its cell gets a smaller g: the cell is pushed
   again, and the older entry is dropped when it is popped. The log also says which cells a search
   has touched, so `wipe` makes a grid ready for the next search without a pass over all of it.
+
+What searches write to, `Scratch`, has room for the most pushes that there can be: up to 137 bytes a
+cell. Only what a search touches becomes memory of the process, mostly 10 to 40 bytes for each cell
+that it expands and 1 for each cell of the grid.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +37,7 @@ from mapdata.search.lattice import (
     CLOSED,
     COSTS,
     FAR,
+    LONGEST,
     ROOT,
     STEPS,
     UNIT,
@@ -45,6 +50,7 @@ from mapdata.search.lattice import (
     cell_at,
     heuristic,
     in_cells,
+    is_binary,
     is_legal,
     lattice_of,
     load,
@@ -55,6 +61,17 @@ _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
 _MOVE = np.uint8(7)
 """The bits of ``came`` that hold the move."""
+
+_SLICE_BITS = UNIT_BITS - 6
+"""A bucket of `best_first` is a slice of f, 1/64 of a straight move wide."""
+
+_SLICES = 256
+"""So many buckets cover 4 straight moves: more than f grows by at once, 2 sqrt(2)."""
+
+_TOO_LONG = (
+    f"the grid has paths of {LONGEST} cells or more, for which costs are not exact: expected a "
+    "coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
+)
 
 
 class Scratch(NamedTuple):
@@ -67,7 +84,8 @@ class Scratch(NamedTuple):
         g: (cells,) cost of the best path to a cell so far; valid where ``came`` holds a move.
         pushed: (pushes,) the log: cells, in the order in which they were pushed.
         links: (pushes,) a heap of pushes, or for each push the next one of its list.
-        f: (pushes,) priorities of the pushes in the heap; empty where a search has none.
+        f: (pushes,) priorities of the pushes, or of those in the heap; empty where a search needs
+            none.
     """
 
     came: Bytes
@@ -244,65 +262,144 @@ def wipe(buffers: Scratch, pushes: Int) -> None:
 
 
 @kernel
-def astar_heap(
+def best_first(
     start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch
 ) -> tuple[Int, Int]:
-    """A* with any moves and weights; return (iterations, pushes).
+    """A* with any moves and weights; return (iterations, pushes). ``g`` is in 1 / UNIT.
 
-    The textbook's A* with a binary heap. ``links`` is the heap, of the numbers of pushes, and ``f``
-    their priorities beside it; ``g`` is in 1 / UNIT.
+    With weights, f may fall, and the open list is the textbook's binary heap: ``links``, of the
+    numbers of pushes, and ``f``, their priorities.
+
+    Without, f never falls, and as in `astar_manhattan` no heap is needed. A move adds one of few
+    values to f: 0, 2 - sqrt(2), 2 sqrt(2) - 2, sqrt(2), 2 or 2 sqrt(2); where diagonals cost 1, 0,
+    1 or 2. So a push goes
+
+    - on top of ``near``, the stack of pushes whose f is being expanded, if it has that f: being the
+      latest, it is the next to be expanded;
+    - else on top of the bucket of its f, one of a ring. A bucket is the stack of a slice of f, thin
+      enough that such a push never belongs to the slice that is being expanded.
+
+    Once ``near`` is empty, those of the least f in the nearest bucket become it, in their order.
+    Mostly they are the whole bucket, since few values of f are closer than a slice is wide.
     """
     came = buffers.came
     g = buffers.g
     pushed = buffers.pushed
-    heap = buffers.links
+    links = buffers.links
     f = buffers.f
     g_weight, h_weight = search
+    stride = np.uint32(lattice.stride)  # 32 bits, as in `astar_manhattan`
+    target = np.uint32(goal)
     goal_row, goal_column = position(goal, lattice)
+    row, column = position(start, lattice)
+    least = heuristic(row - goal_row, column - goal_column, lattice)  # the f of ``near``
+    slice_of_f = least >> _SLICE_BITS
+    buckets = np.zeros(_SLICES, np.uint32)
+    size = 0  # of the heap
     came[start] = 0  # any move: a path is traced back only as far as its start
     g[start] = 0
     pushed[1] = start
-    f[0] = 0  # alone in the heap, it needs no f
-    heap[0] = 1
-    pushes = 2
-    size = 1
+    links[1] = 0
+    near = np.uint32(1)
+    pushes = np.uint32(2)
     expansions = 0
-    while size:
-        cell = np.int64(pushed[heap[0]])
-        size -= 1
-        _remove_top(heap, f, size)
-        if came[cell] & CLOSED:  # it was pushed again with a smaller g, and expanded then
+    while True:
+        if near:
+            cell = pushed[np.uint64(near)]
+            near = links[np.uint64(near)]
+        elif search != ASTAR:
+            if size == 0:
+                break
+            cell = pushed[np.uint64(links[0])]
+            size -= 1
+            _remove_top(links, f, size)
+        else:
+            end = slice_of_f + _SLICES
+            while slice_of_f < end and buckets[np.uint64(slice_of_f & (_SLICES - 1))] == 0:
+                slice_of_f += 1
+            if slice_of_f == end:
+                break
+            slot = np.uint64(slice_of_f & (_SLICES - 1))
+            near, buckets[slot], least = _split(buckets[slot], links, f)
             continue
-        came[cell] |= CLOSED
-        cost = g[cell]
+        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
+        if came[np.uint64(cell)] & CLOSED:
+            continue
+        came[np.uint64(cell)] |= CLOSED
         expansions += 1
-        if cell == goal:
+        if cell == target:
             break
-        row, column = position(cell, lattice)
+        cost = g[np.uint64(cell)]
+        if cost >= LONGEST * UNIT:
+            raise ValueError(_TOO_LONG)
+        padded_row = cell // stride
+        row = np.int64(padded_row) - 1
+        column = np.int64(cell - padded_row * stride) - 1
         for move in range(len(lattice.offsets)):
-            if not is_legal(came, cell, move, lattice):
-                continue
-            to = cell + lattice.offsets[move]
+            to = np.uint64(cell + lattice.offsets[move])
             tentative = cost + (UNIT if move < 4 else lattice.step)
             before = came[to]
-            if before == UNSEEN or (before < CLOSED and g[to] > tentative):
-                came[to] = move
-                g[to] = tentative
-                rows = row + STEPS[move, 0] - goal_row
-                columns = column + STEPS[move, 1] - goal_column
-                h = heuristic(rows, columns, lattice)
-                if h_weight != 1:  # with 1, the weight of A*, a float would round large h
-                    h = np.int64(h_weight * h)
-                pushed[pushes] = to
-                _insert(heap, f, size, pushes, g_weight * tentative + h)
-                pushes += 1
-                size += 1
-            elif g[to] > tentative:
+            # First what most neighbours fail: only the corners of the others need a look.
+            if before == WALL or (before != UNSEEN and g[to] <= tentative):
+                continue
+            if not is_legal(came, cell, move, lattice):
+                continue
+            if before != UNSEEN and before >= CLOSED:
                 # Expanded before a shorter way to it was found, which happens under other weights
                 # than those of A*: it takes the shorter way, and is not expanded again.
                 came[to] = move | CLOSED
                 g[to] = tentative
-    return expansions, pushes
+                continue
+            rows = row + STEPS[move, 0] - goal_row
+            columns = column + STEPS[move, 1] - goal_column
+            h = heuristic(rows, columns, lattice)
+            came[to] = move
+            g[to] = tentative
+            pushed[np.uint64(pushes)] = to
+            if search != ASTAR:
+                if h_weight != 1:  # a float would round large h
+                    h = np.int64(h_weight * h)
+                _insert(links, f, size, pushes, g_weight * tentative + h)
+                size += 1
+            elif tentative + h == least:
+                links[np.uint64(pushes)] = near
+                near = pushes
+            else:
+                f[np.uint64(pushes)] = tentative + h
+                slot = np.uint64(((tentative + h) >> _SLICE_BITS) & (_SLICES - 1))
+                links[np.uint64(pushes)] = buckets[slot]
+                buckets[slot] = pushes
+            pushes += np.uint32(1)
+    return expansions, np.int64(pushes)
+
+
+@inlined
+def _split(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
+    """Split the stack below push ``top`` into pushes of the least f and others, both in order.
+
+    Returns the top of each, 0 if it is empty, and the least f.
+    """
+    # Turned upside down first, so that moving push by push restores the order.
+    least = f[np.uint64(top)]
+    bottom = np.uint32(0)
+    while top:
+        below = links[np.uint64(top)]
+        least = min(least, f[np.uint64(top)])
+        links[np.uint64(top)] = bottom
+        bottom = top
+        top = below
+    near = np.uint32(0)
+    rest = np.uint32(0)
+    while bottom:
+        above = links[np.uint64(bottom)]
+        if f[np.uint64(bottom)] == least:
+            links[np.uint64(bottom)] = near
+            near = bottom
+        else:
+            links[np.uint64(bottom)] = rest
+            rest = bottom
+        bottom = above
+    return near, rest, least
 
 
 @inlined
@@ -346,7 +443,9 @@ def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, key: Int) -> None:
 
 @kernel
 def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[Int, Int]:
-    """Return how many straight and diagonal moves led from ``start`` to ``goal``."""
+    """Return how many straight and diagonal moves led from ``start`` to ``goal``, or (-1, 0)."""
+    if came[goal] == UNSEEN:
+        return -1, 0
     straight: Int = 0
     diagonal: Int = 0
     cell = goal
@@ -399,23 +498,34 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 @kernel
 def scratch(search: Weights, lattice: Lattice) -> Scratch:
     """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
-    cells = lattice.cells
-    # A cell is pushed at most once for each neighbour, so that the logs cannot overflow. Two more:
-    # the start, and the entry 0 that does not exist.
-    pushes = len(lattice.offsets) * cells + 2
-    keys = 0
+    pushes = 8 * lattice.cells  # a cell is pushed at most once for each neighbour
     if search == BFS or (search == COSTS and lattice.step == UNIT):
-        pushes = cells + 2
+        pushes = lattice.cells
     elif search == ASTAR and lattice.diagonals == 0:
-        pushes = 2 * cells + 2  # once on each stack
-    elif search != COSTS:
-        keys = pushes
+        pushes = 2 * lattice.cells  # once on each stack
+    # Two more: the start, and the entry 0 that does not exist.
+    return scratch_in(np.empty(9 * lattice.cells + 16 * (pushes + 2), np.uint8), lattice)
+
+
+@kernel
+def scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
+    """Return what searches write to, in ``memory``: with room for as many pushes as fit in.
+
+    Nothing is written yet: `load` makes ``came`` ready, and the rest needs no content.
+    """
+    cells = lattice.cells
+    pushes = (len(memory) - 9 * cells) // 16
+    # The widest items come first, so that all are aligned.
+    f = 8 * cells
+    pushed = f + 8 * pushes
+    links = pushed + 4 * pushes
+    came = links + 4 * pushes
     return Scratch(
-        np.full(cells, WALL),
-        np.empty(cells, np.int64),
-        np.empty(pushes, np.uint32),
-        np.empty(pushes, np.uint32),
-        np.empty(keys, np.int64),
+        memory[came : came + cells],
+        memory[:f].view(np.int64),
+        memory[pushed:links].view(np.uint32),
+        memory[links:came].view(np.uint32),
+        memory[f:pushed].view(np.int64),
     )
 
 
@@ -428,8 +538,7 @@ def find(
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
     moves, counts all as straight.
     """
-    came = buffers.came
-    pushes = 0
+    pushes = np.int64(0)
     if search == BFS:
         target = np.empty(1, np.int64)
         target[0] = goal
@@ -437,13 +546,9 @@ def find(
         expansions = expansions_until(buffers.pushed, count, goal)
     elif search == ASTAR and lattice.diagonals == 0:
         expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
-        if came[goal] != UNSEEN:
-            return buffers.g[goal], 0, expansions, pushes
     else:
-        expansions, pushes = astar_heap(start, goal, search, lattice, buffers)
-    if came[goal] == UNSEEN:
-        return -1, 0, expansions, pushes
-    straight, diagonal = count_moves(came, start, goal, lattice)
+        expansions, pushes = best_first(start, goal, search, lattice, buffers)
+    straight, diagonal = count_moves(buffers.came, start, goal, lattice)
     if search == BFS:
         return straight + diagonal, 0, expansions, pushes
     return straight, diagonal, expansions, pushes
@@ -458,13 +563,14 @@ def solve_one(
     goal_column: Int,
     search: Weights,
     rule: Rule,
+    memory: Bytes,
 ) -> tuple[Ints, Int, Int, Int]:
     """Search one problem; return its path, straight and diagonal moves, and iterations.
 
     The iterations are 0 if ``grid`` holds other values than 0 and 1, or if an end is occupied.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch(search, lattice)
+    buffers = scratch_in(memory, lattice)
     bad = not load(grid, buffers.came)
     if bad or grid[start_row, start_column] or grid[goal_row, goal_column]:
         return np.empty((0, 2), np.int64), -1, 0, 0
@@ -478,7 +584,7 @@ def solve_one(
 
 @kernel
 def solve_all(
-    grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule
+    grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule, memory: Bytes
 ) -> tuple[Ints, Ints, Int]:
     """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]``, or on the one grid.
 
@@ -488,7 +594,7 @@ def solve_all(
         one was found bad.
     """
     lattice = lattice_of(grids.shape[1:], rule)
-    buffers = scratch(search, lattice)
+    buffers = scratch_in(memory, lattice)
     found = np.empty((len(starts), 4), np.int64)
     path = np.empty((64 * len(starts) + 64, 2), np.int64)
     used = 0
@@ -520,52 +626,65 @@ def solve_all(
 
 
 @kernel
+def narrow(values: Any, out: Bytes) -> Int:
+    """Copy flat ``values``, integers or floats, into ``out``; return whether all are 0 or 1."""
+    good = True
+    for k in range(len(values)):
+        value = values[np.uint64(k)]
+        out[np.uint64(k)] = value != 0
+        good &= (value == 0) | (value == 1)  # without a branch: by vector instructions
+    return good
+
+
+@kernel
 def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
     """Return where ``path`` breaks the rule, and how many of its moves are diagonal.
 
     The first is the least k whose cell is not free or not one move from cell k - 1; -1 when all is
     well; -2 when ``grid`` is not of 0 and 1.
     """
-    lattice = lattice_of(grid.shape, rule)
-    came = np.full(lattice.cells, WALL)
-    if not load(grid, came):
-        return -2, 0
+    diagonals, _ = rule
     diagonal = 0
+    if not is_binary(grid):
+        return -2, 0
     for k in range(len(path)):
         row, column = path[k]
         if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]) or grid[row, column]:
             return k, diagonal
         if k == 0:
             continue
-        before = cell_at(path[k - 1, 0], path[k - 1, 1], lattice)
-        move = 0
-        while move < len(lattice.offsets) and (
-            row - path[k - 1, 0] != STEPS[move, 0] or column - path[k - 1, 1] != STEPS[move, 1]
-        ):
-            move += 1
-        if move == len(lattice.offsets) or not is_legal(came, before, move, lattice):
+        row_before, column_before = path[k - 1]
+        rows = abs(row - row_before)
+        columns = abs(column - column_before)
+        if max(rows, columns) != 1:
             return k, diagonal
-        if move >= 4:
+        if rows and columns:
             diagonal += 1
+            # The rule of `is_legal` on the grid itself: to load it would take most of the time.
+            cuts = grid[row_before, column] or grid[row, column_before]
+            if diagonals == 0 or (diagonals == 1 and cuts):
+                return k, diagonal
     return -1, diagonal
 
 
 @kernel
-def write_field(grid: Bytes, row: Int, column: Int, rule: Rule, out: Float32s) -> Int:
+def write_field(
+    grid: Bytes, row: Int, column: Int, rule: Rule, memory: Bytes, out: Float32s
+) -> Int:
     """Write the cost from every cell to (row, column) into ``out``, -1 where there is no path.
 
     Returns whether ``grid`` is of 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch(COSTS, lattice)
-    good = load(grid, buffers.came)
-    out[:, :] = -1
-    if good and not grid[row, column]:
-        reached = shortest_costs(cell_at(row, column, lattice), lattice, buffers)
-        for k in range(reached):
-            cell = np.int64(buffers.pushed[k])
-            out[position(cell, lattice)] = in_cells(buffers.g[cell])
-    return good
+    buffers = scratch_in(memory, lattice)
+    if not load(grid, buffers.came):
+        return False
+    shortest_costs(cell_at(row, column, lattice), lattice, buffers)
+    for k in range(grid.shape[0]):
+        for j in range(grid.shape[1]):
+            cost = buffers.g[cell_at(k, j, lattice)]
+            out[k, j] = -1 if cost == FAR else in_cells(cost)
+    return True
 
 
 @kernel
@@ -588,6 +707,8 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
     for k in range(1, count):
         cell = np.int64(queue[k])
         costs[cell] = costs[cell - lattice.offsets[came[cell]]] + UNIT
+        if costs[cell] >= LONGEST * UNIT:
+            raise ValueError(_TOO_LONG)
     return count
 
 
@@ -616,6 +737,8 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
         entry = heads[bucket % 3]
         if entry == 0:
             bucket += 1
+            if bucket >= LONGEST:
+                raise ValueError(_TOO_LONG)
             continue
         heads[bucket % 3] = links[entry]
         waiting -= 1

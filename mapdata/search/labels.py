@@ -328,13 +328,11 @@ def _bfs_labels(
         count = flood(cells[a], cells[a + 1 :], lattice, buffers)
         length = 0
         for b in range(a + 1, len(cells)):
-            costs[pair, 0] = -1
+            straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
+            costs[pair, 0] = straight + diagonal
             costs[pair, 1] = 0
-            if came[cells[b]] != UNSEEN:
-                straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
-                costs[pair, 0] = straight + diagonal
-                if b == a + 1:
-                    length = straight + diagonal
+            if b == a + 1:
+                length = max(straight + diagonal, 0)
             pair += 1
         table[a, 0] = length
         table[a, 1] = expansions_until(buffers.pushed, count, cells[a + 1])

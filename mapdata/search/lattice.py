@@ -5,14 +5,15 @@ of a map with W columns stands at ``(row + 1) * (W + 2) + col + 1``.
 
 Costs are integers in fixed point. A cost of s straight and d diagonal steps is ``s * UNIT + d *
 DIAGONAL``, where DIAGONAL is sqrt(2) * UNIT rounded, so sums are exact, in any order. Two such
-costs compare as the real numbers s + d * sqrt(2) do: these differ by at least 1 / (2 sqrt(2) d),
-and the rounding is off by less than d / 2**42, which is smaller for all paths on a grid of at most
-`MAX_CELLS` cells. (s, d) can be read back from a cost: modulo UNIT it is d * DIAGONAL, and
-DIAGONAL, being odd, has an inverse modulo UNIT, a power of two.
+costs below `LONGEST` compare as the real numbers s + d * sqrt(2) do: a test tries every difference
+in d that they can have. A kernel that meets a longer path raises an error; a grid of 4096 x 4096
+cells can have one, of 8 million cells at most, but only if it is drawn for it. (s, d) can be read
+back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has an inverse modulo
+UNIT, a power of two.
 
-The legal moves, the heuristic and hardness are defined here. The corner rule is written twice more,
-each for a reason that is given there: `flood` in kernels.py, and on tensors `legal_moves` in
-models/common.py; tests hold all three together.
+The legal moves, the heuristic and hardness are defined here. The corner rule is written three times
+more, each for a reason that is given there: `flood` and `first_bad_cell` in kernels.py, and on
+tensors `legal_moves` in models/common.py; tests hold all four together.
 """
 
 from __future__ import annotations
@@ -27,8 +28,14 @@ from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.spec import Movement
 
-MAX_CELLS = 2**21
-"""Largest number of cells of a grid: up to here costs order all paths exactly, and fit int64."""
+MAX_CELLS = 2**24
+"""Largest number of cells of a grid: 4096 x 4096."""
+
+LONGEST = 2**21
+"""Cost, in cells, that a path must stay below: up to here costs order paths exactly, and fit int64.
+
+A* under 4-connectivity and BFS count moves, and have no such bound.
+"""
 
 UNIT_BITS = 41
 
@@ -55,8 +62,8 @@ ROOT = np.uint8(253)
 CLOSED = np.uint8(8)
 """The bit that A* adds to a cell's move, 0 to 7, when it expands the cell."""
 
-FAR = np.int64(2**62)
-"""The cost of a cell that is not reached: more than any path costs."""
+FAR = np.int64((LONGEST + 4) * UNIT)
+"""The cost of a cell that is not reached: more than any path costs that is not refused."""
 
 Weights: TypeAlias = tuple[Int, float]
 """Which search, as kernels take it: the weights in f = g_weight * g + h_weight * h.
@@ -183,24 +190,38 @@ def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Fl
     return np.where(costs < 0, -1.0, ratio)
 
 
-@kernel
-def load(grid: Bytes, came: Bytes) -> Int:
-    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL.
-
-    Returns whether all of it is 0 or 1. The wall around it is there already.
-    """
-    rows, columns = grid.shape
+@inlined
+def is_binary(grid: Bytes) -> Int:
+    """Return whether all of ``grid`` is 0 or 1."""
     flat = grid.reshape(-1)
-    # A loop of its own, and unsigned indices: so both loops become vector instructions.
     seen = np.uint8(0)
     for k in range(len(flat)):
-        seen |= flat[np.uint64(k)]
+        # One byte wide, which numba would widen to eight, and with unsigned indices: so a vector
+        # instruction does 64 at once.
+        seen = np.uint8(seen | flat[np.uint64(k)])
+    return seen <= 1
+
+
+@kernel
+def load(grid: Bytes, came: Bytes) -> Int:
+    """Copy ``grid`` into the padded ``came`` as UNSEEN and WALL, with the wall around it.
+
+    Returns whether all of it is 0 or 1.
+    """
+    rows, columns = grid.shape
+    stride = columns + 2
+    flat = grid.reshape(-1)
+    for k in range(stride):
+        came[k] = WALL
+        came[(rows + 1) * stride + k] = WALL
     for row in range(rows):
-        base = np.uint64((row + 1) * (columns + 2) + 1)
+        base = np.uint64((row + 1) * stride + 1)
         first = np.uint64(row * columns)
+        came[base - np.uint64(1)] = WALL
         for column in range(columns):
             came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]  # 1: WALL
-    return seen <= 1
+        came[base + np.uint64(columns)] = WALL
+    return is_binary(grid)
 
 
 @kernel

@@ -30,7 +30,7 @@ from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
-from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json
+from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json, least_version
 
 Array = npt.NDArray[Any]
 StrPath: TypeAlias = str | os.PathLike[str]
@@ -136,7 +136,7 @@ class Origin:
     @property
     def format_version(self) -> int:
         """The version of the format that the dataset is written in."""
-        return 1 if self.spec is None else self.spec.format_version
+        return least_version(self.map_size) if self.spec is None else self.spec.format_version
 
     def origin(self) -> dict[str, Any]:
         """Return these values by name, without those that a subclass adds."""

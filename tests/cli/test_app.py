@@ -383,7 +383,7 @@ def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_p
         ),
         ("passage_width: got (0, 1), expected at least 1", {"passage_width": (0, 1)}),
         ("map_size: got (0, 70)", {"map_size": (0, 70)}),
-        ("map_size: got (1025, 70), expected 1 to 1024", {"map_size": (1025, 70)}),
+        ("map_size: got (4097, 70), expected 1 to 4096", {"map_size": (4097, 70)}),
         ("map_size: got [64], expected 2 integers", {"map_size": [64]}),
         ("skip_probability: got 1.5, expected a probability in [0, 1]", {"skip_probability": 1.5}),
         ("skip_probability: got -0.1", {"skip_probability": -0.1}),

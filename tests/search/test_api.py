@@ -5,6 +5,7 @@ named.
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any, NamedTuple, TypeAlias
@@ -20,6 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import SearchResult, astar, bfs, check_path, distance_field
+from mapdata.evaluation import BestFirst
+from mapdata.search import api
 from mapdata.spec import Movement
 
 OCTILE, CUTTING = Movement(8), Movement(8, corner_cutting=True)
@@ -230,6 +233,110 @@ def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
     assert distance_field(grid, (0, 0))[end] == 2**21 - 1
 
 
+@movements
+def test_a_map_of_4096_cells_a_side(movement: Movement) -> None:
+    """Around a wall on the largest map: the cost is that of the corner which the path must take."""
+    grid = np.zeros((4096, 4096), dtype=np.uint8)
+    grid[1:, 2048] = 1
+    start, goal = (4095, 2040), (4095, 2056)
+    found = astar(grid, start, goal, movement)
+    assert found.cost == check_path(grid, found.path, movement)
+    # Up to row 0 and down again; without the corner rule a diagonal leads into row 0 and out of it.
+    diagonal = {4: 0, 8: 14}[movement.connectivity] + (2 if movement.corner_cutting else 0)
+    straight = 2 * 4095 + 16 - 2 * diagonal
+    assert found.cost == straight + diagonal * movement.diagonal_cost
+    if movement == Movement():
+        assert bfs(grid, start, goal).cost == found.cost
+        assert distance_field(grid, goal)[start] == found.cost
+
+
+def test_a_path_too_long_for_exact_costs_is_refused() -> None:
+    """A corridor of 2.1 million cells: found where moves are counted, else an error says so."""
+    grid = np.zeros((2051, 2051), dtype=np.uint8)
+    grid[1::2] = 1
+    grid[np.arange(1, 2051, 2), np.where(np.arange(1025) % 2, 0, 2050)] = 0
+    ends = ((0, 0), (2050, 0))
+    moves = 1026 * 2050 + 1025 * 2
+    assert moves > 2**21
+    assert astar(grid, *ends).cost == moves
+    assert bfs(grid, *ends, OCTILE).cost == moves
+    assert check_path(grid, astar(grid, *ends).path, OCTILE) == moves
+    for movement in (OCTILE, Movement(8, corner_cutting=True, diagonal_cost=1)):
+        with pytest.raises(ValueError, match="paths of 2097152 cells or more"):
+            astar(grid, *ends, movement)
+        with pytest.raises(ValueError, match="paths of 2097152 cells or more"):
+            distance_field(grid, ends[0], movement)
+    with pytest.raises(ValueError, match="paths of 2097152 cells or more"):
+        BestFirst("weighted", OCTILE, 1.5).plan(grid, *ends)
+    # Four rows less are ten moves within the bound.
+    assert moves - 4 * 2052 == 2**21 - 10
+    assert astar(grid, (8, 0), ends[1], OCTILE).cost == moves - 4 * 2052
+    assert distance_field(grid, (8, 0), OCTILE)[ends[1]] == moves - 4 * 2052
+
+
+# --- scratch memory -----------------------------------------------------------------------------
+
+
+@movements
+@pytest.mark.parametrize("side", [256, 1024])
+def test_a_plain_call_faults_in_no_pages(movement: Movement, side: int) -> None:
+    """What a search writes to is there from the call before."""
+    resource = pytest.importorskip("resource")
+    grid = np.zeros((side, side), dtype=np.uint8)
+    ends = ((0, 0), (side - 1, side // 2))
+    calls = 50
+    for search in (astar, bfs):
+        search(grid, *ends, movement)
+        search(grid, *ends, movement)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(calls):
+            search(grid, *ends, movement)
+        faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+        assert faults < calls, f"{faults} page faults in {calls} calls of {search.__name__}"
+
+
+def test_threads_do_not_share_scratch_memory() -> None:
+    """Searches of several threads at a time find what they find alone."""
+    source = np.random.default_rng(4)
+    grids = [(source.random((side, side)) < 0.3).astype(np.uint8) for side in (70, 130, 257, 90)]
+    for grid in grids:
+        grid[0, 0] = grid[-1, -1] = 0
+
+    def solve(k: int) -> tuple[list[list[int]], float, int]:
+        grid = grids[k % len(grids)]
+        found = (astar, bfs)[k % 2](grid, (0, 0), (len(grid) - 1,) * 2, (OCTILE, CUTTING)[k % 2])
+        return found.path.tolist(), found.cost, found.iterations
+
+    alone = [solve(k) for k in range(8)]
+    together: dict[int, list[object]] = {k: [] for k in range(8)}
+
+    def work(k: int) -> None:
+        together[k] += [solve(k) for _ in range(30)]
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert together == {k: [alone[k]] * 30 for k in range(8)}
+
+
+def test_scratch_memory_is_kept_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread keeps what its largest search needed, unless that is above the bound."""
+    monkeypatch.setattr(api, "_kept", api._Kept())
+    small, large = (np.zeros((side, side), dtype=np.uint8) for side in (64, 300))
+    monkeypatch.setattr(api, "KEPT_BYTES", 10**6)
+    astar(small, (0, 0), (9, 9), OCTILE)
+    kept = api._kept.memory
+    assert 0 < len(kept) <= 10**6
+    found = astar(large, (0, 0), (299, 299), OCTILE)
+    assert found.cost == 299 * 2**0.5
+    assert api._kept.memory is kept
+    monkeypatch.setattr(api, "KEPT_BYTES", 10**8)
+    astar(large, (0, 0), (9, 9), OCTILE)
+    assert len(kept) < len(api._kept.memory) <= 10**8
+
+
 # --- the path check -----------------------------------------------------------------------------
 
 
@@ -430,7 +537,11 @@ BAD_GRIDS = [
     pytest.param(np.zeros((5, 0)), "0", id="no columns"),
     pytest.param([[0, 0], [0]], "", id="ragged"),
     pytest.param([["a", "b"]], "", id="text"),
-    pytest.param(np.zeros((1, 2**21 + 1), dtype=np.uint8), "2", id="beyond the limit"),
+    pytest.param(np.array([[0, 1, 7, -5, 2]]), r"\b7\b", id="the first of three"),
+    pytest.param(
+        np.array([[0, 1, 7, -5, 2]], np.float32), r"\b7\.0", id="the first of three floats"
+    ),
+    pytest.param(np.zeros((1, 2**24 + 1), dtype=np.uint8), "16777216", id="beyond the limit"),
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
+from math import isqrt
 from random import Random
 
 import numpy as np
@@ -10,7 +11,6 @@ import pytest
 from helpers import reference
 
 from mapdata.search import (
-    MAX_CELLS,
     STEPS,
     WALL,
     cell_at,
@@ -24,7 +24,7 @@ from mapdata.search import (
     position,
     rule_of,
 )
-from mapdata.search.lattice import DIAGONAL, UNIT
+from mapdata.search.lattice import DIAGONAL, LONGEST, UNIT
 from mapdata.spec import Movement
 
 MOVEMENTS = [
@@ -93,13 +93,11 @@ def test_the_order_of_moves() -> None:
 
 
 def test_costs_order_paths_exactly() -> None:
-    """Of any two paths on the largest grid, the closest ones included, the shorter one costs
-    less.
-    """
+    """Of any two paths below the bound, the closest ones included, the shorter one costs less."""
     draw = Random(0)
-    pairs = [(draw.randrange(MAX_CELLS), draw.randrange(MAX_CELLS)) for _ in range(2000)]
+    pairs = [(draw.randrange(LONGEST), draw.randrange(LONGEST)) for _ in range(2000)]
     straight, diagonal = 1, 1
-    while straight < MAX_CELLS:  # the convergents of the root of 2: where two paths are closest
+    while straight < LONGEST:  # the convergents of the root of 2: where two paths are closest
         pairs.append((straight, diagonal))
         straight, diagonal = straight + 2 * diagonal, straight + diagonal
     with localcontext() as context:
@@ -109,3 +107,13 @@ def test_costs_order_paths_exactly() -> None:
             exact = straight - diagonal * root
             assert (straight * UNIT > diagonal * DIAGONAL) == (exact > 0), (straight, diagonal)
     assert DIAGONAL % 2 == 1  # so that a pair can be read back from its sum
+
+
+def test_costs_order_all_paths_exactly() -> None:
+    """Whatever two paths below the bound differ by in diagonal moves, d: d * sqrt(2) lies between
+    the same whole numbers as it does in fixed point, so that no difference in straight moves turns
+    the other way.
+    """
+    for diagonal in range(1, isqrt(LONGEST * LONGEST // 2) + 1):
+        below = isqrt(2 * diagonal * diagonal)
+        assert below * UNIT < diagonal * DIAGONAL < (below + 1) * UNIT
