@@ -313,7 +313,8 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
     wide = np.int64 if array.dtype.kind in "iu" else np.float64
-    values = np.require(array, wide, ("C", "A", "W"))  # contiguous, aligned, writable: one flavour each
+    # contiguous, aligned and writable: one flavour of each for the kernel
+    values = np.require(array, wide, ("C", "A", "W"))
     narrowed = np.empty(array.shape, np.uint8)
     if not narrow(values.reshape(-1), narrowed.reshape(-1)):
         raise ValueError(_values_complaint(array))
