@@ -49,7 +49,10 @@ def import_command(
     from mapdata.formats import Limits, import_maps, read_any, recognise
     from mapdata.formats.registry import functions
     from mapdata.options import options_of
+    from mapdata.shards.root import is_url
 
+    if is_url(src):
+        raise ValueError(f"{src}: a URL, expected a file or folder; download it first")
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     if max_pixels < 1:
         raise ValueError(f"--max-pixels: got {max_pixels}, expected at least 1")

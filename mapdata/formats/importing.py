@@ -25,18 +25,19 @@ from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
 from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
-    LOCK,
     MANIFEST,
     PROVENANCE,
     Manifest,
+    check_names,
     entry_of,
-    is_shard_name,
-    merge,
+    locked,
+    merge_locked,
+    path_in,
     provenance_text,
     read_manifest,
     shard_name,
 )
-from mapdata.shards.root import file_hash
+from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_count, check_fractions, check_seed
@@ -119,7 +120,7 @@ def import_maps(
         ValueError: bad arguments, no usable map, or a root that holds something else.
         OSError: the disk is full or may not be written to.
     """
-    root = Path(root)
+    root = folder_of(root)
     check_seed(seed)
     check_fractions(splits)
     if check_count("seed_points", seed_points, 2) > MAX_ROOMS:
@@ -130,13 +131,15 @@ def import_maps(
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
-    for one in _tiles(source, tile):
-        why = _unusable(one, movement)
-        if why is not None:
-            source.left_out.append((one.name, why))
-            continue
-        metres = resolution or one.resolution or RESOLUTION
-        groups.setdefault((*one.shape, metres), []).append(one)
+    with bar(progress, len(source.maps), unit=" maps checked") as advance:
+        for one in _tiles(source, tile):
+            why = _unusable(one, movement)
+            if why is not None:
+                source.left_out.append((one.name, why))
+            else:
+                metres = resolution or one.resolution or RESOLUTION
+                groups.setdefault((*one.shape, metres), []).append(one)
+            advance(1)
     if not groups:
         why = ""
         if source.left_out:
@@ -160,7 +163,13 @@ def import_maps(
                 resolution=metres,
             )
             ordered = _ordered(maps, source)
-            made.append(_write(folders[group], wanted, ordered, draws, advance, pool))
+            folder = folders[group]
+            folder.mkdir(parents=True, exist_ok=True)
+            # two imports of other maps would take each other's shards away
+            with locked(folder, wait=False) as is_free:
+                if not is_free:
+                    raise ValueError(f"root: another process writes to {folder}; wait for its end")
+                made.append(_write(folder, wanted, ordered, draws, advance, pool))
     return made
 
 
@@ -218,8 +227,6 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
     Raises:
         ValueError: something else stands where they are to be written.
     """
-    if root.exists() and not root.is_dir():
-        raise ValueError(f"root: {root} is a file, expected a folder")
     folders = dict.fromkeys(groups, root)
     if len(groups) > 1:
         sizes = Counter((rows, columns) for rows, columns, _ in groups)
@@ -228,25 +235,10 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
             if sizes[rows, columns] > 1:
                 name += f"-{metres:g}m"
             folders[rows, columns, metres] = root / name
-        _check_folder(root, {folder.name for folder in folders.values()}.__contains__)
+        check_names(root, {folder.name for folder in folders.values()}.__contains__)
     for folder in folders.values():
-        _check_folder(folder, _is_ours)
+        check_names(folder)
     return folders
-
-
-def _check_folder(folder: Path, is_known: Callable[[str], bool]) -> None:
-    """Refuse a folder without a manifest that holds a name that is not known."""
-    if folder.is_dir() and not (folder / MANIFEST).exists():
-        for path in folder.iterdir():
-            if not is_known(path.name):
-                raise ValueError(
-                    f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
-                )
-
-
-def _is_ours(name: str) -> bool:
-    """Return whether an import that did not finish may have left a file of this name."""
-    return is_shard_name(name) or name in (LOCK, PROVENANCE) or name.endswith(".tmp")
 
 
 def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
@@ -267,16 +259,14 @@ def _write(
     advance: Callable[[int], object],
     pool: Executor,
 ) -> Imported:
-    """Write one dataset, shard by shard; keep the shards that are there already."""
-    folder.mkdir(parents=True, exist_ok=True)
-    have = {}
+    """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
         if replace(found, shards=()) != wanted:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
-        have = {(entry.start, entry.stop): entry for entry in found.shards}
     # The plan comes first: who goes on with an import that was stopped knows it by this.
-    manifest = merge(folder, wanted)
+    manifest = merge_locked(folder, wanted)
+    have = {entry.name: entry for entry in manifest.shards}
     checked = 0
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
@@ -288,15 +278,15 @@ def _write(
                 checked += 1
                 disagreements.update(one.check(labels, k))
         image, content = shard_image(labels, header)
-        path = folder / shard_name(header.start, header.stop)
-        old = have.get((header.start, header.stop))
+        path = path_in(folder, shard_name(header.start, header.stop))
+        old = have.get(path.name)
         if old is not None and old.content_hash != content:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
         if old is None or not path.exists() or file_hash(path) != old.sha256:
             write_file(path, image)
             entry = entry_of(Shard(path, header, content, {}), labels, image)
             # of two entries for the same maps, the later one counts
-            manifest = merge(folder, replace(wanted, shards=(*manifest.shards, entry)))
+            manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))
     origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}
     write_file(folder / PROVENANCE, provenance_text(origin).encode())

@@ -19,16 +19,15 @@ from mapdata.generators.generator import generate
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.shards.manifest import (
-    LOCK,
     MANIFEST,
-    MOST_SHARDS,
     Entry,
     Manifest,
     Span,
+    check_names,
     entry_of,
-    is_shard_name,
     load_shard,
     merge,
+    path_in,
     read_manifest,
     shard_name,
     sweep,
@@ -114,22 +113,19 @@ def build(
         movement=spec.movement,
         resolution=spec.resolution,
     )
-    if maps > MOST_SHARDS * shard_size:
-        raise ValueError(
-            f"maps: {maps} in shards of {shard_size} are over {MOST_SHARDS} files; take larger "
-            "shards"
-        )
     _check_part(part)
     mine = list(headers(wanted))[part[0] :: part[1]]
-    have, damaged = _prepare(root, wanted, {(header.start, header.stop) for header in mine})
+    have, damaged = _prepare(
+        root, wanted, {(header.start, header.stop) for header in mine}, progress
+    )
     present = replace(wanted, shards=tuple(have.values()))
+    todo = [header for header in mine if (header.start, header.stop) not in have]
     if os.access(root, os.W_OK):
         sweep(root, present)
-    todo = [header for header in mine if (header.start, header.stop) not in have]
+    elif todo:
+        raise PermissionError(f"root: no permission to write in {root}")
     if not todo:
         return present  # nothing to write, so a root that may only be read will do
-    if not os.access(root, os.W_OK):
-        raise PermissionError(f"root: no permission to write in {root}")
     if executor is not None:
         # kernels are compiled here, once, rather than in each process of the executor at once
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
@@ -179,18 +175,19 @@ def _check_part(part: tuple[int, int]) -> None:
 
 def headers(manifest: Manifest) -> Iterator[Header]:
     """Yield the header of every shard that ``manifest`` plans."""
+    origin = manifest.origin()
     for start, stop in manifest.plan:
-        yield Header(**manifest.origin(), start=start, stop=stop)
+        yield Header(**origin, start=start, stop=stop)
 
 
 def make_shard(
-    root: Path, header: Header, *, anew: bool = False, advance: Advance = no_bar
+    root: Path, header: Header, *, damaged: Set[Span] = frozenset(), advance: Advance = no_bar
 ) -> Entry:
-    """Write a shard and return its entry; without ``anew`` a sound shard of that name is kept.
+    """Write a shard and return its entry; a sound one that is there and not ``damaged`` is kept.
 
     ``advance`` is called with numbers of maps as they are done.
     """
-    if not anew:
+    if (header.start, header.stop) not in damaged:
         found = load_shard(root, header)
         if found is not None:
             advance(header.stop - header.start)
@@ -231,12 +228,6 @@ def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
     )
 
 
-def _make(root: Path, damaged: Set[Span], advance: Advance, header: Header) -> Entry:
-    """Make a shard, anew if it is damaged: a function of the module, since processes pickle it."""
-    anew = (header.start, header.stop) in damaged
-    return make_shard(root, header, anew=anew, advance=advance)
-
-
 def _made(
     pool: Executor,
     root: Path,
@@ -246,7 +237,7 @@ def _made(
     advance: Advance,
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
-    make = partial(_make, root, damaged, advance)
+    make = partial(make_shard, root, damaged=damaged, advance=advance)
     left = dict.fromkeys(todo)
     try:
         for header, entry in finished(pool, make, todo, most):
@@ -261,7 +252,9 @@ def _made(
                 yield entry
 
 
-def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, Entry], Set[Span]]:
+def _prepare(
+    root: Path, wanted: Manifest, mine: Set[Span], progress: bool
+) -> tuple[dict[Span, Entry], Set[Span]]:
     """Make sure that the root is of the wanted dataset; make it if it is missing.
 
     Returns:
@@ -270,11 +263,9 @@ def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, 
             is compared.
 
     Raises:
-        ValueError: it is a file, or holds something else.
+        ValueError: it holds something else, or links to files elsewhere.
         PermissionError: it may not be written to, or a shard may not be read.
     """
-    if root.exists() and not root.is_dir():
-        raise ValueError(f"root: {root} is a file, expected a folder")
     root.mkdir(parents=True, exist_ok=True)
     if (root / MANIFEST).exists():
         found = read_manifest(root)
@@ -290,32 +281,29 @@ def _prepare(root: Path, wanted: Manifest, mine: Set[Span]) -> tuple[dict[Span, 
     plan = set(wanted.plan)
     have = {}
     damaged = set()
-    for entry in found.shards:
-        limits = (entry.start, entry.stop)
-        path = root / entry.name
-        # A partial last shard is not in the plan of a larger dataset.
-        size = _size(path)
-        if limits not in plan or size == _MISSING:
-            continue
-        if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
-            have[limits] = entry
-        else:
-            damaged.add(limits)
+    # A partial last shard is not in the plan of a larger dataset.
+    listed = [entry for entry in found.shards if (entry.start, entry.stop) in plan]
+    with bar(progress, _count(listed), unit=" maps checked") as advance:
+        for entry in listed:
+            limits = (entry.start, entry.stop)
+            path = path_in(root, entry.name)
+            size = _size(path)
+            if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
+                have[limits] = entry
+            elif size is not None:
+                damaged.add(limits)
+            advance(entry.stop - entry.start)
     return have, damaged
 
 
 def _check_unlisted(root: Path, wanted: Manifest) -> None:
     """Refuse a folder without a manifest that holds anything but shards of the wanted dataset."""
-    others = [path.name for path in root.iterdir() if not _is_ours(path.name)]
-    if others:
-        raise ValueError(
-            f"root: {root} holds something else ({sorted(others)[0]!r}), expected an empty folder"
-        )
+    check_names(root)
     if not os.access(root, os.W_OK):
         raise PermissionError(f"root: no permission to write in {root}")
     for path in root.glob("maps-*.h5"):
         try:
-            header = open_shard(path).header
+            header = open_shard(path_in(root, path.name)).header
         except ShardError:
             continue  # a corrupt shard is made again
         _check_same(path, wanted, header, "spec", "seed")
@@ -332,22 +320,13 @@ def _check_same(where: Path, wanted: Manifest, found: Origin, *names: str) -> No
             )
 
 
-def _is_ours(name: str) -> bool:
-    """Return whether a build may have left a file of this name."""
-    is_temporary = name.startswith(".") and name.endswith(".tmp")
-    return is_temporary or is_shard_name(name) or name in (LOCK, MANIFEST)
-
-
-_MISSING = -1
-
-
-def _size(path: Path) -> int:
-    """Return the size of a file in bytes; `_MISSING` if there is none."""
+def _size(path: Path) -> int | None:
+    """Return the size of a file in bytes, None if there is none."""
     try:
         return path.stat().st_size
     except FileNotFoundError:
-        return _MISSING
+        return None
 
 
-def _count(shards: Sequence[Header]) -> int:
+def _count(shards: Sequence[Header | Entry]) -> int:
     return sum(header.stop - header.start for header in shards)

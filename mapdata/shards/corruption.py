@@ -6,10 +6,10 @@ A shard that is damaged or missing is made again from the recipe, a manifest fro
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,18 +25,22 @@ from mapdata.shards.manifest import (
     Manifest,
     Span,
     counts_of,
+    is_known,
     is_shard_name,
     limits_of,
     load_shard,
     merge,
+    path_in,
     provenance_text,
     shard_name,
+    union,
 )
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import (
     Places,
     file_hash,
     folder_of,
+    is_url,
     local_file,
     manifest_at,
     places,
@@ -44,6 +48,8 @@ from mapdata.shards.root import (
 )
 from mapdata.shards.shard import Header, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
+
+_STRANGE = "no file of this dataset: keep it elsewhere"
 
 
 @dataclass(frozen=True)
@@ -133,8 +139,8 @@ def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
         return _inspect_unlisted(place, error, progress)
     faults: list[Corruption] = []
     # the hash inside the manifest is of its values, so its text is checked too
-    text = read_file(place, MANIFEST).decode()
-    if text != json.dumps(json.loads(text), indent=1) + "\n":
+    text = read_file(place, MANIFEST)
+    if text != f"{json.dumps(json.loads(text), indent=1)}\n".encode():
         what = "damaged (its text is not as it was written)"
         faults.append(Corruption(f"{place}/{MANIFEST}", what))
     faults += _check_files(place, manifest, True, progress)
@@ -152,7 +158,7 @@ def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -
     if missing and not shards:
         raise error
     faults = [Corruption(f"{place}/{MANIFEST}", "missing" if missing else str(error))]
-    manifest = _gather(Path(place), shards)
+    manifest = _gather(Path(place), shards, progress)
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
         return Inspection(place, None, tuple(faults))
@@ -180,6 +186,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
             again.append(fault.header)
         elif fault.path.endswith(MANIFEST):
             relisted = True
+        elif fault.what == _STRANGE:
+            left.append(fault)
         else:
             what = f"{fault.what}; it cannot be made again"
             if manifest.spec is None:
@@ -191,7 +199,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
         bar(progress, sum(header.stop - header.start for header in again)) as advance,
         threads() as pool,
     ):
-        for header, entry in finished(pool, partial(make_shard, root, anew=True), again, 2 * CORES):
+        make = partial(make_shard, root, damaged={(header.start, header.stop) for header in again})
+        for header, entry in finished(pool, make, again, 2 * CORES):
             before = stated.get(entry.name, entry.content_hash)
             if entry.content_hash != before:
                 what = (
@@ -201,12 +210,10 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
             else:  # the manifest keeps what it said of the others
                 made.append(entry)
             advance(header.stop - header.start)
-    repaired = replace(manifest, shards=(*manifest.shards, *made))
+    repaired = replace(manifest, shards=tuple(made))
     if relisted:
         # not merged, since the manifest on disk cannot be read
-        shards = {entry.start: entry for entry in repaired.shards}
-        repaired = replace(repaired, shards=tuple(shards[start] for start in sorted(shards)))
-        write_file(root / MANIFEST, repaired.to_json().encode())
+        write_file(root / MANIFEST, union(repaired, manifest).to_json().encode())
     elif made:
         merge(root, repaired)
     return left
@@ -217,13 +224,9 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
 
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
-    planned = {(header.start, header.stop): header for header in headers(manifest)}
-    tasks: list[tuple[Entry, Header | None]] = []
-    for entry in manifest.shards:
-        header = planned.pop((entry.start, entry.stop), None)
-        if header is None:
-            header = _partial(entry, planned.values())
-        tasks.append((entry, header))
+    planned = {header.start: header for header in headers(manifest)}
+    # a partial last shard may not be replaced by the planned one yet
+    tasks = [(entry, replace(planned[entry.start], stop=entry.stop)) for entry in manifest.shards]
     faults = _check_provenance(place) if manifest.spec is None else []
     with (
         bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
@@ -234,36 +237,47 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.stop - entry.start)
     faults.sort(key=lambda fault: fault.path)
-    for limits, header in planned.items():  # what no entry took out
-        path = f"{place}/{shard_name(*limits)}"
-        if listed:
+    names = {entry.name for entry in manifest.shards}
+    for header in planned.values():
+        name = shard_name(header.start, header.stop)
+        if name not in names:
+            names.add(name)
             what = "missing (the build did not finish)"
-        else:
-            what = "damaged" if os.path.exists(path) else "missing"
-        faults.append(Corruption(path, what, header))
+            if not listed:
+                what = "damaged" if (Path(place) / name).exists() else "missing"
+            faults.append(Corruption(f"{place}/{name}", what, header))
+    if not is_url(place):
+        # what hides is other programs'; folders may be other datasets
+        for path in sorted(Path(place).iterdir()):
+            name = path.name
+            is_hidden = name.startswith(".") and not name.endswith(".tmp")
+            is_listed = name in names or (is_known(name) and not is_shard_name(name))
+            if not (is_hidden or is_listed or path.is_dir()):
+                faults.append(Corruption(str(path), _STRANGE))
     return faults
 
 
-def _gather(root: Path, shards: Sequence[Path]) -> Manifest | None:
+def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | None:
     """Return the manifest of the dataset that most shards are of, with the sound ones; or None."""
-    headers_found: Counter[Header] = Counter()
-    for path in shards:
-        try:
-            header = open_shard(path).header
-        except (OSError, ShardError):
-            continue
-        # all shards of a dataset have one header but for their limits
-        headers_found[replace(header, start=0, stop=0)] += 1
-    if not headers_found:
+    found: dict[Header, Entry | None] = {}
+    with bar(progress, len(shards), unit=" shards") as advance:
+        for path in shards:
+            with suppress(OSError, ShardError):
+                header = open_shard(path_in(root, path.name)).header
+                found[header] = load_shard(root, header)
+            advance(1)
+    if not found:
         return None
-    ((header, _),) = headers_found.most_common(1)
+    # all shards of a dataset have one header but for their limits
+    votes = Counter(replace(header, start=0, stop=0) for header in found)
+    ((header, _),) = votes.most_common(1)
     limits = [limits_of(path) for path in shards]
     maps = max(stop for _, stop in limits)
     size = _shard_size(root, limits)
     if size is None or maps > MOST_SHARDS * size:
         return None
     manifest = Manifest(**header.origin(), maps=maps, shard_size=size)
-    entries = [load_shard(root, planned) for planned in headers(manifest)]
+    entries = [found.get(planned) for planned in headers(manifest)]
     return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
 
 
@@ -271,8 +285,9 @@ def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
     """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
     # What a damaged manifest still says comes first: a shard that is alone may be a partial one.
-    if (root / MANIFEST).exists():
-        stated = re.search(rb'"shard_size": (\d{1,9})\b', (root / MANIFEST).read_bytes())
+    with suppress(OSError, ShardError), open(path_in(root, MANIFEST), "rb") as file:
+        # it stands before the list of shards
+        stated = re.search(rb'"shard_size": (\d{1,9})\b', file.read(2**20))
         if stated:
             sizes.insert(0, int(stated[1]))
     for size in sizes:
@@ -293,23 +308,13 @@ def _check_provenance(place: str) -> list[Corruption]:
         return [Corruption(path, "damaged (its hash does not fit)")]
     except FileNotFoundError:
         return [Corruption(path, "missing")]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (PermissionError, ValueError, TypeError, KeyError, RecursionError) as error:
         return [Corruption(path, f"damaged ({error})")]
 
 
-def _partial(entry: Entry, planned: Iterable[Header]) -> Header | None:
-    """Return the header of a partial last shard that an extension has not replaced yet."""
-    for header in planned:
-        if header.start == entry.start and entry.stop < header.stop:
-            return replace(header, stop=entry.stop)
-    return None
-
-
-def _fault(place: str, task: tuple[Entry, Header | None]) -> str | None:
+def _fault(place: str, task: tuple[Entry, Header]) -> str | None:
     """Return what is wrong with one shard file, or None."""
     entry, header = task
-    if header is None:
-        return "not a shard of this dataset"
     try:
         path = local_file(place, entry)
         size = path.stat().st_size
@@ -322,7 +327,7 @@ def _fault(place: str, task: tuple[Entry, Header | None]) -> str | None:
         return error.why
     except FileNotFoundError:
         return "missing"
-    except OSError as error:
+    except PermissionError as error:
         return f"cannot be read ({error})"
     except ShardError as error:
         return str(error)

@@ -10,12 +10,10 @@ import json
 import os
 import re
 import shlex
-import socket
-import stat
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,30 +35,41 @@ from mapdata.shards.shard import (
     ShardError,
     check_version,
     decode,
+    take_lock,
     write_file,
 )
-from mapdata.spec import SPLITS, Movement, canonical_json, check_count, check_seed
+from mapdata.spec import (
+    SPLITS,
+    Movement,
+    canonical_json,
+    check_count,
+    check_integers,
+    check_number,
+    check_seed,
+)
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
 PROVENANCE = "import.json"
 """File beside the manifest that says where each map came from."""
 
-MOST_SHARDS = 10**7
-"""Most files of a dataset."""
-
 MOST_BYTES = 2**28
-"""Largest manifest that is read: room for some 300,000 shards."""
+"""Largest manifest that is read."""
+
+MOST_SHARDS = 100_000
+"""Most files of a dataset; a manifest that lists them has some 80 MB."""
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
 
 _A_DAY = 86_400
-"""Seconds after which a temporary file of another machine counts as left behind."""
+"""Seconds after which a temporary file counts as left behind where there are no locks."""
 
-_TEMPORARY = re.compile(
-    r"\.(?:maps-\d+-\d+\.h5|manifest\.json)(?:-\d+)?\.(?P<host>.+)\.(?P<pid>\d+)\.tmp"
-)
+_OURS = r"(maps-\d{12,}-\d{12,}\.h5|manifest\.json|import\.json|README\.md|recipe\.json)"
+"""Names of files that a root may hold, as a regular expression."""
+
+_TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
+"""Names under which `write_file` writes them."""
 
 
 class DatasetNotFoundError(FileNotFoundError):
@@ -115,11 +124,22 @@ class Manifest(Origin):
         maps: how many maps the dataset shall have.
         shard_size: maps per shard.
         shards: finished shards in the order of their maps.
+
+    Raises:
+        ValueError: more than `MOST_SHARDS` shards.
     """
 
     maps: int
     shard_size: int
     shards: tuple[Entry, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check how many files are planned."""
+        if self.maps > MOST_SHARDS * self.shard_size:
+            raise ValueError(
+                f"maps: {self.maps} in shards of {self.shard_size} are over {MOST_SHARDS} files; "
+                "take larger shards"
+            )
 
     @property
     def content_hash(self) -> str:
@@ -202,9 +222,46 @@ def shard_name(start: int, stop: int) -> str:
     return f"maps-{start:012d}-{stop:012d}.h5"
 
 
+def path_in(root: Path, name: str) -> Path:
+    """Return the path of a file of a root, which may be missing.
+
+    Raises:
+        ShardError: it is a link that leads out of the root, a pipe or a folder.
+    """
+    path = root / name
+    # unlike `Path.resolve`, `realpath` does not fail on links in a circle
+    leads_out = path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(
+        os.path.realpath(root)
+    )
+    if leads_out or (os.path.lexists(path) and not path.is_file()):
+        raise ShardError(
+            f"{path}: a link out of its folder, a pipe or a folder, expected a plain file"
+        )
+    return path
+
+
 def is_shard_name(name: str) -> bool:
     """Return whether `shard_name` gives such names; a manifest's other names are never opened."""
     return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
+
+
+def is_known(name: str) -> bool:
+    """Return whether a file of a root may have this name: a builder or `mapdata info` gave it."""
+    return re.fullmatch(rf"{_OURS}|{_TEMPORARY}|\{LOCK}", name) is not None
+
+
+def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None:
+    """Refuse a folder without a manifest that holds a file which is not ours.
+
+    Raises:
+        ValueError: the message names one.
+    """
+    if folder.is_dir() and not (folder / MANIFEST).exists():
+        for path in folder.iterdir():
+            if not is_ours(path.name):
+                raise ValueError(
+                    f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
+                )
 
 
 def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
@@ -225,24 +282,19 @@ def read_manifest(root: Path) -> Manifest:
 
     Raises:
         DatasetNotFoundError: there is none.
-        ShardError: it is damaged, or of another format version (both are named).
+        ShardError: it is damaged, or of another format version (both are named), or no plain file.
     """
-    path = root / MANIFEST
+    path = path_in(root, MANIFEST)
     try:
-        status = path.stat()
-        # before it is opened, since opening a pipe waits for its writer
-        if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
-            raise ShardError(f"{path}: not a file, or larger than {MOST_BYTES} bytes")
-        text = path.read_bytes().decode()
+        if path.stat().st_size > MOST_BYTES:
+            raise ShardError(f"{path}: larger than {MOST_BYTES} bytes")
+        return parse_manifest(path.read_bytes(), str(path))
     except (FileNotFoundError, NotADirectoryError):
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
         raise DatasetNotFoundError(root, why) from None
-    except UnicodeDecodeError as error:
-        raise ShardError(f"{path}: damaged ({error})") from None
-    return parse_manifest(text, str(path))
 
 
-def parse_manifest(text: str, path: str) -> Manifest:
+def parse_manifest(text: str | bytes, path: str) -> Manifest:
     """Return the manifest that ``text`` states; ``path`` names it in errors."""
     try:
         values = json.loads(text)
@@ -258,13 +310,17 @@ def parse_manifest(text: str, path: str) -> Manifest:
             seed=None if values["seed"] is None else check_seed(values["seed"]),
             maps=check_count("maps", values["maps"]),
             shard_size=check_count("shard_size", values["shard_size"]),
-            map_size=(values["map_size"][0], values["map_size"][1]),
+            map_size=check_integers("map_size", values["map_size"]),
             movement=Movement(**values["movement"]),
-            resolution=values["resolution"],
+            resolution=check_number("resolution", values["resolution"]),
             shards=entries,
         )
-        if manifest.maps > MOST_SHARDS * manifest.shard_size:
-            raise ShardError(f"{path}: damaged (plans over {MOST_SHARDS} files)")
+        before = -1
+        for entry in entries:
+            whole = min(entry.start + manifest.shard_size, manifest.maps)
+            if entry.start % manifest.shard_size or not before < entry.start < entry.stop <= whole:
+                raise ShardError(f"{path}: damaged ({entry.name} is out of order or of the plan)")
+            before = entry.start
         stated = (values["format_version"], values["identity"], values["content_hash"])
         if stated != (manifest.format_version, manifest.identity, manifest.content_hash):
             raise ShardError(
@@ -305,30 +361,28 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
 
 
 @contextmanager
-def _locked(root: Path, wait: bool) -> Iterator[bool]:
+def locked(root: Path, wait: bool) -> Iterator[bool]:
     """Hold the lock of a root and yield True; without ``wait``, yield False if another holds it.
 
-    Where there are no locks (Windows, some file systems) it yields True: two merges at once may
-    then lose entries, never shards, and the next build adopts those.
+    Where there are no locks it yields True: two merges at once may then lose entries, never shards,
+    and the next build adopts those.
+
+    Raises:
+        ShardError: what has the name of the lock is not a plain file.
     """
-    with open(root / LOCK, "ab") as file:
-        if sys.platform == "win32":
-            yield True
-            return
-        how = fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB
+    path = path_in(root, LOCK)
+    if sys.platform == "win32":
+        yield True
+        return
+    # it may have become a link or a pipe since: neither is followed or waited for
+    flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    with open(os.open(path, flags, 0o666), "ab") as file:
         try:
-            fcntl.flock(file, how)
-        except BlockingIOError:
-            yield False
-            return
-        except OSError:
-            yield True  # this file system has no locks
-            return
-        try:
-            yield True
+            yield take_lock(file, wait)
         finally:
             # closing the file is not enough: a process forked meanwhile would keep the lock
-            fcntl.flock(file, fcntl.LOCK_UN)
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
@@ -340,50 +394,42 @@ def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
     Raises:
         ValueError: the manifest on disk is of another dataset.
     """
-    with _locked(root, wait) as free:
-        if not free:
-            return mine
-        theirs = mine
-        if (root / MANIFEST).exists():
-            theirs = read_manifest(root)
-        union = _union(mine, theirs)
-        write_file(root / MANIFEST, union.to_json().encode())
-        kept = {entry.name for entry in union.shards}
-        for entry in (*mine.shards, *theirs.shards):
-            if entry.name not in kept:
-                (root / entry.name).unlink(missing_ok=True)
-        return union
+    with locked(root, wait) as is_free:
+        return merge_locked(root, mine) if is_free else mine
 
 
-def _union(mine: Manifest, theirs: Manifest) -> Manifest:
-    """Return a manifest of all shards of two; of the same maps, those of the larger dataset."""
+def merge_locked(root: Path, mine: Manifest) -> Manifest:
+    """Do what `merge` does; the caller holds the lock."""
+    theirs = mine
+    if (root / MANIFEST).exists():
+        theirs = read_manifest(root)
+    both = union(mine, theirs)
+    write_file(root / MANIFEST, both.to_json().encode())
+    sweep(root, both)
+    return both
+
+
+def union(mine: Manifest, theirs: Manifest) -> Manifest:
+    """Return a manifest of all shards of two; of the same maps, those of the larger dataset.
+
+    Raises:
+        ValueError: they are of two datasets.
+    """
     if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
         raise ValueError("another dataset appeared under the same root while this one was built")
-    union = replace(mine, maps=max(mine.maps, theirs.maps))
-    plan = set(union.plan)
-    known = {(entry.start, entry.stop): entry for entry in (*theirs.shards, *mine.shards)}
-    whole = {start for start, stop in known if (start, stop) in plan}
-    # a partial last shard stays until the larger one that takes its place is there
-    kept = [key for key in sorted(known) if key in plan or key[0] not in whole]
-    return replace(union, shards=tuple(known[key] for key in kept))
+    entries = sorted((*theirs.shards, *mine.shards), key=lambda entry: (entry.start, entry.stop))
+    # of those that start together the last one stays: the longest, and of equal ones mine
+    shards = {entry.start: entry for entry in entries}
+    return replace(mine, maps=max(mine.maps, theirs.maps), shards=tuple(shards.values()))
 
 
 def sweep(root: Path, manifest: Manifest) -> None:
     """Remove what dead builders left: temporary files, and shards that larger ones replaced."""
     for path in root.glob(".*.tmp"):
-        match = _TEMPORARY.fullmatch(path.name)
-        if match is None:
-            continue
-        # only processes of this machine can be asked whether they live
-        if match["host"] == socket.gethostname():
-            is_left = not _alive(int(match["pid"]))
-        else:
-            is_left = _old(path)
-        if is_left:
-            path.unlink(missing_ok=True)
-    plan = set(manifest.plan)
-    finished = [(entry.start, entry.stop) for entry in manifest.shards]
-    stops = {start: stop for start, stop in finished if (start, stop) in plan}
+        with suppress(FileNotFoundError):  # another builder sweeps too
+            if re.fullmatch(_TEMPORARY, path.name) and path.is_file() and _is_left(path):
+                path.unlink()
+    stops = {entry.start: entry.stop for entry in manifest.shards}
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
             start, stop = limits_of(path)
@@ -397,29 +443,23 @@ def limits_of(path: Path) -> Span:
     return int(start), int(stop)
 
 
-def _old(path: Path) -> bool:
-    """Return whether no builder can be writing a file still, by the time of its last write."""
-    try:
-        return time.time() - path.stat().st_mtime > _A_DAY
-    except FileNotFoundError:
-        return False
+def _is_left(path: Path) -> bool:
+    """Return whether the writer of a temporary file has died: it holds a lock while it lives.
 
-
-def _alive(pid: int) -> bool:
-    """Return whether a process of this machine lives."""
-    try:
-        os.kill(pid, 0)  # signal 0 only asks
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:
-        return True  # it lives, under another user
-    return True
+    Process numbers and host names would not tell: those of two containers may be equal.
+    """
+    with suppress(PermissionError), open(path, "r+b") as first, open(path, "r+b") as second:
+        if not take_lock(first):
+            return False
+        if not take_lock(second):
+            return True  # locks work here, and nobody held this one
+    return time.time() - path.stat().st_mtime > _A_DAY
 
 
 def load_shard(root: Path, header: Header) -> Entry | None:
     """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
-    path = root / shard_name(header.start, header.stop)
     try:
+        path = path_in(root, shard_name(header.start, header.stop))
         shard = open_shard(path)
         labels = decode(shard)
     except (OSError, ShardError):  # gone, not to be read, or damaged

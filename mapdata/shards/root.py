@@ -1,15 +1,19 @@
 """`Root`: the dataset of a folder, of a URL or of several, read a shard at a time.
 
-Shards at a URL are fetched once, to a local cache, and checked against their hashes.
+What lies at a URL is fetched to a local cache, shards once, and checked against its hashes.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import time
+import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +26,19 @@ from mapdata.shards.manifest import (
     Entry,
     Manifest,
     parse_manifest,
+    path_in,
     read_manifest,
 )
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Header, Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement
+
+MOST_SILENCE = 20.0
+"""Seconds without a byte after which a try to read from a URL is given up."""
+
+PAUSES = (1.0, 4.0)
+"""Seconds before each further try."""
 
 Places = StrPath | Sequence[StrPath]
 """What names a dataset: a folder, a URL, or several of them."""
@@ -63,6 +74,7 @@ class Root:
 
         Raises:
             DatasetNotFoundError: there is no dataset.
+            ConnectionError: a URL cannot be reached, and never was.
             ShardError: a manifest is damaged.
             ValueError: no place; places that do not fit together; an unfinished dataset; a URL
                 that needs a package that is not installed (the message names it).
@@ -121,7 +133,8 @@ class Root:
 
         Raises:
             ShardError: it is missing, damaged, or not what the manifest says.
-            DatasetNotFoundError: it lies at a URL, and cannot be fetched.
+            DatasetNotFoundError: it lies at a URL, and is not there.
+            ConnectionError: it lies at a URL that cannot be reached.
         """
         number, _, entry = self.shards[k]
         place = self.places[number]
@@ -142,7 +155,7 @@ class Root:
         """Return the maps of shard ``k`` with their labels, numbered as by `labels`.
 
         Raises:
-            ShardError, DatasetNotFoundError: as `open_shard`.
+            ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
         _, first, _ = self.shards[k]
         labels = decode(self.open_shard(k))
@@ -156,7 +169,7 @@ class Root:
         number of maps that the first one has when it is finished.
 
         Raises:
-            ShardError, DatasetNotFoundError: as `open_shard`.
+            ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
         with bar(progress, sum(entry.stop - entry.start for _, _, entry in self.shards)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):
@@ -185,12 +198,8 @@ def places(source: Places) -> tuple[str, ...]:
     names = [source] if isinstance(source, (str, os.PathLike)) else source
     if not names:
         raise ValueError("root: got an empty list, expected at least one dataset")
-    return tuple(_place(os.fspath(name)) for name in names)
-
-
-def _place(name: str) -> str:
-    """Return a place without a slash at the end."""
-    return name.rstrip("/") if is_url(name) else str(Path(name))
+    texts = [os.fspath(name) for name in names]
+    return tuple(text.rstrip("/") if is_url(text) else str(Path(text)) for text in texts)
 
 
 def is_url(place: str) -> bool:
@@ -199,14 +208,17 @@ def is_url(place: str) -> bool:
 
 
 def folder_of(place: StrPath) -> Path:
-    """Return a place to write to as a path.
+    """Return a place to write to as a path; there may be nothing yet.
 
     Raises:
-        ValueError: it is a URL.
+        ValueError: it is a URL or a file.
     """
     if is_url(os.fspath(place)):
         raise ValueError(f"root: {place} is a URL, which can only be read; expected a folder")
-    return Path(place)
+    folder = Path(place)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"root: {folder} is a file, expected a folder")
+    return folder
 
 
 def manifest_at(place: str) -> Manifest:
@@ -215,46 +227,69 @@ def manifest_at(place: str) -> Manifest:
     Raises:
         DatasetNotFoundError: no dataset there.
         ShardError: it is damaged.
+        ConnectionError: as `read_file`.
     """
     if not is_url(place):
         return read_manifest(Path(place))
-    return parse_manifest(read_file(place, MANIFEST).decode(errors="replace"), place)
+    return parse_manifest(read_file(place, MANIFEST), place)
 
 
-def read_file(place: str, name: str, most: int = MOST_BYTES) -> bytes:
-    """Return a file of a place; of one at a URL no more than one byte above ``most``.
+def read_file(place: str, name: str) -> bytes:
+    """Return a file of a place; where a URL cannot be reached, as it was when fetched last.
 
     Raises:
         FileNotFoundError: there is none.
+        ConnectionError: the URL cannot be reached, and the file was never fetched.
+        ShardError: it is a link that leads out of the folder.
     """
-    if is_url(place):
-        return _fetch(place, name, most)
-    return (Path(place) / name).read_bytes()
+    if not is_url(place):
+        return path_in(Path(place), name).read_bytes()
+    kept = _cache(place) / name
+    try:
+        data = _fetch(place, name, MOST_BYTES)
+    except ConnectionError as error:
+        if not kept.exists():
+            raise
+        warnings.warn(f"{error}. Going on with what was fetched before", stacklevel=2)
+        return kept.read_bytes()
+    with suppress(OSError):  # a cache that may only be read
+        _keep(kept, data)
+    return data
 
 
 def local_file(place: str, entry: Entry) -> Path:
     """Return the local file of a shard; one at a URL is fetched to the cache and checked.
 
     Raises:
-        DatasetNotFoundError: it cannot be fetched.
-        ShardError: what was fetched does not have the hash that the manifest states.
+        DatasetNotFoundError: it is not there.
+        ConnectionError: the URL cannot be reached.
+        ShardError: what was fetched does not have the hash that the manifest states, or the file
+            is a link that leads out of the folder.
     """
     if not is_url(place):
-        return Path(place) / entry.name
-    folder = hashlib.sha256(place.encode()).hexdigest()[:24]
-    cache = cache_home() / "mapdata" / "remote" / folder
+        return path_in(Path(place), entry.name)
     # with the hash in its name, a shard that was replaced at the URL is another file here
-    path = cache / f"{entry.sha256[:16]}-{entry.name}"
+    path = _cache(place) / f"{entry.sha256[:16]}-{entry.name}"
     cached = path.exists() and path.stat().st_size == entry.bytes
     if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
-        data = read_file(place, entry.name, entry.bytes)
+        data = _fetch(place, entry.name, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise ShardError(
                 f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
             )
-        cache.mkdir(parents=True, exist_ok=True)
-        write_file(path, data)
+        _keep(path, data)
     return path
+
+
+def _cache(place: str) -> Path:
+    """Return the folder that keeps what is fetched from a URL."""
+    return cache_home() / "mapdata" / "remote" / hashlib.sha256(place.encode()).hexdigest()[:24]
+
+
+def _keep(path: Path, data: bytes) -> None:
+    """Write a file of the cache."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, data)
 
 
 def file_hash(path: Path) -> str:
@@ -263,20 +298,59 @@ def file_hash(path: Path) -> str:
 
 
 def _fetch(place: str, name: str, most: int) -> bytes:
-    """Return a file at a URL, and no more of it than one byte above ``most``."""
-    import fsspec
+    """Return a file at a URL, no more of it than one byte above ``most``; try several times.
 
+    Raises:
+        DatasetNotFoundError: it is not there.
+        ConnectionError: no try got it; the message says why the last one did not.
+    """
+    for pause in PAUSES:
+        try:
+            return _fetch_once(place, name, most)
+        except ConnectionError as error:
+            warnings.warn(f"{error}. Trying again in {pause:g} s", stacklevel=3)
+            time.sleep(pause)
+    return _fetch_once(place, name, most)
+
+
+def _fetch_once(place: str, name: str, most: int) -> bytes:
+    """Do what `_fetch` does, in one try."""
     url = f"{place}/{name}"
+    data = bytearray()
     try:
-        with fsspec.open(url, "rb") as file:
-            return bytes(file.read(most + 1))
+        with _open_url(url) as file:
+            # a stream gives what has arrived, which may be less than is asked for
+            while piece := file.read(most + 1 - len(data)):
+                data += piece
     except ImportError as error:
         raise ValueError(f"root: {place} needs another package: {error}") from None
     except ValueError as error:  # a protocol that fsspec does not know
         raise ValueError(f"root: {place}: {error}") from None
+    except FileNotFoundError as error:
+        raise DatasetNotFoundError(place, f"{url} was not found") from error
     except Exception as error:
-        # fsspec's HTTP says FileNotFoundError whatever failed: only the cause tells a 404.
-        cause = error.__cause__ or error
-        missing = isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) == 404
-        why = "was not found" if missing else f"could not be read: {cause}"
-        raise DatasetNotFoundError(place, f"{url} {why}") from error
+        # a timeout of fsspec says nothing; that of the package below it does
+        why = " ".join((str(error) or str(error.__cause__)).split())
+        raise ConnectionError(
+            f"{url} could not be read: {why} ({len(PAUSES) + 1} tries, each given up after "
+            f"{MOST_SILENCE:g} s without a byte)"
+        ) from error
+    return bytes(data)
+
+
+def _open_url(url: str) -> Any:
+    """Open a file at a URL to read its bytes, as a stream where it is HTTP."""
+    import fsspec
+
+    if not url.startswith(("http://", "https://")):
+        return fsspec.open(url, "rb")
+    import aiohttp
+
+    client = {
+        "timeout": aiohttp.ClientTimeout(sock_connect=MOST_SILENCE, sock_read=MOST_SILENCE),
+        # what a server packs could be a bomb
+        "headers": {"Accept-Encoding": "identity"},
+        "auto_decompress": False,
+    }
+    # with any size, fsspec does not ask for the true one first
+    return fsspec.filesystem("http", client_kwargs=client).open(url, block_size=0, size=1)

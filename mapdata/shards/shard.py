@@ -7,18 +7,21 @@ renamed, so a name that exists is complete. `reader.py` opens what was written.
 from __future__ import annotations
 
 import io
-import itertools
 import os
-import socket
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import IO, Any, NamedTuple, TypeAlias
+from uuid import uuid4
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 from h5py import h5a, h5s, h5t
+
+if sys.platform != "win32":
+    import fcntl
 
 from mapdata._version import __version__
 from mapdata.arrays import Bytes, Flags, Ints
@@ -308,29 +311,44 @@ def unpack_moves(packed: Bytes, count: int, bits: int) -> Bytes:
     return np.ascontiguousarray(moves.reshape(-1)[:count])
 
 
-_written = itertools.count()
-"""Numbers the temporary files of this process: two writers of one name never share one."""
-
-
 def write_file(path: Path, data: bytes) -> None:
     """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
 
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
-    temporary = path.with_name(
-        f".{path.name}-{next(_written)}.{socket.gethostname()}.{os.getpid()}.tmp"
-    )
+    temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
     try:
-        with open(temporary, "wb") as file:
+        with open(temporary, "xb") as file:
+            take_lock(file)  # it tells those who sweep that the writer lives
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
+    except FileNotFoundError:
+        if not path.parent.is_dir():
+            raise
+        # it was swept while it had no lock: just made, just closed, or where there are no locks
+        write_file(path, data)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def take_lock(file: IO[bytes], wait: bool = False) -> bool:
+    """Lock an open file until it is closed; without ``wait``, return False if another one holds it.
+
+    Where there are no locks (Windows, some file systems) return True.
+    """
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass  # this file system has no locks
+    return True
 
 
 def sync_folder(folder: Path) -> None:

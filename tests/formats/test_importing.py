@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,10 @@ from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
 
-from mapdata import MapDataset, read_shard, verify
+from mapdata import Labels, MapDataset, Maps, ShardError, label, read_shard, verify
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
-from mapdata.shards import read_manifest
+from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 from mapdata.spec import Movement
 
 Bytes = npt.NDArray[np.uint8]
@@ -151,6 +153,59 @@ def test_the_same_import_goes_on(tmp_path: Path) -> None:
             import_maps(tmp_path / "out", source, **options)  # type: ignore[arg-type]
     assert verify(made.root) == []
     assert read_manifest(made.root).content_hash == made.manifest.content_hash
+
+
+def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While one writes, another one is refused on one line, and takes nothing away."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow_label(maps: Maps) -> Labels:
+        begun.set()
+        assert go_on.wait(60)
+        return label(maps)
+
+    monkeypatch.setattr("mapdata.formats.importing.label", slow_label)
+    root = tmp_path / "maps"
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(import_maps, root, collection(*random_grids(5)), shard_size=2)
+        assert begun.wait(60)
+        with pytest.raises(ValueError, match=f"root: another process writes to {root}; wait"):
+            import_maps(root, collection(*random_grids(10)[5:]), shard_size=2)
+        go_on.set()
+        (made,) = first.result()
+    assert verify(root) == []
+    assert read_manifest(root) == made.manifest
+    with pytest.raises(ValueError, match="holds another dataset"):
+        import_maps(root, collection(*random_grids(10)[5:]), shard_size=2)
+    assert verify(root) == []
+
+
+def test_imports_sweep(tmp_path: Path) -> None:
+    """What an import that was killed left is gone after the next one."""
+    import_maps(tmp_path, collection(*random_grids(5)), shard_size=2)
+    for name in (MANIFEST, PROVENANCE, "maps-000000000000-000000000002.h5"):
+        (tmp_path / f".{name}.1234.tmp").touch()
+    import_maps(tmp_path, collection(*random_grids(5)), shard_size=2)
+    assert list(tmp_path.glob("*.tmp")) == []
+    assert verify(tmp_path) == []
+
+
+def test_an_import_into_a_url_is_refused() -> None:
+    """Before anything is written."""
+    with pytest.raises(ValueError, match="root: http://host/maps is a URL"):
+        import_maps("http://host/maps", collection(*random_grids(5)))
+
+
+def test_an_import_follows_no_link_out_of_the_root(tmp_path: Path) -> None:
+    """A shard that leads elsewhere is refused by name; what it leads to stays."""
+    root = tmp_path / "maps"
+    import_maps(root, collection(*random_grids(5)), shard_size=2)
+    shard = root / "maps-000000000002-000000000004.h5"
+    shard.rename(tmp_path / shard.name)
+    shard.symlink_to(tmp_path / shard.name)
+    with pytest.raises(ShardError, match=f"{shard}: a link out of its folder"):
+        import_maps(root, collection(*random_grids(5)), shard_size=2)
+    assert (tmp_path / shard.name).is_file()
 
 
 def test_a_strange_root_is_refused(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from helpers.builds import (
 
 from mapdata import (
     Generator,
+    MapDataset,
     MapSpec,
     Maze,
     ShardError,
@@ -241,7 +242,9 @@ def test_a_bar_counts_every_map_once(root: Path, monkeypatch: pytest.MonkeyPatch
     moved: list[int] = []
 
     @contextmanager
-    def bar(shown: bool, total: int, initial: int) -> Iterator[Callable[[int], None]]:
+    def bar(
+        shown: bool, total: int, initial: int = 0, unit: str = ""
+    ) -> Iterator[Callable[[int], None]]:
         moved[:] = [initial]
         yield moved.append
         assert sum(moved) == total
@@ -481,10 +484,67 @@ def test_a_manifest_that_names_other_files_is_refused(root: Path, tmp_path: Path
     assert not (root / outside.name).exists()
 
 
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_shard_that_is_a_link_out_of_the_root(listed: bool, root: Path, tmp_path: Path) -> None:
+    """It is not taken for a shard, whether the manifest lists it or not; what it leads to stays.
+
+    Links inside the root, hard links and a root that is a link itself are as good as files.
+    """
+    manifest = make(root)
+    one, other, _ = (root / entry.name for entry in manifest.shards)
+    outside = tmp_path / one.name
+    shutil.move(one, outside)
+    before = outside.stat()
+    one.symlink_to(outside)
+    if listed:
+        refusal = f"{one}: a link out of its folder"
+        for read in (make, lambda root: MapDataset(root)[:]):
+            with pytest.raises(ShardError, match=re.escape(refusal)):
+                read(root)
+        assert [fault[: len(refusal)] for fault in verify(root)] == [refusal]
+        assert one.is_symlink()
+    else:
+        text = replace(manifest, shards=manifest.shards[1:]).to_json()
+        (root / MANIFEST).write_text(text, encoding="utf-8")
+        assert make(root) == manifest
+        assert not one.is_symlink()
+    assert outside.stat() == before
+    one.unlink()
+    os.link(outside, one)
+    shutil.move(other, root / "other")
+    other.symlink_to("other")
+    (tmp_path / "link").symlink_to(root)
+    assert make(tmp_path / "link") == manifest
+    assert len(MapDataset(tmp_path / "link")[:].map) > 0
+    assert other.is_symlink()
+
+
+def test_a_manifest_that_is_a_link_out_of_the_root(root: Path, tmp_path: Path) -> None:
+    """It is refused by name, by those who read and by those who build."""
+    make(root)
+    shutil.move(root / MANIFEST, tmp_path / MANIFEST)
+    (root / MANIFEST).symlink_to(tmp_path / MANIFEST)
+    for read in (make, MapDataset, read_manifest):
+        with pytest.raises(ShardError, match=re.escape(f"{root / MANIFEST}: a link out")):
+            read(root)
+    assert f"{root / MANIFEST}: a link out" in verify(root)[0]
+
+
+def test_what_is_there_is_checked_with_a_bar(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hashing many shards takes long, so it shows how far it is."""
+    make(root)
+    assert capsys.readouterr().err == ""
+    build(root, **KNOWN, progress=True)
+    assert f"{MAPS}/{MAPS} [" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("culprit", "arguments"),
     [
         ("spec", {"spec": "paper"}),
+        ("maps", {"maps": 10_000_000, "shard_size": 1, "part": (3, 1000)}),
         ("spec", {"spec": {"rooms": (2, 3)}}),
         ("maps", {"maps": 0}),
         ("maps", {"maps": -5}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -119,6 +120,55 @@ def test_verify_finds_a_missing_shard(copied: Path) -> None:
     )
     assert list(named(copied)) == [shard_name(4, 8), shard_name(8, 11)]
     assert all("did not finish" in fault for fault in verify(copied))
+
+
+def test_verify_names_strange_files(copied: Path, tmp_path: Path) -> None:
+    """A shard of another dataset under a name of its own, programs, other programs' leftovers.
+
+    What belongs there, what hides and folders are not named; nothing is deleted.
+    """
+    make(tmp_path / "other", maps=3)
+    strange = (shard_name(100, 103), "setup.exe", "notes.txt", "x.tmp", ".x.tmp", "maps-1.h5")
+    shutil.copy(tmp_path / "other" / shard_name(0, 3), copied / strange[0])
+    for name in strange[1:]:
+        (copied / name).touch()
+    (copied / "link").symlink_to("nowhere")
+    for name in ("README.md", "recipe.json", ".lock", ".gitattributes", f".{MANIFEST}.1f.tmp"):
+        (copied / name).touch()
+    (copied / "64x64").mkdir()
+    assert sorted(named(copied)) == sorted((*strange, "link"))
+    assert f"{copied / strange[0]}: no file of this dataset: keep it elsewhere" in verify(copied)
+    assert sorted(repair(copied)) == sorted(verify(copied))
+    for name in (*strange, "link"):
+        (copied / name).unlink()
+    assert verify(copied) == []
+
+
+def test_verify_shows_how_far_it_is_without_a_manifest(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Looking at all shards for what the dataset was takes long."""
+    (copied / MANIFEST).unlink()
+    with pytest.raises(SystemExit, match="1"):
+        main(["verify", str(copied)])
+    printed = capsys.readouterr().err
+    assert re.search(r"3/3 \[.* shards/s\]", printed)
+    assert re.search(rf"{MAPS}/{MAPS} \[.* maps/s\]", printed)
+
+
+@pytest.mark.parametrize("name", [MANIFEST, shard_name(4, 8)])
+def test_a_pipe_is_not_waited_for(name: str, copied: Path) -> None:
+    """Verify names what is a pipe, a folder, or a link in a circle."""
+    for make_strange in (os.mkfifo, os.mkdir, lambda path: os.symlink(path, path)):
+        shutil.move(copied / name, copied.with_name("aside"))
+        make_strange(copied / name)
+        assert next(named(copied)) == name
+        if make_strange is os.mkdir:
+            (copied / name).rmdir()
+        else:
+            (copied / name).unlink()
+        shutil.move(copied.with_name("aside"), copied / name)
+    assert verify(copied) == []
 
 
 def test_verify_finds_other_labels(copied: Path) -> None:

@@ -284,6 +284,57 @@ def test_parts_make_the_whole(lock: str, tmp_path: Path) -> None:
     assert run_script(PARTS, tmp_path, lock) == "one result\n"
 
 
+WRITER = """
+import os, sys, time
+from pathlib import Path
+from mapdata.shards import write_file
+synced = os.fsync
+def fsync(descriptor):  # the file is written, and not renamed yet
+    print("written", flush=True)
+    sys.stdin.read(1)
+    os.fsync = synced
+os.fsync = fsync
+write_file(Path(sys.argv[1]), b"whole")
+"""
+
+SWEEPER = """
+import sys
+from pathlib import Path
+from mapdata.shards import read_manifest
+from mapdata.shards.manifest import sweep
+sweep(Path(sys.argv[1]), read_manifest(Path(sys.argv[1])))
+"""
+
+CONTAINER = ("unshare", "--pid", "--fork", "--mount-proc")
+"""Runs a program with process numbers of its own, as a container does."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="makes namespaces")
+def test_builders_in_two_containers(tmp_path: Path) -> None:
+    """One whose process number means nothing to the other keeps its temporary file."""
+    if subprocess.run([*CONTAINER, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("may not make namespaces")
+    build(tmp_path, SPEC, maps=1, workers=1)
+    (tmp_path / f".{MANIFEST}.left.tmp").touch()
+    # some processes later, so that its number is none of a process in the other container
+    later = f'for k in 1 2 3 4 5; do sh -c :; done; "{sys.executable}" -c "$0" "$1"; exit $?'
+    writer = subprocess.Popen(
+        [*CONTAINER, "sh", "-c", later, WRITER, str(tmp_path / "README.md")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "written\n"
+        (writing, left) = sorted(tmp_path.glob(".*.tmp"))
+        subprocess.run([*CONTAINER, sys.executable, "-c", SWEEPER, str(tmp_path)], check=True)
+        assert (writing.exists(), left.exists()) == (True, False)
+        writer.communicate("\n")
+    assert writer.returncode == 0
+    assert (tmp_path / "README.md").read_bytes() == b"whole"
+
+
 @FORKS
 def test_four_jobs_prepare_one_dataset(tmp_path: Path) -> None:
     """``prepare_data`` of four processes at once: one result."""

@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import re
+import socket
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from hypothesis import strategies as st
 
 import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
-from mapdata.shards import MANIFEST, Manifest, read_manifest
+from mapdata.shards import MANIFEST, PROVENANCE, Manifest, read_manifest, write_file
 from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
     LOCK,
@@ -34,13 +35,12 @@ from mapdata.shards.manifest import (
     parse_manifest,
     shard_name,
     sweep,
+    union,
 )
 from mapdata.spec import SPLITS
 
 SETTINGS = settings(max_examples=60)
 HASH = "0123456789abcdef" * 4
-NO_PROCESS = 2**31 - 1
-"""A process number that no system gives."""
 
 
 def entry_of(start: int, stop: int, content: str = HASH) -> Entry:
@@ -217,6 +217,13 @@ def test_a_flipped_bit_changes_no_value(built: Path) -> None:
     assert refused > 300
 
 
+def shards_of(values: dict[str, Any], order: list[int]) -> None:
+    """List shards in another order, or twice, with the content hash that fits them."""
+    values["shards"] = [values["shards"][k] for k in order]
+    total = sum(int(entry["content_hash"], 16) for entry in values["shards"])
+    values.update(content_hash=f"{total % 2**256:064x}")
+
+
 LIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "no maps": lambda values: values.pop("maps"),
     "no shards": lambda values: values.pop("shards"),
@@ -228,6 +235,14 @@ LIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "a name is a number": lambda values: values["shards"][0].update(name=7),
     "a side is missing": lambda values: values.update(map_size=[16]),
     "another spec": lambda values: values.update(spec=[]),
+    "many small files": lambda values: values.update(maps=5 * 10**7, shard_size=5),
+    "sides that are fractions": lambda values: values.update(map_size=[16.0, 16.0]),
+    "three sides": lambda values: values.update(map_size=[16, 16, 16]),
+    "resolution a text": lambda values: values.update(resolution="fine"),
+    "a shard twice": lambda values: shards_of(values, [0, 0, 1, 2]),
+    "shards out of order": lambda values: shards_of(values, [1, 0, 2]),
+    "a shard behind the end": lambda values: values.update(maps=6),
+    "shards of another size": lambda values: values.update(shard_size=4),
     "connectivity 5": lambda values: values["movement"].update(connectivity=5),
 }
 UNCHECKED: dict[str, Callable[[dict[str, Any]], object]] = {
@@ -326,6 +341,17 @@ def test_merge_removes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
     ]
 
 
+def test_a_union_lists_every_map_once(tmp_path: Path) -> None:
+    """Of two partial last shards, left by builders of fewer maps, it takes the longer."""
+    whole = manifest_of(SPEC, 1, 12, 4, done=2)
+    nine = replace(whole, maps=9, shards=(*whole.shards, entry_of(8, 9)))
+    ten = replace(whole, maps=10, shards=(*whole.shards, entry_of(8, 10)))
+    for first, second in ((nine, ten), (ten, nine)):
+        both = union(replace(first, maps=12), second)
+        assert [(entry.start, entry.stop) for entry in both.shards] == [(0, 4), (4, 8), (8, 10)]
+        assert parse_manifest(both.to_json(), "text") == both
+
+
 @pytest.mark.parametrize(
     "other",
     [manifest_of(SPEC, 2, 6, 4), manifest_of(SPEC, 1, 6, 3), manifest_of(MapSpec(), 1, 6, 4)],
@@ -360,63 +386,135 @@ def test_merge_needs_no_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert merge(tmp_path, whole, wait=False) == whole == read_manifest(tmp_path)
 
 
+# --- the lock -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("what", ["pipe", "folder", "link out", "link to nothing", "link inside"])
+def test_a_lock_is_a_plain_file(what: str, tmp_path: Path) -> None:
+    """A pipe is not waited for, a link not followed, and nothing is made behind it."""
+    root = tmp_path / "maps"
+    root.mkdir()
+    outside = tmp_path / "outside"
+    inside = root / "README.md"
+    inside.touch()
+    if what == "pipe":
+        os.mkfifo(root / LOCK)
+    elif what == "folder":
+        (root / LOCK).mkdir()
+    else:
+        target = {"link out": tmp_path / "file", "link to nothing": outside, "link inside": inside}
+        (tmp_path / "file").touch()
+        (root / LOCK).symlink_to(target[what])
+    with pytest.raises((ShardError, OSError), match=re.escape(str(root / LOCK))) as caught:
+        merge(root, manifest_of(SPEC, 1, 6, 3))
+    assert "\n" not in str(caught.value)
+    assert what == "link inside" or "expected a plain file" in str(caught.value)
+    assert not outside.exists()
+    assert not (root / MANIFEST).exists()
+
+
 # --- sweeping -----------------------------------------------------------------------------------
 
+TEMPORARIES = [
+    f".{shard_name(0, 3)}.1234567890abcdef.tmp",
+    f".{MANIFEST}.1234567890abcdef.tmp",
+    f".{PROVENANCE}.1234567890abcdef.tmp",
+    f".{shard_name(0, 3)}-0.{socket.gethostname()}.{os.getpid()}.tmp",
+    f".{shard_name(0, 3)}-0.elsewhere.1.tmp",
+]
+"""Names of `write_file`, today's and those that earlier versions gave."""
 
-def swept(root: Path, name: str) -> bool:
-    """Tell whether a file of this name goes."""
-    (root / name).touch()
-    sweep(root, manifest_of(SPEC, 1, 6, 3))
-    gone = not (root / name).exists()
-    (root / name).unlink(missing_ok=True)
-    return gone
+
+def is_swept(path: Path) -> bool:
+    """Tell whether a file goes."""
+    sweep(path.parent, manifest_of(SPEC, 1, 6, 3))
+    return not path.exists()
 
 
-@pytest.mark.parametrize(
-    ("host", "temporary", "goes"),
-    [
-        ("node1", f".{shard_name(0, 3)}.node1.{NO_PROCESS}.tmp", True),
-        ("node1", f".{MANIFEST}.node1.{NO_PROCESS}.tmp", True),
-        ("node1", f".{shard_name(0, 3)}.node1.{os.getpid()}.tmp", False),
-        ("node1", f".{shard_name(0, 3)}.node2.{NO_PROCESS}.tmp", False),
-        ("node1", f".{shard_name(0, 3)}.node10.{NO_PROCESS}.tmp", False),
-        ("node1", ".notes.tmp", False),
-        ("node1", shard_name(0, 3), False),
-        pytest.param(
-            "node1",
-            f".{shard_name(0, 3)}.mynode1.{NO_PROCESS}.tmp",
-            False,
-        ),
-        pytest.param(
-            "lan",
-            f".{shard_name(0, 3)}.node1.lan.{NO_PROCESS}.tmp",
-            False,
-        ),
-        pytest.param(
-            "node1.lan",
-            f".{shard_name(0, 3)}.node1.lan.{NO_PROCESS}.tmp",
-            True,
-        ),
-    ],
-)
-def test_sweep(
-    host: str, temporary: str, goes: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("name", TEMPORARIES)
+def test_sweep_leaves_what_is_locked(name: str, tmp_path: Path) -> None:
+    """A temporary file stays while its builder lives, which holds a lock, and no longer.
+
+    Process numbers and host names are equal in two containers, so they tell nothing.
+    """
+    path = tmp_path / name
+    with open(path, "xb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert not is_swept(path)
+    assert is_swept(path)
+
+
+def test_a_writer_holds_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others may sweep as often as they like while it writes."""
+    true_fsync = os.fsync
+    seen: list[Path] = []
+
+    def fsync(descriptor: int) -> None:
+        paths = list(tmp_path.glob(".*.tmp"))
+        assert not any(is_swept(path) for path in paths)
+        seen.extend(paths)
+        true_fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_file(tmp_path / MANIFEST, b"whole")
+    assert len(seen) == 1
+    assert os.listdir(tmp_path) == [MANIFEST]
+
+
+@pytest.mark.parametrize("kind", ["that fail", "that do nothing"])
+def test_without_locks_age_tells(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Temporaries of this host's dead builders go; those of living ones and other hosts stay."""
-    monkeypatch.setattr("socket.gethostname", lambda: host)
-    assert swept(tmp_path, temporary) == goes
+    """Where a file system has no locks, what was written to within a day stays."""
 
+    def flock(*_: object) -> None:
+        if kind == "that fail":
+            raise OSError(errno.ENOLCK, "No locks available")
 
-def test_sweep_takes_what_is_a_day_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a builder of another host left goes when none can be at it any more."""
-    monkeypatch.setattr("socket.gethostname", lambda: "node1")
-    path = tmp_path / f".{shard_name(0, 3)}.node2.{os.getpid()}.tmp"
-    for age, stays in ((0, True), (80_000, True), (90_000, False)):
-        path.touch()
-        now = path.stat().st_mtime
+    monkeypatch.setattr("fcntl.flock", flock)
+    path = tmp_path / TEMPORARIES[0]
+    path.touch()
+    now = path.stat().st_mtime
+    for age, goes in ((0, False), (80_000, False), (90_000, True)):
         os.utime(path, (now - age, now - age))
-        sweep(tmp_path, manifest_of(SPEC, 1, 6, 3))
-        assert path.exists() == stays
+        assert is_swept(path) == goes
+
+
+@pytest.mark.parametrize("name", [".notes.tmp", shard_name(0, 3), f"{MANIFEST}.tmp", ".git.tmp"])
+def test_sweep_takes_only_what_mapdata_wrote(name: str, tmp_path: Path) -> None:
+    """Files of other names are no business of a builder."""
+    (tmp_path / name).touch()
+    assert not is_swept(tmp_path / name)
+
+
+def test_sweep_takes_no_folders_and_pipes(tmp_path: Path) -> None:
+    """Nor does it stumble over them."""
+    (tmp_path / TEMPORARIES[0]).mkdir()
+    os.mkfifo(tmp_path / TEMPORARIES[1])
+    assert not is_swept(tmp_path / TEMPORARIES[0])
+    assert (tmp_path / TEMPORARIES[1]).exists()
+
+
+def test_what_is_swept_too_early_is_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever takes a temporary file away, the file gets its name, and it is whole."""
+    true_replace = os.replace
+    left = 2
+
+    def replace_later(source: Path, target: Path) -> None:
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            assert is_swept(source)
+        true_replace(source, target)
+
+    monkeypatch.setattr(os, "replace", replace_later)
+    write_file(tmp_path / MANIFEST, b"whole")
+    assert (tmp_path / MANIFEST).read_bytes() == b"whole"
+    assert os.listdir(tmp_path) == [MANIFEST]
+    with pytest.raises(FileNotFoundError):
+        write_file(tmp_path / "gone" / MANIFEST, b"whole")
 
 
 def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
@@ -428,12 +526,6 @@ def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         shard_name(*limits) for limits in stay
     ]
-
-
-def test_sweep_lives_with_odd_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A number that no process can have stops nobody."""
-    monkeypatch.setattr("socket.gethostname", lambda: "node1")
-    swept(tmp_path, f".{shard_name(0, 3)}.node1.{10**20}.tmp")
 
 
 # --- entries ------------------------------------------------------------------------------------

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import pickle
+import re
 import socket
+import struct
+import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -18,18 +24,21 @@ import pytest
 from helpers import samples
 from helpers.cards import table
 from helpers.imported import imported
+from helpers.refusals import memory
 from torch.utils.data import DataLoader
 
 from mapdata import (
     DatasetNotFoundError,
     Labels,
     MapDataset,
+    MapSpec,
     Movement,
     ShardError,
     build,
     repair,
     verify,
 )
+from mapdata.cli import main
 from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
 from mapdata.shards import (
@@ -41,24 +50,62 @@ from mapdata.shards import (
     dataset_statistics,
     read_manifest,
 )
+from mapdata.shards import root as root_module
 from mapdata.shards.corruption import inspect, repair_found
 from mapdata.shards.root import folder_of, places
 
+TRIES = (root_module.PAUSES, root_module.MOST_SILENCE)
+"""What users have; tests wait for less."""
+
 
 class Handler(SimpleHTTPRequestHandler):
-    """Serves a folder and remembers which files were fetched."""
+    """Serves a folder, remembers which files were fetched, and fails as it is told."""
 
-    fetched: list[str]
-
-    def __init__(self, *arguments: Any, fetched: list[str], **named: Any) -> None:
+    def __init__(
+        self,
+        *arguments: Any,
+        fetched: list[str],
+        faults: list[str],
+        over: threading.Event,
+        **named: Any,
+    ) -> None:
         """Serve one request."""
         self.fetched = fetched
+        self.faults = faults
+        self.over = over
         super().__init__(*arguments, **named)
 
     def do_GET(self) -> None:
-        """Send a file."""
+        """Send a file, or do what the first of the faults says."""
         self.fetched.append(self.path)
-        super().do_GET()
+        fault = self.faults.pop(0) if self.faults else "none"
+        data = b""
+        if fault == "none":
+            super().do_GET()
+            return
+        if fault.isdigit():
+            self.send_error(int(fault))
+            return
+        if fault != "stall":
+            data = Path(self.translate_path(self.path)).read_bytes()
+        self.send_response(200)
+        if fault in ("bomb", "gzip"):
+            # a gzip file may have many members, one after another
+            member = gzip.compress(bytes(2**26) if fault == "bomb" else data, mtime=0)
+            data = member * (32 if fault == "bomb" else 1)
+            self.send_header("Content-Encoding", "gzip")
+        self.send_header("Content-Length", str(len(data) or 1000))
+        self.end_headers()
+        if fault == "stall":
+            self.over.wait(60)
+        elif fault == "reset":
+            self.wfile.write(data[:10])
+            self.wfile.flush()
+            hard = struct.pack("ii", 1, 0)  # closing it is a reset
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, hard)
+        else:
+            with suppress(OSError):  # the client has seen enough
+                self.wfile.write(data[: len(data) // 2] if fault == "short" else data)
 
     def log_message(self, *_: object) -> None:
         """Print nothing."""
@@ -67,11 +114,12 @@ class Handler(SimpleHTTPRequestHandler):
 class Server:
     """A folder at a URL."""
 
-    def __init__(self, folder: Path, url: str, fetched: list[str]) -> None:
+    def __init__(self, folder: Path, url: str, fetched: list[str], faults: list[str]) -> None:
         """Keep what a test needs."""
         self.folder = folder
         self.url = url
         self.fetched = fetched
+        self.faults = faults
 
 
 @pytest.fixture
@@ -82,13 +130,17 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     folder = tmp_path / "served"
     samples.build_small(folder / "maps")
     fetched: list[str] = []
-    handler = partial(Handler, directory=str(folder), fetched=fetched)
+    faults: list[str] = []
+    over = threading.Event()
+    monkeypatch.setattr(root_module, "PAUSES", (0.01, 0.02))
+    handler = partial(Handler, directory=str(folder), fetched=fetched, faults=faults, over=over)
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as http:
         thread = threading.Thread(
             target=http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
         )
         thread.start()
-        yield Server(folder / "maps", f"http://127.0.0.1:{http.server_port}/maps", fetched)
+        yield Server(folder / "maps", f"http://127.0.0.1:{http.server_port}/maps", fetched, faults)
+        over.set()
         http.shutdown()
         thread.join()
 
@@ -188,15 +240,149 @@ def test_unknown_protocols_are_refused() -> None:
         MapDataset("htp://host/maps")
 
 
-def test_a_server_that_does_not_answer_is_not_a_missing_dataset(server: Server) -> None:
-    """The message says what went wrong, and does not say that nothing is there."""
+def unused_url() -> str:
+    """Return a URL at which nothing listens."""
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
-        url = f"http://127.0.0.1:{unused.getsockname()[1]}/maps"
-        with pytest.raises(
-            DatasetNotFoundError, match=f"{url}/manifest.json could not be read: .*connect"
-        ):
-            MapDataset(url)
+        return f"http://127.0.0.1:{unused.getsockname()[1]}/maps"
+
+
+@pytest.mark.filterwarnings("ignore:.*Trying again")
+def test_a_server_that_does_not_answer_is_not_a_missing_dataset(server: Server) -> None:
+    """The message says what went wrong, and does not say that nothing is there."""
+    url = unused_url()
+    with pytest.raises(
+        ConnectionError, match=f"^{url}/manifest.json could not be read: .*connect"
+    ) as caught:
+        MapDataset(url)
+    assert "no dataset" not in str(caught.value)
+
+
+FAULTS = {
+    "500": "500",
+    "503": "503",
+    "429": "429",
+    "short": "received .* of .* bytes",
+    "reset": "",
+    "stall": "Timeout",
+}
+"""What passes, and what must be said of it."""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_passes_is_tried_again(
+    fault: str, server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A manifest and a shard that come at the second or third try; each try that fails is said."""
+    monkeypatch.setattr(root_module, "MOST_SILENCE", 0.2)
+    server.faults[:] = [fault]
+    with pytest.warns(UserWarning, match=f"manifest.json could not be read.*{FAULTS[fault]}"):
+        dataset = MapDataset(server.url)
+    server.faults[:] = [fault, fault]
+    with pytest.warns(UserWarning, match=r"\.h5 could not be read.*Trying again") as said:
+        sample = dataset[0]
+    assert len(said) == 2
+    samples.assert_same(sample, MapDataset(server.folder)[0])
+
+
+@pytest.mark.filterwarnings("ignore:.*Trying again")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the middle of an epoch: the file, the reason, the number of tries and their limit.
+
+    On one line, and not as a dataset that is missing.
+    """
+    monkeypatch.setattr(root_module, "MOST_SILENCE", 0.2)
+    dataset = MapDataset(server.url)
+    server.faults[:] = [fault] * 3
+    with pytest.raises(ConnectionError) as caught:
+        dataset[0]
+    name = read_manifest(server.folder).shards[0].name
+    assert re.match(f"{server.url}/{name} could not be read: .*{FAULTS[fault]}", str(caught.value))
+    assert "(3 tries, each given up after 0.2 s without a byte)" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "no dataset" not in str(caught.value)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+    assert server.fetched[1:] == [f"/maps/{name}"] * 3
+    samples.assert_same(dataset[0], MapDataset(server.folder)[0])  # it may be asked again
+
+
+def test_the_tries_are_those_of_the_page() -> None:
+    """docs/loading.md says how often, after what pauses, and within what limit."""
+    page = (Path(__file__).parents[2] / "docs" / "loading.md").read_text(encoding="utf-8")
+    assert TRIES == ((1, 4), 20)
+    for text in ("asked three times", "pauses of 1 and 4", "after 20 seconds without a byte"):
+        assert text in " ".join(page.split())
+
+
+def test_what_is_missing_is_not_tried_again(server: Server) -> None:
+    """A 404 stays one."""
+    with pytest.raises(DatasetNotFoundError, match="was not found"):
+        MapDataset(server.url + "x")
+    assert server.fetched == ["/mapsx/manifest.json"]
+
+
+@pytest.mark.filterwarnings("ignore:.*Trying again", "ignore:.*Going on")
+def test_a_full_cache_needs_no_server(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manifest is kept too, and what is kept is compared with its hashes."""
+    truth = MapDataset(server.url)[:]
+    other = imported(server.folder.parent / "imported")
+    url = server.url.replace("/maps", "/imported")
+    text = card(url)
+    assert verify(url) == []
+    monkeypatch.setattr(root_module, "_open_url", broken)
+    with pytest.warns(UserWarning, match="Going on with what was fetched before"):
+        dataset = MapDataset(server.url)
+    samples.assert_same(dataset[:], truth)
+    assert card(url) == text == card(other)
+    assert verify([server.url, url]) == []
+    cached = next((tmp_path / "cache").rglob(f"*{read_manifest(server.folder).shards[0].name}"))
+    cached.write_bytes(cached.read_bytes()[:-1] + b"?")
+    with pytest.raises(ConnectionError, match=f"{cached.name[17:]} could not be read: unplugged"):
+        MapDataset(server.url)[:]
+
+
+def broken(url: str) -> None:
+    """Fail as a network does that is not there."""
+    raise OSError("unplugged")
+
+
+def test_a_manifest_that_is_gone_is_not_taken_from_the_cache(server: Server) -> None:
+    """A server that answers is believed."""
+    MapDataset(server.url)
+    (server.folder / MANIFEST).unlink()
+    with pytest.raises(DatasetNotFoundError, match="was not found"):
+        MapDataset(server.url)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")
+def test_a_bomb_takes_no_memory(server: Server) -> None:
+    """What a server packs, though it is asked for plain bytes, is not unpacked: here 2 GB."""
+    MapDataset(server.url)  # what a first fetch loads
+    server.faults[:] = ["bomb"]
+    Path("/proc/self/clear_refs").write_text("5")  # resets VmHWM
+    before = memory("VmRSS")
+    with pytest.raises(ShardError, match=f"{server.url}: damaged"):
+        MapDataset(server.url)
+    assert memory("VmHWM") - before < 100 << 20
+
+
+def test_a_packed_shard_is_refused(server: Server) -> None:
+    """As other bytes than the manifest says."""
+    dataset = MapDataset(server.url)
+    server.faults[:] = ["gzip"]
+    with pytest.raises(ShardError, match="what was fetched is damaged"):
+        dataset[0]
+
+
+def test_a_stream_comes_in_pieces(server: Server) -> None:
+    """A shard that is longer than what arrives at once."""
+    build(server.folder.parent / "large", maps=3000, spec=MapSpec(), shard_size=3000)
+    url = server.url.replace("/maps", "/large")
+    assert len(MapDataset(url)[:10].map) == 10
+    assert verify(url) == []
 
 
 def test_local_and_remote_roots_mix(server: Server) -> None:
@@ -330,6 +516,32 @@ def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
     assert verify(server.url)[0].startswith(f"{server.url}/{MANIFEST}: ")
     with pytest.raises(DatasetNotFoundError):
         verify([server.folder, server.url + "x"])
+
+
+def test_every_verb_takes_a_url_or_says_why_not(
+    server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those that read do; what writes a dataset, or reads foreign files, names the URL whole."""
+    url = server.url
+    for line in (
+        ["info", url],
+        ["verify", url],
+        ["show", url, "-o", str(tmp_path / "map.png")],
+        ["report", url, "-o", str(tmp_path / "report.html")],
+        ["export", url, str(tmp_path / "paper"), "--format", "paper"],
+    ):
+        main(line)
+    capsys.readouterr()
+    for line in (
+        ["build", url],
+        ["import", url, str(tmp_path / "maps")],
+        ["verify", url, "--repair"],
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main(line)
+        (error,) = capsys.readouterr().err.splitlines()
+        assert re.match(rf"mapdata: .*{url}.* a URL, ", error), error
+    assert not Path("http:").exists()
 
 
 def test_a_url_can_only_be_read(server: Server, tmp_path: Path) -> None:
