@@ -269,7 +269,7 @@ class BatchReader:
 
         Raises:
             ShardError: the file is gone, or not what the manifest says.
-            DatasetNotFoundError: it lies at a URL, and cannot be fetched.
+            ConnectionError: it lies at a URL, and cannot be fetched.
         """
         if k in self._open:
             return self._open[k]

@@ -283,7 +283,7 @@ def _prepare(
     damaged = set()
     # A partial last shard is not in the plan of a larger dataset.
     listed = [entry for entry in found.shards if (entry.start, entry.stop) in plan]
-    with bar(progress and bool(listed), _count(listed), unit=" maps checked") as advance:
+    with bar(progress, _count(listed), unit=" maps checked") as advance:
         for entry in listed:
             limits = (entry.start, entry.stop)
             path = path_in(root, entry.name)
