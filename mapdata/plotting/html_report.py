@@ -36,12 +36,13 @@ _TYPES = {"b": "u1", "u": "u1", "i": "i4", "f": "f8"}
 """How the page's script names the type of a table, by the kind of numbers in it."""
 
 
-def report(root: Places, maps: int = MAPS) -> str:
+def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
     """Return the report of a dataset as one HTML page: maps, distributions and the card.
 
     Args:
         root: folder or URL of the dataset, or several.
         maps: how many maps the browser shows, evenly spaced over the dataset.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
@@ -50,7 +51,7 @@ def report(root: Places, maps: int = MAPS) -> str:
     """
     if maps < 1:
         raise ValueError(f"maps: got {maps}, expected at least 1")
-    of = dataset_statistics(root, repeats=True)
+    of = dataset_statistics(root, repeats=True, progress=progress)
     first, *others = sections(of)
     header, block = _pack(of, _sample(len(of), maps))
     count = min(maps, len(of))

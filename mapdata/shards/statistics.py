@@ -111,19 +111,22 @@ class DatasetStatistics:
         }
 
 
-def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatistics:
+def dataset_statistics(
+    root: Places, *, repeats: bool = False, progress: bool = False
+) -> DatasetStatistics:
     """Look at all finished maps of a dataset once.
 
     Args:
         root: folder or URL of the dataset, or several.
         repeats: hash all maps, too, so that `DatasetStatistics.repeats` can be counted.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
     opened = Root.open(root)
-    parts = [_columns(labels, repeats) for labels in opened.labels()]
+    parts = [_columns(labels, repeats) for labels in opened.labels(progress=progress)]
     if not parts:
         # the columns of a dataset without maps have their types too
         nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
