@@ -121,7 +121,7 @@ def info_command(
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
     path = folder_of(root[0]) / "README.md" if card is True else Path(card)
-    write_file(path, card_of(root).encode())
+    write_file(path, card_of(root, progress=True).encode())
     print(f"wrote {path}")
 
 
@@ -196,7 +196,7 @@ def show_command(
         raise ValueError(
             f"--paper-colours: does nothing with --figure {figure}, which shows no map"
         )
-    drawn = plot_figure(root, figure, index=index or 0, paper_colours=paper_colours)
+    drawn = plot_figure(root, figure, index=index or 0, paper_colours=paper_colours, progress=True)
     kind = Path(output).suffix[1:] or "png"  # else matplotlib adds an ending to the name
     drawn.savefig(output, format=kind, dpi=150, bbox_inches="tight")
     print(f"wrote {output}")
@@ -216,7 +216,7 @@ def report_command(root: list[str], *, output: str = "report.html", maps: int = 
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_file
 
-    text = report(root, maps).encode()
+    text = report(root, maps, progress=True).encode()
     write_file(Path(output), text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 

@@ -201,7 +201,7 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
         indices = list(indices)
     index = np.asarray(indices)
     whole = index.dtype.kind in "iu"
-    good = index.size == 0 or (whole and index.min() >= 0 and index.max() < 2**63)
+    good = index.size == 0 or (whole and index.min() >= 0 and int(index.max()) < 2**63)
     if index.ndim != 1 or not good:
         raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
     return spec.draw(check_seed(seed), np.ascontiguousarray(index, np.int64))

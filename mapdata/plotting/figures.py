@@ -129,7 +129,14 @@ def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
         ax.set_title(title, fontsize="medium")
 
 
-def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool = False) -> Figure:
+def plot_figure(
+    root: Places,
+    kind: str,
+    *,
+    index: int = 0,
+    paper_colours: bool = False,
+    progress: bool = False,
+) -> Figure:
     """Return one of `FIGURES` of a dataset: what ``mapdata show`` writes.
 
     Args:
@@ -137,18 +144,20 @@ def plot_figure(root: Places, kind: str, *, index: int = 0, paper_colours: bool 
         kind: "map", "gallery", "path", "matrix" or "distributions".
         index: number of the map, for those of one map.
         paper_colours: free black, occupied white, where a map is drawn.
+        progress: show a progress bar where all maps are read.
 
     Raises:
         ValueError: no such figure, or no such map.
     """
     check_choice("figure", kind, FIGURES)
-    dataset = Root.open(root)
-    if kind == "gallery":
-        axes = plot_gallery(dataset_statistics(dataset.places), paper_colours=paper_colours)
-    elif kind == "distributions":
-        axes = plot_distributions(dataset_statistics(dataset.places))
+    if kind in OF_ONE_MAP:
+        axes = _plot_one_map(kind, *Root.open(root).map(index), paper_colours)
     else:
-        axes = _plot_one_map(kind, *dataset.map(index), paper_colours)
+        of = dataset_statistics(root, progress=progress)
+        if kind == "gallery":
+            axes = plot_gallery(of, paper_colours=paper_colours)
+        else:
+            axes = plot_distributions(of)
     return figure_of(axes[0])
 
 

@@ -34,12 +34,13 @@ MAPS = 500
 """Maps in the browser of a report."""
 
 
-def report(root: Places, maps: int = MAPS) -> str:
+def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
     """Return the report of a dataset as one HTML page: maps, distributions and the card.
 
     Args:
         root: folder or URL of the dataset, or several.
         maps: how many maps the browser shows, evenly spaced over the dataset.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
@@ -48,7 +49,7 @@ def report(root: Places, maps: int = MAPS) -> str:
     """
     if maps < 1:
         raise ValueError(f"maps: got {maps}, expected at least 1")
-    of = dataset_statistics(root, repeats=True)
+    of = dataset_statistics(root, repeats=True, progress=progress)
     first, *others = sections(of)
     count = min(maps, len(of))
     places = np.arange(count) * len(of) // max(count, 1)

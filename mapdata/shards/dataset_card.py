@@ -57,7 +57,11 @@ class Section(NamedTuple):
 
 
 def card(
-    root: Places, *, files: Mapping[str, str] | None = None, extra: Sequence[Section] = ()
+    root: Places,
+    *,
+    files: Mapping[str, str] | None = None,
+    extra: Sequence[Section] = (),
+    progress: bool = False,
 ) -> str:
     """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
 
@@ -65,12 +69,13 @@ def card(
         root: folder or URL of the dataset, or several.
         files: for a copy that ``datasets.load_dataset`` reads, a file pattern for each split.
         extra: sections to put behind the facts, such as what the columns of that copy mean.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
-    of = dataset_statistics(root, repeats=True)
+    of = dataset_statistics(root, repeats=True, progress=progress)
     first, facts, *others = sections(of, copied=files is not None)
     parts = [_markdown(section, 2) for section in (facts, *extra, *others)]
     return "\n".join([_front_matter(of, files), _markdown(first, 1), *parts])

@@ -113,12 +113,15 @@ class DatasetStatistics:
         }
 
 
-def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatistics:
+def dataset_statistics(
+    root: Places, *, repeats: bool = False, progress: bool = False
+) -> DatasetStatistics:
     """Look at all finished maps of a dataset once.
 
     Args:
         root: folder or URL of the dataset, or several.
         repeats: hash all maps, too, so that `DatasetStatistics.repeats` can be counted.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
@@ -127,7 +130,8 @@ def dataset_statistics(root: Places, *, repeats: bool = False) -> DatasetStatist
     opened = Root.open(root)
     # the columns of a dataset without maps have their types too
     nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
-    parts = [_columns(labels, repeats) for labels in chain([nothing], opened.labels())]
+    batches = chain([nothing], opened.labels(progress=progress))
+    parts = [_columns(labels, repeats) for labels in batches]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     rooms_known = bool(table.pop("rooms_known").any())
     digests = (table.pop("exact"), table.pop("symmetric"))

@@ -200,6 +200,21 @@ def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path
     assert (tmp_path / "map.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["report", "-o"], ["info", "--card"], ["show", "--figure", "gallery", "-o"]],
+    ids=["report", "card", "figure"],
+)
+def test_verbs_that_read_all_maps_show_a_bar(
+    arguments: list[str], run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """They are silent for minutes with a million maps."""
+    verb, *flags = arguments
+    outcome = run(verb, dataset, *flags, tmp_path / "out.png")
+    assert outcome.code == 0
+    assert f"{MAPS}/{MAPS}" in outcome.err
+
+
 def test_show_draws_other_maps_and_colours_otherwise(
     run: Command, dataset: Path, tmp_path: Path
 ) -> None:

@@ -39,3 +39,16 @@ def test_every_promise_has_a_test() -> None:
     promises = PAGE.split("## What is not promised")[0].split("\n- **")[1:]
     assert len(promises) > 20
     assert [promise.split("**")[0] for promise in promises if not NAMED.search(promise)] == []
+
+
+def test_the_lowest_versions_were_tried() -> None:
+    """The first row of the table is what pyproject.toml allows, optional libraries included."""
+    allowed = (TESTS.parent / "pyproject.toml").read_text(encoding="utf-8")
+    row = next(line for line in PAGE.splitlines() if line.startswith("| lowest |"))
+    row = re.sub(r" \(HDF5 .*?\)", "", row.replace("| lowest |", "python"))
+    tried = re.findall(r"([\w-]+) (\d[\d.]+\d)", row)
+    assert len(tried) == 16
+    for name, version in tried:
+        bound = re.search(rf'"?(?:requires-)?{name}(?:\[\w+\])?(?: = ")?>=([\d.]+)', allowed)
+        assert bound, name
+        assert f"{version}.".startswith(f"{bound[1]}."), (name, version, bound[1])
