@@ -161,8 +161,8 @@ def free_at(grid: npt.ArrayLike, points: npt.ArrayLike) -> Flags:
     """Return (n,) bool: which points (n, 2) lie in free cells of the map."""
     cells = np.floor(np.asarray(points, np.float64).reshape(-1, 2))
     # of order 0, the value of a cell itself; outside the map all is occupied
-    occupied: Bytes = map_coordinates(np.asarray(grid), cells.T, order=0, cval=1)
-    return occupied == 0
+    free: Flags = map_coordinates(np.asarray(grid), cells.T, order=0, cval=1) == 0
+    return free
 
 
 def sees(grid: npt.ArrayLike, first: npt.ArrayLike, second: npt.ArrayLike) -> Flags:
@@ -241,7 +241,7 @@ def halton(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     shift = np.random.default_rng(seed).random(2)
     count = 2 * n * cells.size // int((cells == 0).sum()) + 64  # twice what should do
     while True:
-        points = (qmc.Halton(2, scramble=False).random(count) + shift) % 1 * cells.shape
+        points: Floats = (qmc.Halton(2, scramble=False).random(count) + shift) % 1 * cells.shape
         points = points[free_at(cells, points)]
         if len(points) >= n:
             return points[:n]
