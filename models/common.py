@@ -23,6 +23,7 @@ import numpy.typing as npt
 import pytorch_lightning as pl
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
+from scipy.ndimage import map_coordinates
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import OneCycleLR
 
@@ -179,9 +180,9 @@ def check_problems(
     ends: list[Ints] = []
     for name, given in (("start", starts), ("goal", goals)):
         end = np.atleast_2d(np.asarray(given).astype(np.int64))
-        inside = ((end >= 0) & (end < grids.shape[1:])).all(axis=1)  # (B,)
-        row, column = np.where(inside[:, None], end, 0).T
-        free: Flags = inside & (grids[np.arange(len(grids)), row, column] == 0)  # (B,)
+        # of order 0, the value of a cell itself; outside the map all is occupied
+        occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)
+        free: Flags = occupied == 0  # (B,)
         if not free.all():
             raise ValueError(
                 f"{name}: got {end[free.argmin()].tolist()}, outside its map or on an occupied "

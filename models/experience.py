@@ -29,11 +29,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from torch.utils.data import Dataset
+from torch.utils.data import DataLoader, Dataset, Subset
 from tqdm.auto import tqdm
 
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.datasets import MapDataModule, Sample
+from mapdata.datasets.sampler import LateLoader
 from mapdata.shards import write_file
 from mapdata.spec import canonical_json
 from models.roadmap import between, build_roadmap, halton, radius
@@ -163,17 +164,16 @@ class Bank:
 
     Attributes:
         identity: SHA-256 over the problems and how they were mined.
-        problem: (N,) int64, ascending.
-        ends: (N, 4) int64, start and goal.
-        points: of each kind all points, (M, 2) float32; a cell's centre is at + 0.5.
-        counts: of each kind (N,) int64, how many of them belong to each problem.
+        arrays: by their names in the file.
+
+    - ``problem``: (N,) int64, ascending.
+    - ``ends``: (N, 4) int64, start and goal.
+    - ``<kind>_points``: of each kind all points, (M, 2) float32; a cell's centre is at + 0.5.
+    - ``<kind>_counts``: of each kind (N,) int64, how many of them belong to each problem.
     """
 
     identity: str
-    problem: Ints
-    ends: Ints
-    points: dict[str, npt.NDArray[np.float32]]
-    counts: dict[str, Ints]
+    arrays: dict[str, npt.NDArray[Any]]
 
     @staticmethod
     def of(
@@ -202,23 +202,18 @@ class Bank:
         with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             found = pool.map(mine, grids, starts, goals, repeat(mining), problem.tolist())
             mined = list(tqdm(found, "experience", len(grids), unit=" problems"))
-        points = {}
-        counts = {}
+        arrays = {"problem": problem, "ends": np.concatenate([starts, goals], axis=1)}
         for kind, each in zip(KINDS, zip(*mined, strict=True), strict=True):
-            points[kind] = np.concatenate(each).astype(np.float32)
-            counts[kind] = np.array([len(some) for some in each])
-        bank = Bank(name, problem, np.concatenate([starts, goals], axis=1), points, counts)
+            arrays[f"{kind}_points"] = np.concatenate(each).astype(np.float32)
+            arrays[f"{kind}_counts"] = np.array([len(some) for some in each])
+        bank = Bank(name, arrays)
         bank.write(file)
         return bank
 
     def write(self, file: Path) -> None:
         """Write the bank as one file of numpy's, at once or not at all."""
-        arrays = {"identity": np.array(self.identity), "problem": self.problem, "ends": self.ends}
-        for kind in KINDS:
-            arrays[f"{kind}_points"] = self.points[kind]
-            arrays[f"{kind}_counts"] = self.counts[kind]
         buffer = BytesIO()
-        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        np.savez(buffer, identity=np.array(self.identity), **self.arrays)  # type: ignore[arg-type]
         file.parent.mkdir(parents=True, exist_ok=True)
         write_file(file, buffer.getvalue())
 
@@ -230,12 +225,11 @@ class Bank:
             ValueError: it is no bank, or has another identity.
         """
         try:
-            with np.load(file) as arrays:
-                if arrays["identity"].item() != identity:
-                    raise ValueError(f"of other problems, expected {identity[:16]}")
-                points = {kind: arrays[f"{kind}_points"] for kind in KINDS}
-                counts = {kind: arrays[f"{kind}_counts"] for kind in KINDS}
-                return Bank(identity, arrays["problem"], arrays["ends"], points, counts)
+            with np.load(file) as saved:
+                arrays = dict(saved)
+            if arrays.pop("identity").item() != identity:
+                raise ValueError(f"of other problems, expected {identity[:16]}")
+            return Bank(identity, arrays)
         except Exception as error:  # what numpy's and zip's readers raise is not documented
             raise ValueError(f"{file}: no bank of experience ({error}): remove it") from None
 
@@ -257,20 +251,22 @@ class Bank:
         if kind not in KINDS:
             raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
         numbers = np.asarray(problems, np.int64)
-        rows = np.searchsorted(self.problem, numbers).clip(max=len(self.problem) - 1)
-        known = self.problem[rows] == numbers
+        all_numbers = self.arrays["problem"]
+        rows = np.searchsorted(all_numbers, numbers).clip(max=len(all_numbers) - 1)
+        known = all_numbers[rows] == numbers
         if ends is not None:
-            known &= (self.ends[rows] == np.asarray(ends)).all(axis=1)
+            known &= (self.arrays["ends"][rows] == np.asarray(ends)).all(axis=1)
         if not known.all():
             wrong = numbers[np.argmin(known)]
             raise ValueError(
                 f"problem {wrong} is not in the bank, or another one: its dataset must keep its "
                 "problems"
             )
-        counts = self.counts[kind]
+        points = self.arrays[f"{kind}_points"]
+        counts = self.arrays[f"{kind}_counts"]
         last = counts.cumsum()
-        points = [self.points[kind][last[row] - counts[row] : last[row]] for row in rows]
-        return np.concatenate(points).astype(np.float64), counts[rows]
+        found = [points[last[row] - counts[row] : last[row]] for row in rows]
+        return np.concatenate(found).astype(np.float64), counts[rows]
 
 
 def _all_problems(dataset: Dataset[Sample]) -> list[npt.NDArray[Any]]:
@@ -300,30 +296,20 @@ def _identity(mining: Mining, grids: Bytes, starts: Ints, goals: Ints, problem: 
 class FixedProblems(MapDataModule):
     """A `MapDataModule` whose problems are those of epoch 0 in every epoch: those of a bank."""
 
-    def setup(self, stage: str | None = None) -> None:
-        """Open the datasets."""
-        super().setup(stage)
-        for split, dataset in self.datasets.items():
-            if not isinstance(dataset, _FirstEpoch):
-                self.datasets[split] = _FirstEpoch(dataset)  # type: ignore[assignment]
+    def train_dataloader(self) -> DataLoader[Sample]:
+        """Return the loader of the training split, in an order of its own each epoch."""
+        loader = super().train_dataloader()
+        fixed = _FirstEpoch(loader.dataset, range(len(self.datasets["train"])))
+        return LateLoader(fixed, self.batch_size, sampler=loader.sampler, **self.loading)
 
     def mine(self, folder: str) -> Bank:
         """Return the bank of the training problems, as `Bank.of` does."""
         return Bank.of(self.datasets["train"], folder)
 
 
-class _FirstEpoch(Dataset[Sample]):
+class _FirstEpoch(Subset[Sample]):
     """A dataset whose sampler may ask for any epoch, and gets epoch 0."""
 
-    def __init__(self, dataset: Any) -> None:
-        self.dataset = dataset
-
-    def __len__(self) -> int:
-        return len(self.dataset)
-
-    def __getitem__(self, index: Any) -> Sample:
-        sample: Sample = self.dataset[index]
-        return sample
-
     def __getitems__(self, indices: Sequence[int]) -> Any:
-        return self.dataset.__getitems__(np.asarray(indices) % len(self.dataset))
+        first: Any = self.dataset
+        return first.__getitems__(np.asarray(indices) % len(self))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from mapdata.search import (
     rule_of,
     search_batch,
 )
+from mapdata.search.kernels import count_moves, write_cells
 from models.common import check_problems
 from models.path_predictor import PathPredictor
 
@@ -118,15 +118,11 @@ def _search(
     trust: float,
 ) -> tuple[Ints, Int]:
     """Return the path (k, 2) of one problem, and how many cells were expanded."""
-    lattice = lattice_of(grid.shape, rule)
-    came = np.full(lattice.cells, WALL)
-    load(grid, came)
+    lattice, came, way = _begin(grid, start, rule)
     first = cell_at(start[0], start[1], lattice)
     last = cell_at(goal[0], goal[1], lattice)
-    tree = _tree(first, lattice)
     # the cost of the best way so far and of its improbable moves; -inf once a cell is expanded
-    best = np.full(lattice.cells, np.inf)
-    best[first] = 0.0
+    best = way.copy()
     heap = [(0.0, 0, first)]
     pushes = 0
     expansions = 0
@@ -148,7 +144,7 @@ def _search(
             if not is_legal(came, cell, move, lattice):
                 continue
             to = cell + lattice.offsets[move]
-            step = _rewire(tree, cell, to, move, lattice)
+            step = _rewire(came, way, cell, move, lattice)
             cost = so_far + step + trust * (top - scores[move, row, column])
             if cost < best[to]:
                 best[to] = cost
@@ -156,20 +152,17 @@ def _search(
                 least = in_cells(heuristic(i - goal[0], j - goal[1], lattice))
                 pushes += 1
                 to_go = least / max(ratios[i, j], 0.05)  # a ratio near 0 would say nothing
-                f = cost + to_go - 0.001 * tree.way[to]  # among equals the farthest first
+                f = cost + to_go - 0.001 * way[to]  # among equals the farthest first
                 heapq.heappush(heap, (f, -pushes, to))
-    return _path(tree, last, lattice), expansions
+    return _path(came, first, last, lattice), expansions
 
 
 @kernel
 def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) -> tuple[Ints, Int]:
     """Return the path (k, 2), (0, 2) where the walk gets stuck, and how many cells it expanded."""
-    lattice = lattice_of(grid.shape, rule)
-    came = np.full(lattice.cells, WALL)
-    load(grid, came)
+    lattice, came, way = _begin(grid, start, rule)
     first = cell_at(start[0], start[1], lattice)
     last = cell_at(goal[0], goal[1], lattice)
-    tree = _tree(first, lattice)
     expanded = np.zeros(lattice.cells, np.bool_)
     cell = first
     expansions = 0
@@ -177,7 +170,7 @@ def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) ->
         expanded[cell] = True
         expansions += 1
         if cell == last:
-            return _path(tree, last, lattice), expansions
+            return _path(came, first, last, lattice), expansions
         row, column = position(cell, lattice)
         most_probable = -1
         best = np.float32(-np.inf)
@@ -185,7 +178,7 @@ def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) ->
             if not is_legal(came, cell, move, lattice):
                 continue
             to = cell + lattice.offsets[move]
-            _rewire(tree, cell, to, move, lattice)
+            _rewire(came, way, cell, move, lattice)
             if not expanded[to] and scores[move, row, column] > best:
                 most_probable = to
                 best = scores[move, row, column]
@@ -194,49 +187,42 @@ def _walk(grid: Bytes, scores: Float32s, start: Ints, goal: Ints, rule: Rule) ->
         cell = most_probable
 
 
-class _Tree(NamedTuple):
-    """The shortest ways that a search has found: (cells,) each.
+@kernel
+def _begin(grid: Bytes, start: Ints, rule: Rule) -> tuple[Lattice, Bytes, Floats]:
+    """Return the lattice and, of its cells, the moves that led there and the costs of the ways.
 
-    Attributes:
-        way: cost of the way from the start to a cell.
-        parent: the cell before it on that way; -1 at the start and where no way is known.
+    No cell but the start is reached: the others have the code WALL or UNSEEN, and the cost inf.
     """
-
-    way: Floats
-    parent: Ints
-
-
-@kernel
-def _tree(start: Int, lattice: Lattice) -> _Tree:
-    """Return the tree that holds the start alone."""
+    lattice = lattice_of(grid.shape, rule)
+    came = np.full(lattice.cells, WALL)
+    load(grid, came)
     way = np.full(lattice.cells, np.inf)
-    way[start] = 0.0
-    return _Tree(way, np.full(lattice.cells, -1))
+    first = cell_at(start[0], start[1], lattice)
+    came[first] = 0  # any move: a path is traced back only as far as its start
+    way[first] = 0.0
+    return lattice, came, way
 
 
 @kernel
-def _rewire(tree: _Tree, cell: Int, to: Int, move: Int, lattice: Lattice) -> float:
-    """Make ``cell`` the parent of ``to`` if that is a shorter way; return the cost of the move.
+def _rewire(came: Bytes, way: Floats, cell: Int, move: Int, lattice: Lattice) -> float:
+    """Let a move from ``cell`` lead to its end if that is a shorter way; return the move's cost.
 
     A cell that was expanded already takes the shorter way, too, without being expanded again, as in
     the classical planners. Ways only become shorter, and a cell's is longer than its parent's, so
     parents never go round in a circle.
     """
+    to = cell + lattice.offsets[move]
     step: float = 1.0 if move < 4 else in_cells(lattice.step)
-    if tree.way[cell] + step < tree.way[to]:
-        tree.way[to] = tree.way[cell] + step
-        tree.parent[to] = cell
+    if way[cell] + step < way[to]:
+        way[to] = way[cell] + step
+        came[to] = move
     return step
 
 
 @kernel
-def _path(tree: _Tree, goal: Int, lattice: Lattice) -> Ints:
-    """Return the way to ``goal``, (k, 2) cells; (0, 2) if none is known."""
-    cells = np.empty((lattice.cells, 2), np.int64)
-    at = len(cells)
-    cell = goal if tree.way[goal] < np.inf else -1
-    while cell >= 0:
-        at -= 1
-        cells[at] = position(cell, lattice)
-        cell = tree.parent[cell]
-    return cells[at:].copy()
+def _path(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> Ints:
+    """Return the way from ``start`` to ``goal``, (k, 2) cells; (0, 2) if none is known."""
+    straight, diagonal = count_moves(came, start, goal, lattice)  # -1 and 0 if none is known
+    path = np.empty((straight + diagonal + 1, 2), np.int64)
+    write_cells(came, goal, lattice, path)
+    return path

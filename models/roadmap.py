@@ -20,11 +20,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -77,8 +77,8 @@ class Roadmap:
                 vertex.
         """
         i, j = self.edges.T
-        costs = self.graph.data * np.maximum(prices[i], prices[j])  # (m,)
-        graph = csr_matrix((costs, self.graph.indices, self.graph.indptr), self.graph.shape)
+        graph = self.graph.copy()
+        graph.data *= np.maximum(prices[i], prices[j])  # (m,)
         found, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
         path = []
         vertex = 1 if found[1] < np.inf else -1
@@ -159,11 +159,9 @@ def path_lengths(grids: Bytes, starts: Ints, goals: Ints, samples: Floats) -> Fl
 
 def free_at(grid: npt.ArrayLike, points: npt.ArrayLike) -> Flags:
     """Return (n,) bool: which points (n, 2) lie in free cells of the map."""
-    occupied = np.asarray(grid)
     cells = np.floor(np.asarray(points, np.float64).reshape(-1, 2))
-    inside: Flags = np.all((cells >= 0) & (cells < occupied.shape), axis=1)
-    row, column = np.where(inside[:, None], cells, 0).astype(np.int64).T
-    free: Flags = inside & (occupied[row, column] == 0)
+    # of order 0, the value of a cell itself; outside the map all is occupied
+    free: Flags = map_coordinates(np.asarray(grid), cells.T, order=0, cval=1) == 0
     return free
 
 
@@ -243,7 +241,7 @@ def halton(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     shift = np.random.default_rng(seed).random(2)
     count = 2 * n * cells.size // int((cells == 0).sum()) + 64  # twice what should do
     while True:
-        points = (_halton(count.bit_length())[:count] + shift) % 1 * cells.shape
+        points: Floats = (qmc.Halton(2, scramble=False).random(count) + shift) % 1 * cells.shape
         points = points[free_at(cells, points)]
         if len(points) >= n:
             return points[:n]
@@ -325,10 +323,3 @@ def _free(grid: npt.ArrayLike, n: int) -> Bytes:
             f"grid: got a map of {cells.shape} without a free cell, expected one to sample in"
         )
     return cells
-
-
-@lru_cache
-def _halton(bits: int) -> Floats:
-    """Return the first 2 ** bits points of the Halton sequence."""
-    points: Floats = qmc.Halton(2, scramble=False).random(1 << bits)
-    return points
