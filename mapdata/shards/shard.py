@@ -323,10 +323,8 @@ def bits_of(movement: Movement) -> int:
 def pack_moves(moves: Bytes, bits: int) -> Bytes:
     """Pack moves, the first one in the lowest bits of a byte."""
     each = 8 // bits
-    size = (len(moves) + each - 1) // each
-    padded = np.zeros(size * each, np.uint8)
-    padded[: len(moves)] = moves
-    packed = np.zeros(size, np.uint8)
+    padded = np.pad(moves, (0, -len(moves) % each))
+    packed = np.zeros(len(padded) // each, np.uint8)
     for k in range(each):
         packed |= padded[k::each] << np.uint8(bits * k)
     return packed
