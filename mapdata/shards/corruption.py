@@ -23,7 +23,6 @@ from mapdata.shards.manifest import (
     DatasetNotFoundError,
     Entry,
     Manifest,
-    Span,
     counts_of,
     is_known,
     is_shard_name,
@@ -46,7 +45,7 @@ from mapdata.shards.root import (
     places,
     read_file,
 )
-from mapdata.shards.shard import Header, ShardError, StrPath, decode, write_file
+from mapdata.shards.shard import Header, ShardError, Span, StrPath, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 
 _STRANGE = "no file of this dataset: keep it elsewhere"
@@ -161,8 +160,8 @@ def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -
     manifest = _gather(Path(place), shards, progress)
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
-        return Inspection(place, None, tuple(faults))
-    faults += _check_files(place, manifest, False, progress)
+    else:
+        faults += _check_files(place, manifest, False, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -196,10 +195,10 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     stated = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
     with (
-        bar(progress, sum(header.stop - header.start for header in again)) as advance,
+        bar(progress, sum(header.maps for header in again)) as advance,
         threads() as pool,
     ):
-        make = partial(make_shard, root, damaged={(header.start, header.stop) for header in again})
+        make = partial(make_shard, root, damaged={header.limits for header in again})
         for header, entry in finished(pool, make, again, 2 * CORES):
             before = stated.get(entry.name, entry.content_hash)
             if entry.content_hash != before:
@@ -209,7 +208,7 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
                 left.append(Corruption(str(root / entry.name), what, header))
             else:  # the manifest keeps what it said of the others
                 made.append(entry)
-            advance(header.stop - header.start)
+            advance(header.maps)
     repaired = replace(manifest, shards=tuple(made))
     if relisted:
         # not merged, since the manifest on disk cannot be read
@@ -229,17 +228,17 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
     tasks = [(entry, replace(planned[entry.start], stop=entry.stop)) for entry in manifest.shards]
     faults = _check_provenance(place) if manifest.spec is None else []
     with (
-        bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
+        bar(progress, manifest.done) as advance,
         threads() as pool,
     ):
         for (entry, header), what in finished(pool, partial(_fault, place), tasks, 2 * CORES):
             if what:
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
-            advance(entry.stop - entry.start)
+            advance(entry.maps)
     faults.sort(key=lambda fault: fault.path)
     names = {entry.name for entry in manifest.shards}
     for header in planned.values():
-        name = shard_name(header.start, header.stop)
+        name = shard_name(*header.limits)
         if name not in names:
             names.add(name)
             what = "missing (the build did not finish)"

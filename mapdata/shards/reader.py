@@ -88,7 +88,7 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
     except KeyError as error:
         why = f"attribute {error} is missing, or neither text of fixed length nor numbers"
         raise ShardError(f"{path}: {why}") from None
-    except _UNSOUND as error:
+    except UNSOUND as error:
         raise ShardError(f"{path}: not a sound shard ({error})") from error
     shard = Shard(path, header, content, arrays)
     if sha256 is not None and not has_hash(mapping, status, sha256):
@@ -96,8 +96,15 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
     return shard
 
 
-_UNSOUND = (TypeError, ValueError, ArithmeticError, RecursionError)
-"""What `hdf5.py`, JSON and our own checks of a spec raise on files that are no sound shards."""
+UNSOUND = (
+    TypeError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+)
+"""What `hdf5.py`, JSON and our own checks raise on files that are not what they should be."""
 
 
 _compared: set[tuple[int | str, ...]] = set()
@@ -120,7 +127,7 @@ def sound_labels(shard: Shard) -> Labels:
     Raises:
         ShardError: they do not have the content hash that the shard states.
     """
-    with suppress(ValueError, IndexError, ArithmeticError):
+    with suppress(*UNSOUND):
         labels = decode(shard)
         if content_hash(labels) == shard.content_hash:
             return labels
@@ -257,7 +264,7 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
     """Return the shape that every array must have, given the header and the last offsets."""
     rows, columns = header.map_size
     octets = (columns + WORD - 1) // WORD * WORD // 8  # a row is a whole number of words
-    maps = header.stop - header.start
+    maps = header.maps
     rooms = _last(arrays["room_offsets"])
     pairs = _last(arrays["pair_offsets"])
     segments = rooms - maps

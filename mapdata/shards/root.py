@@ -171,10 +171,10 @@ class Root:
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
-        with bar(progress, sum(entry.stop - entry.start for _, _, entry in self.shards)) as advance:
+        with bar(progress, sum(entry.maps for _, _, entry in self.shards)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):
                 yield self.shard_labels(k)
-                advance(entry.stop - entry.start)
+                advance(entry.maps)
 
     def map(self, index: int) -> tuple[Labels, int]:
         """Return the shard that holds map ``index``, and the place of the map in it.

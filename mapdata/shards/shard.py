@@ -35,6 +35,9 @@ from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json, least_versio
 Array = npt.NDArray[Any]
 StrPath: TypeAlias = str | os.PathLike[str]
 
+Span = tuple[int, int]
+"""(start, stop) of the maps of a shard."""
+
 SEARCHES = ("bfs", "astar")
 """The searches whose results are stored, as names of datasets and columns begin."""
 
@@ -143,8 +146,25 @@ class Origin:
         return {field.name: getattr(self, field.name) for field in fields(Origin)}
 
 
+class MapRange:
+    """The maps start <= i < stop of a dataset."""
+
+    start: int
+    stop: int
+
+    @property
+    def limits(self) -> Span:
+        """(start, stop)."""
+        return self.start, self.stop
+
+    @property
+    def maps(self) -> int:
+        """How many they are."""
+        return self.stop - self.start
+
+
 @dataclass(frozen=True)
-class Header(Origin):
+class Header(MapRange, Origin):
     """What the root attributes of a shard say.
 
     Attributes:
