@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Generator, Iterator, Sequence, Set
+from collections.abc import Generator, Sequence, Set
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing, nullcontext
 from dataclasses import fields, replace
@@ -113,7 +113,7 @@ def build(
         resolution=spec.resolution,
     )
     _check_part(part)
-    mine = list(headers(wanted))[part[0] :: part[1]]
+    mine = headers(wanted)[part[0] :: part[1]]
     have, damaged = _prepare(root, wanted, {header.limits for header in mine}, progress)
     present = replace(wanted, shards=tuple(have.values()))
     todo = [header for header in mine if header.limits not in have]
@@ -171,11 +171,9 @@ def _check_part(part: tuple[int, int]) -> None:
         raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
 
 
-def headers(manifest: Manifest) -> Iterator[Header]:
-    """Yield the header of every shard that ``manifest`` plans."""
-    origin = manifest.origin()
-    for start, stop in manifest.plan:
-        yield Header(**origin, start=start, stop=stop)
+def headers(manifest: Manifest) -> list[Header]:
+    """Return the header of every shard that ``manifest`` plans."""
+    return [manifest.header(*limits) for limits in manifest.plan]
 
 
 def make_shard(

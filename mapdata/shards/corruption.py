@@ -34,7 +34,7 @@ from mapdata.shards.manifest import (
     shard_name,
     union,
 )
-from mapdata.shards.reader import open_shard
+from mapdata.shards.reader import UNSOUND, open_shard
 from mapdata.shards.root import (
     Places,
     file_hash,
@@ -223,21 +223,17 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
 
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
-    planned = {header.start: header for header in headers(manifest)}
-    # a partial last shard may not be replaced by the planned one yet
-    tasks = [(entry, replace(planned[entry.start], stop=entry.stop)) for entry in manifest.shards]
     faults = _check_provenance(place) if manifest.spec is None else []
-    with (
-        bar(progress, manifest.done) as advance,
-        threads() as pool,
-    ):
-        for (entry, header), what in finished(pool, partial(_fault, place), tasks, 2 * CORES):
+    with bar(progress, manifest.done) as advance, threads() as pool:
+        check = partial(_fault, place, manifest)
+        for entry, what in finished(pool, check, manifest.shards, 2 * CORES):
             if what:
+                header = manifest.header(*entry.limits)
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
             advance(entry.maps)
     faults.sort(key=lambda fault: fault.path)
     names = {entry.name for entry in manifest.shards}
-    for header in planned.values():
+    for header in headers(manifest):
         name = shard_name(*header.limits)
         if name not in names:
             names.add(name)
@@ -307,13 +303,12 @@ def _check_provenance(place: str) -> list[Corruption]:
         return [Corruption(path, "damaged (its hash does not fit)")]
     except FileNotFoundError:
         return [Corruption(path, "missing")]
-    except (PermissionError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (PermissionError, *UNSOUND) as error:
         return [Corruption(path, f"damaged ({error})")]
 
 
-def _fault(place: str, task: tuple[Entry, Header]) -> str | None:
+def _fault(place: str, manifest: Manifest, entry: Entry) -> str | None:
     """Return what is wrong with one shard file, or None."""
-    entry, header = task
     try:
         path = local_file(place, entry)
         size = path.stat().st_size
@@ -330,7 +325,8 @@ def _fault(place: str, task: tuple[Entry, Header]) -> str | None:
         return f"cannot be read ({error})"
     except ShardError as error:
         return str(error)
-    if shard.header != header:
+    # a partial last shard may not be replaced by the planned one yet
+    if shard.header != manifest.header(*entry.limits):
         return "holds other maps than the manifest says"
     labels = decode(shard)
     if not content_hash(labels) == shard.content_hash == entry.content_hash:

@@ -173,6 +173,10 @@ class Manifest(Origin):
             f"{len(self.shards)} shards)"
         )
 
+    def header(self, start: int, stop: int) -> Header:
+        """Return the header of the shard of maps start <= i < stop."""
+        return Header(**self.origin(), start=start, stop=stop)
+
     def total(self, name: str) -> int:
         """Return the sum of one of the counts over all shards."""
         return sum(int(entry.counts[name]) for entry in self.shards)
@@ -189,7 +193,7 @@ class Manifest(Origin):
             "seed": self.seed,
             "maps": self.maps,
             "shard_size": self.shard_size,
-            "map_size": list(self.map_size),
+            "map_size": self.map_size,
             "movement": asdict(self.movement),
             "resolution": self.resolution,
             "shards": [vars(entry) for entry in self.shards],

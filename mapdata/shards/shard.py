@@ -276,7 +276,8 @@ def encode(labels: Labels) -> dict[str, Array]:
         "sizes": maps.sizes[used],
         "directions": maps.directions[used[:, 1:]],
     }
-    for name, search in (("bfs", labels.bfs), ("astar", labels.astar)):
+    for name in SEARCHES:
+        search = labels.of(name)
         arrays[f"{name}_offsets"] = search.offsets
         arrays[f"{name}_moves"] = pack_moves(search.moves, bits_of(maps.movement))
         arrays[f"{name}_iterations"] = search.iterations
