@@ -141,7 +141,8 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
 
     where = places(root)
     if repair:
-        where = tuple(map(str, map(folder_of, where)))  # what can only be read is refused first
+        for place in where:
+            folder_of(place)  # what can only be read is refused before any repair
     total = unsound = 0
     for place in where:
         findings = inspect(place, progress=True)

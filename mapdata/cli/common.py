@@ -22,7 +22,7 @@ class DisagreeError(Exception):
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     """Return the short summary of a dataset, one fact to a line."""
-    done = sum(entry.stop - entry.start for entry in manifest.shards)
+    done = manifest.done
     size = sum(entry.bytes for entry in manifest.shards)
     segments = max(manifest.total("segments"), 1)
     rows, columns = manifest.map_size

@@ -39,7 +39,7 @@ from mapdata.shards.manifest import (
     shard_name,
 )
 from mapdata.shards.root import file_hash, folder_of
-from mapdata.shards.shard import Header, Shard, StrPath, shard_image, write_file
+from mapdata.shards.shard import Header, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
 from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_count, check_fractions, check_seed
 
@@ -283,13 +283,13 @@ def _write(
                 checked += 1
                 disagreements.update(one.check(labels, k))
         image, content = shard_image(labels, header)
-        path = path_in(folder, shard_name(header.start, header.stop))
+        path = path_in(folder, shard_name(*header.limits))
         old = have.get(path.name)
         if old is not None and old.content_hash != content:
             raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
         if old is None or not path.exists() or file_hash(path) != old.sha256:
             write_file(path, image)
-            entry = entry_of(Shard(path, header, content, {}), labels, image)
+            entry = entry_of(header, content, labels, image)
             # of two entries for the same maps, the later one counts
             manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))

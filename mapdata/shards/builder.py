@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Generator, Iterator, Sequence, Set
+from collections.abc import Generator, Sequence, Set
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing, nullcontext
 from dataclasses import fields, replace
@@ -22,7 +22,6 @@ from mapdata.shards.manifest import (
     MANIFEST,
     Entry,
     Manifest,
-    Span,
     check_names,
     entry_of,
     load_shard,
@@ -34,7 +33,7 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import file_hash, folder_of
-from mapdata.shards.shard import Header, Shard, ShardError, StrPath, shard_image, write_file
+from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
 from mapdata.shards.workers import CORES, Advance, bar, finished, no_bar, threads
 from mapdata.spec import check_count, check_seed
 
@@ -114,12 +113,10 @@ def build(
         resolution=spec.resolution,
     )
     _check_part(part)
-    mine = list(headers(wanted))[part[0] :: part[1]]
-    have, damaged = _prepare(
-        root, wanted, {(header.start, header.stop) for header in mine}, progress
-    )
+    mine = headers(wanted)[part[0] :: part[1]]
+    have, damaged = _prepare(root, wanted, {header.limits for header in mine}, progress)
     present = replace(wanted, shards=tuple(have.values()))
-    todo = [header for header in mine if (header.start, header.stop) not in have]
+    todo = [header for header in mine if header.limits not in have]
     if os.access(root, os.W_OK):
         sweep(root, present)
     elif todo:
@@ -131,7 +128,8 @@ def build(
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
     shards = list(have.values())
     wait = True
-    total, left = _count(mine), _count(todo)
+    total = sum(header.maps for header in mine)
+    left = sum(header.maps for header in todo)
     most = _FEW if executor is None else _UNDER_WAY
     with (
         bar(progress, total, total - left) as advance,
@@ -144,14 +142,14 @@ def build(
         due = time.monotonic() + _MERGE_EVERY
         try:
             for entry in made:
-                if executor is not None and _size(root / entry.name) != entry.bytes:
-                    raise OSError(
-                        f"root: a worker wrote {entry.name} elsewhere: it must share the folder "
-                        f"{root}"
-                    )
-                shards.append(entry)
                 if executor is not None:
-                    advance(entry.stop - entry.start)
+                    if _size(root / entry.name) != entry.bytes:
+                        raise OSError(
+                            f"root: a worker wrote {entry.name} elsewhere: it must share the "
+                            f"folder {root}"
+                        )
+                    advance(entry.maps)
+                shards.append(entry)
                 began = time.monotonic()
                 if began > due:
                     # without waiting: another builder merges, and the entries stay for next time
@@ -173,11 +171,9 @@ def _check_part(part: tuple[int, int]) -> None:
         raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
 
 
-def headers(manifest: Manifest) -> Iterator[Header]:
-    """Yield the header of every shard that ``manifest`` plans."""
-    origin = manifest.origin()
-    for start, stop in manifest.plan:
-        yield Header(**origin, start=start, stop=stop)
+def headers(manifest: Manifest) -> list[Header]:
+    """Return the header of every shard that ``manifest`` plans."""
+    return [manifest.header(*limits) for limits in manifest.plan]
 
 
 def make_shard(
@@ -187,19 +183,18 @@ def make_shard(
 
     ``advance`` is called with numbers of maps as they are done.
     """
-    if (header.start, header.stop) not in damaged:
+    if header.limits not in damaged:
         found = load_shard(root, header)
         if found is not None:
-            advance(header.stop - header.start)
+            advance(header.maps)
             return found
     if header.spec is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
     maps = generate(header.spec, header.seed, range(header.start, header.stop))
     labels = _label_in_pieces(maps, advance)
     image, content = shard_image(labels, header)
-    path = root / shard_name(header.start, header.stop)
-    write_file(path, image)
-    return entry_of(Shard(path, header, content, {}), labels, image)
+    write_file(root / shard_name(*header.limits), image)
+    return entry_of(header, content, labels, image)
 
 
 def _label_in_pieces(maps: Maps, advance: Advance) -> Labels:
@@ -282,17 +277,18 @@ def _prepare(
     have = {}
     damaged = set()
     # A partial last shard is not in the plan of a larger dataset.
-    listed = [entry for entry in found.shards if (entry.start, entry.stop) in plan]
-    with bar(progress, _count(listed), unit=" maps checked") as advance:
+    listed = [entry for entry in found.shards if entry.limits in plan]
+    total = sum(entry.maps for entry in listed)
+    with bar(progress, total, unit=" maps checked") as advance:
         for entry in listed:
-            limits = (entry.start, entry.stop)
+            limits = entry.limits
             path = path_in(root, entry.name)
             size = _size(path)
             if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
                 have[limits] = entry
             elif size is not None:
                 damaged.add(limits)
-            advance(entry.stop - entry.start)
+            advance(entry.maps)
     return have, damaged
 
 
@@ -333,7 +329,3 @@ def _size(path: Path) -> int | None:
         return path.stat().st_size
     except FileNotFoundError:
         return None
-
-
-def _count(shards: Sequence[Header | Entry]) -> int:
-    return sum(header.stop - header.start for header in shards)

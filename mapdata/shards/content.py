@@ -50,11 +50,20 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     _, rows, words_a_row = maps.packed.shape
     packed = maps.packed.view(np.uint8).reshape(count, rows * words_a_row * 8)
     header = np.stack(
-        (maps.index & 0xFFFFFFFF, maps.index >> 32, maps.split, maps.passage_width, rooms), axis=1
+        (
+            np.full(count, rows),
+            np.full(count, maps.columns),
+            maps.index & 0xFFFFFFFF,
+            maps.index >> 32,
+            maps.split,
+            maps.passage_width,
+            rooms,
+        ),
+        axis=1,
     )
-    # Two words each: map size; of a room, seed point and size; of a passage, directions; then for
-    # either search, length and iterations of a segment, and the cost of a pair.
-    words = 2 + header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
+    # After the header two words each: of a room, seed point and size; of a passage, directions;
+    # then for either search, length and iterations of a segment, and the cost of a pair.
+    words = header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
     moves = np.zeros(count, np.int64)
     for search in (labels.bfs, labels.astar):
         moves += np.diff(search.offsets[maps.segment_offsets])
@@ -67,7 +76,6 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
             records,
             records.view(np.int32),
             offsets,
-            np.array([rows, maps.columns]),
             header,
             packed,
             maps.seed_points,
@@ -75,8 +83,7 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
             maps.directions,
             maps.segment_offsets,
             maps.pair_offsets,
-            _arrays(labels.bfs),
-            _arrays(labels.astar),
+            (_arrays(labels.bfs), _arrays(labels.astar)),
         )
     return records, offsets
 
@@ -90,7 +97,6 @@ def _write(
     records: Bytes,
     words: Int32s,
     offsets: Ints,
-    size: Ints,
     header: Ints,
     packed: Bytes,
     seed_points: Ints,
@@ -98,44 +104,35 @@ def _write(
     directions: Ints,
     segments: Ints,
     pairs: Ints,
-    bfs: _Arrays,
-    astar: _Arrays,
+    searches: tuple[_Arrays, _Arrays],
 ) -> None:
     """Write the record of every map.
 
-    ``words`` is ``records`` as int32; ``header`` is (N, 5): index (low and high half), split,
-    passage width and rooms.
+    ``words`` is ``records`` as int32; ``header`` is (N, 7): rows, columns, index (low and high
+    half), split, passage width and rooms.
     """
-    bfs_moves, bfs_offsets, bfs_iterations, bfs_costs = bfs
-    astar_moves, astar_offsets, astar_iterations, astar_costs = astar
     for m in range(len(header)):
-        rooms = header[m, 4]
+        rooms = header[m, 6]
         segment = segments[m]
         next_segment = segments[m + 1]
         pair = pairs[m]
         next_pair = pairs[m + 1]
         # what is counted in words comes first, so that all of it is aligned
         at = offsets[m] // 4
-        words[at] = size[0]
-        words[at + 1] = size[1]
-        at += 2
-        for k in range(5):
+        for k in range(7):
             words[at] = header[m, k]
             at += 1
         at = _copy_pairs(words, at, seed_points[m], 0, rooms)
         at = _copy_pairs(words, at, room_sizes[m], 0, rooms)
         at = _copy_pairs(words, at, directions[m], 0, rooms - 1)
-        at = _copy_segments(words, at, bfs_offsets, bfs_iterations, segment, next_segment)
-        at = _copy_pairs(words, at, bfs_costs, pair, next_pair)
-        at = _copy_segments(words, at, astar_offsets, astar_iterations, segment, next_segment)
-        at = _copy_pairs(words, at, astar_costs, pair, next_pair)
+        for _, begins, iterations, costs in searches:
+            at = _copy_segments(words, at, begins, iterations, segment, next_segment)
+            at = _copy_pairs(words, at, costs, pair, next_pair)
         # from here on ``at`` counts bytes
         at *= 4
-        for k in range(packed.shape[1]):
-            records[at] = packed[m, k]
-            at += 1
-        at = _copy_moves(records, at, bfs_moves, bfs_offsets[segment], bfs_offsets[next_segment])
-        _copy_moves(records, at, astar_moves, astar_offsets[segment], astar_offsets[next_segment])
+        at = _copy_bytes(records, at, packed[m], 0, packed.shape[1])
+        for moves, begins, _, _ in searches:
+            at = _copy_bytes(records, at, moves, begins[segment], begins[next_segment])
 
 
 @kernel
@@ -161,9 +158,9 @@ def _copy_segments(
 
 
 @kernel
-def _copy_moves(records: Bytes, at: int, moves: Bytes, first: int, last: int) -> int:
-    """Copy moves, a byte each; return where the next byte goes."""
+def _copy_bytes(records: Bytes, at: int, data: Bytes, first: int, last: int) -> int:
+    """Copy bytes to ``records`` from ``at`` on; return where the next one goes."""
     for k in range(first, last):
-        records[at] = moves[k]
+        records[at] = data[k]
         at += 1
     return at

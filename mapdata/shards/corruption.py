@@ -23,7 +23,6 @@ from mapdata.shards.manifest import (
     DatasetNotFoundError,
     Entry,
     Manifest,
-    Span,
     counts_of,
     is_known,
     is_shard_name,
@@ -35,7 +34,7 @@ from mapdata.shards.manifest import (
     shard_name,
     union,
 )
-from mapdata.shards.reader import open_shard
+from mapdata.shards.reader import UNSOUND, open_shard
 from mapdata.shards.root import (
     Places,
     file_hash,
@@ -46,7 +45,7 @@ from mapdata.shards.root import (
     places,
     read_file,
 )
-from mapdata.shards.shard import Header, ShardError, StrPath, decode, write_file
+from mapdata.shards.shard import Header, ShardError, Span, StrPath, decode, write_file
 from mapdata.shards.workers import CORES, bar, finished, threads
 
 _STRANGE = "no file of this dataset: keep it elsewhere"
@@ -161,8 +160,8 @@ def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -
     manifest = _gather(Path(place), shards, progress)
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
-        return Inspection(place, None, tuple(faults))
-    faults += _check_files(place, manifest, False, progress)
+    else:
+        faults += _check_files(place, manifest, False, progress)
     return Inspection(place, manifest, tuple(faults))
 
 
@@ -196,10 +195,10 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     stated = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
     with (
-        bar(progress, sum(header.stop - header.start for header in again)) as advance,
+        bar(progress, sum(header.maps for header in again)) as advance,
         threads() as pool,
     ):
-        make = partial(make_shard, root, damaged={(header.start, header.stop) for header in again})
+        make = partial(make_shard, root, damaged={header.limits for header in again})
         for header, entry in finished(pool, make, again, 2 * CORES):
             before = stated.get(entry.name, entry.content_hash)
             if entry.content_hash != before:
@@ -209,7 +208,7 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
                 left.append(Corruption(str(root / entry.name), what, header))
             else:  # the manifest keeps what it said of the others
                 made.append(entry)
-            advance(header.stop - header.start)
+            advance(header.maps)
     repaired = replace(manifest, shards=tuple(made))
     if relisted:
         # not merged, since the manifest on disk cannot be read
@@ -224,22 +223,18 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
 
     Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
     """
-    planned = {header.start: header for header in headers(manifest)}
-    # a partial last shard may not be replaced by the planned one yet
-    tasks = [(entry, replace(planned[entry.start], stop=entry.stop)) for entry in manifest.shards]
     faults = _check_provenance(place) if manifest.spec is None else []
-    with (
-        bar(progress, sum(entry.stop - entry.start for entry in manifest.shards)) as advance,
-        threads() as pool,
-    ):
-        for (entry, header), what in finished(pool, partial(_fault, place), tasks, 2 * CORES):
+    with bar(progress, manifest.done) as advance, threads() as pool:
+        check = partial(_fault, place, manifest)
+        for entry, what in finished(pool, check, manifest.shards, 2 * CORES):
             if what:
+                header = manifest.header(*entry.limits)
                 faults.append(Corruption(f"{place}/{entry.name}", what, header))
-            advance(entry.stop - entry.start)
+            advance(entry.maps)
     faults.sort(key=lambda fault: fault.path)
     names = {entry.name for entry in manifest.shards}
-    for header in planned.values():
-        name = shard_name(header.start, header.stop)
+    for header in headers(manifest):
+        name = shard_name(*header.limits)
         if name not in names:
             names.add(name)
             what = "missing (the build did not finish)"
@@ -308,13 +303,12 @@ def _check_provenance(place: str) -> list[Corruption]:
         return [Corruption(path, "damaged (its hash does not fit)")]
     except FileNotFoundError:
         return [Corruption(path, "missing")]
-    except (PermissionError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (PermissionError, *UNSOUND) as error:
         return [Corruption(path, f"damaged ({error})")]
 
 
-def _fault(place: str, task: tuple[Entry, Header]) -> str | None:
+def _fault(place: str, manifest: Manifest, entry: Entry) -> str | None:
     """Return what is wrong with one shard file, or None."""
-    entry, header = task
     try:
         path = local_file(place, entry)
         size = path.stat().st_size
@@ -331,7 +325,8 @@ def _fault(place: str, task: tuple[Entry, Header]) -> str | None:
         return f"cannot be read ({error})"
     except ShardError as error:
         return str(error)
-    if shard.header != header:
+    # a partial last shard may not be replaced by the planned one yet
+    if shard.header != manifest.header(*entry.limits):
         return "holds other maps than the manifest says"
     labels = decode(shard)
     if not content_hash(labels) == shard.content_hash == entry.content_hash:

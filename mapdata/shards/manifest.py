@@ -26,15 +26,15 @@ if sys.platform != "win32":
 from mapdata._version import __version__
 from mapdata.generators.generator import Generator
 from mapdata.search.labels import Labels
-from mapdata.shards.content import combine, content_hash
-from mapdata.shards.reader import is_hash, open_shard
+from mapdata.shards.content import combine
+from mapdata.shards.reader import UNSOUND, is_hash, open_shard, sound_labels
 from mapdata.shards.shard import (
     Header,
+    MapRange,
     Origin,
-    Shard,
     ShardError,
+    Span,
     check_version,
-    decode,
     take_lock,
     write_file,
 )
@@ -58,9 +58,6 @@ MOST_BYTES = 2**28
 
 MOST_SHARDS = 100_000
 """Most files of a dataset; a manifest that lists them has some 80 MB."""
-
-Span = tuple[int, int]
-"""(start, stop) of the maps of a shard."""
 
 _A_DAY = 86_400
 """Seconds after which a temporary file counts as left behind where there are no locks."""
@@ -95,7 +92,7 @@ class DatasetNotFoundError(FileNotFoundError):
 
 
 @dataclass(frozen=True)
-class Entry:
+class Entry(MapRange):
     """What the manifest says of one shard.
 
     Attributes:
@@ -147,9 +144,14 @@ class Manifest(Origin):
         return combine([entry.content_hash for entry in self.shards])
 
     @property
+    def done(self) -> int:
+        """How many maps are there."""
+        return sum(entry.maps for entry in self.shards)
+
+    @property
     def complete(self) -> bool:
         """Whether all maps are there."""
-        return sum(entry.stop - entry.start for entry in self.shards) == self.maps
+        return self.done == self.maps
 
     @property
     def plan(self) -> list[Span]:
@@ -171,6 +173,10 @@ class Manifest(Origin):
             f"{len(self.shards)} shards)"
         )
 
+    def header(self, start: int, stop: int) -> Header:
+        """Return the header of the shard of maps start <= i < stop."""
+        return Header(**self.origin(), start=start, stop=stop)
+
     def total(self, name: str) -> int:
         """Return the sum of one of the counts over all shards."""
         return sum(int(entry.counts[name]) for entry in self.shards)
@@ -187,7 +193,7 @@ class Manifest(Origin):
             "seed": self.seed,
             "maps": self.maps,
             "shard_size": self.shard_size,
-            "map_size": list(self.map_size),
+            "map_size": self.map_size,
             "movement": asdict(self.movement),
             "resolution": self.resolution,
             "shards": [vars(entry) for entry in self.shards],
@@ -264,15 +270,15 @@ def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None
                 )
 
 
-def entry_of(shard: Shard, labels: Labels, image: bytes) -> Entry:
-    """Return the entry of a shard that holds ``labels`` and whose file is ``image``."""
+def entry_of(header: Header, content: str, labels: Labels, image: bytes) -> Entry:
+    """Return the entry of a shard that holds ``labels`` of the hash ``content`` as ``image``."""
     return Entry(
-        name=shard.path.name,
-        start=shard.header.start,
-        stop=shard.header.stop,
+        name=shard_name(*header.limits),
+        start=header.start,
+        stop=header.stop,
         bytes=len(image),
         sha256=hashlib.sha256(image).hexdigest(),
-        content_hash=shard.content_hash,
+        content_hash=content,
         counts=counts_of(labels),
     )
 
@@ -330,21 +336,14 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
         return manifest
     except ShardError:
         raise
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        ArithmeticError,
-    ) as error:
+    except UNSOUND as error:
         raise ShardError(f"{path}: damaged ({type(error).__name__}: {error})") from None
 
 
 def _entry(values: dict[str, Any], path: str) -> Entry:
     """Return one entry of the manifest at ``path``, checked."""
     entry = Entry(**values)
-    if not is_shard_name(entry.name) or entry.name != shard_name(entry.start, entry.stop):
+    if entry.name != shard_name(*entry.limits):
         raise ShardError(
             f"{path}: {entry.name!r} is not the name of a shard, or not of maps {entry.start} to "
             f"{entry.stop}"
@@ -459,14 +458,14 @@ def _is_left(path: Path) -> bool:
 def load_shard(root: Path, header: Header) -> Entry | None:
     """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
     try:
-        path = path_in(root, shard_name(header.start, header.stop))
+        path = path_in(root, shard_name(*header.limits))
         shard = open_shard(path)
-        labels = decode(shard)
+        labels = sound_labels(shard)
     except (OSError, ShardError):  # gone, not to be read, or damaged
         return None
-    if shard.header != header or content_hash(labels) != shard.content_hash:
+    if shard.header != header:
         return None
-    return entry_of(shard, labels, path.read_bytes())
+    return entry_of(header, shard.content_hash, labels, path.read_bytes())
 
 
 def _hash(values: dict[str, Any]) -> str:

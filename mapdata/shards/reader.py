@@ -14,6 +14,7 @@ import os
 import re
 import stat
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Bytes
-from mapdata.generators.generator import Generator, identity
+from mapdata.generators.generator import Generator
 from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
@@ -49,9 +50,7 @@ def read_shard(path: StrPath) -> Labels:
         ShardError: a file that is not a sound shard, or whose content does not have the hash that
             it states.
     """
-    shard = open_shard(path)
-    _check_content(shard)
-    return decode(shard)
+    return sound_labels(open_shard(path))
 
 
 def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None) -> Shard:
@@ -89,16 +88,23 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
     except KeyError as error:
         why = f"attribute {error} is missing, or neither text of fixed length nor numbers"
         raise ShardError(f"{path}: {why}") from None
-    except _UNSOUND as error:
+    except UNSOUND as error:
         raise ShardError(f"{path}: not a sound shard ({error})") from error
     shard = Shard(path, header, content, arrays)
     if sha256 is not None and not has_hash(mapping, status, sha256):
-        _check_content(shard)
+        sound_labels(shard)
     return shard
 
 
-_UNSOUND = (TypeError, ValueError, ArithmeticError, RecursionError)
-"""What `hdf5.py`, JSON and our own checks of a spec raise on files that are no sound shards."""
+UNSOUND = (
+    TypeError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+)
+"""What `hdf5.py`, JSON and our own checks raise on files that are not what they should be."""
 
 
 _compared: set[tuple[int | str, ...]] = set()
@@ -115,17 +121,20 @@ def has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
     return file in _compared
 
 
-def _check_content(shard: Shard) -> None:
-    """Refuse a shard whose maps and labels do not have the content hash that it states."""
-    try:
-        same = content_hash(decode(shard)) == shard.content_hash
-    except (ValueError, IndexError, ArithmeticError):
-        same = False
-    if not same:
-        raise ShardError(
-            f"{shard.path}: damaged (its content hash does not fit); 'mapdata verify' with "
-            "--repair makes it again where there is a recipe"
-        )
+def sound_labels(shard: Shard) -> Labels:
+    """Return the labelled maps of a shard.
+
+    Raises:
+        ShardError: they do not have the content hash that the shard states.
+    """
+    with suppress(*UNSOUND):
+        labels = decode(shard)
+        if content_hash(labels) == shard.content_hash:
+            return labels
+    raise ShardError(
+        f"{shard.path}: damaged (its content hash does not fit); 'mapdata verify' with --repair "
+        "makes it again where there is a recipe"
+    )
 
 
 @lru_cache(maxsize=1)
@@ -184,10 +193,10 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     version = int(attributes["format_version"])
     check_version(version)
     rows, columns = (int(side) for side in attributes["map_size"])
-    spec, seed, expected_identity = _recipe(attributes["spec"], attributes["seed"])
+    spec = _spec(attributes["spec"])
     header = Header(
         spec=spec,
-        seed=seed,
+        seed=int(attributes["seed"]) if attributes["seed"] else None,
         start=int(attributes["start"]),
         stop=int(attributes["stop"]),
         map_size=(rows, columns),
@@ -198,7 +207,7 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError(
             f"format version {version}, but its spec is of version {header.format_version}"
         )
-    if attributes["identity"] != expected_identity:
+    if attributes["identity"] != (header.identity or ""):
         raise ShardError("its identity is not that of its spec and seed")
     if spec is not None:
         expected = (spec.map_size, spec.movement, spec.resolution)
@@ -214,14 +223,10 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     return header, content
 
 
-@lru_cache(maxsize=16)  # all shards of a dataset have one recipe
-def _recipe(spec: str, seed: str) -> tuple[Generator | None, int | None, str]:
-    """Return the spec, the seed and the identity of their texts; "" stands for none."""
-    generator = Generator.from_json(spec) if spec else None
-    number = int(seed) if seed else None
-    if generator is None or number is None:
-        return generator, number, ""
-    return generator, number, identity(generator, number)
+@lru_cache(maxsize=16)  # all shards of a dataset have one spec
+def _spec(text: str) -> Generator | None:
+    """Return the spec of its text; "" stands for none."""
+    return Generator.from_json(text) if text else None
 
 
 def is_hash(text: str) -> bool:
@@ -259,7 +264,7 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
     """Return the shape that every array must have, given the header and the last offsets."""
     rows, columns = header.map_size
     octets = (columns + WORD - 1) // WORD * WORD // 8  # a row is a whole number of words
-    maps = header.stop - header.start
+    maps = header.maps
     rooms = _last(arrays["room_offsets"])
     pairs = _last(arrays["pair_offsets"])
     segments = rooms - maps

@@ -30,7 +30,7 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.reader import has_hash, open_shard
-from mapdata.shards.shard import Header, Shard, ShardError, StrPath, decode, write_file
+from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement
 
@@ -146,8 +146,8 @@ class Root:
                 f"{path}: missing; 'mapdata verify {place}' tells what else is"
             ) from None
         manifest = self.manifests[number]
-        expected = Header(**manifest.origin(), start=entry.start, stop=entry.stop)
-        if (shard.header, shard.content_hash) != (expected, entry.content_hash):
+        expected = (manifest.header(*entry.limits), entry.content_hash)
+        if (shard.header, shard.content_hash) != expected:
             raise ShardError(f"{path}: holds other maps than the manifest says")
         return shard
 
@@ -171,10 +171,10 @@ class Root:
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
-        with bar(progress, sum(entry.stop - entry.start for _, _, entry in self.shards)) as advance:
+        with bar(progress, sum(entry.maps for _, _, entry in self.shards)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):
                 yield self.shard_labels(k)
-                advance(entry.stop - entry.start)
+                advance(entry.maps)
 
     def map(self, index: int) -> tuple[Labels, int]:
         """Return the shard that holds map ``index``, and the place of the map in it.

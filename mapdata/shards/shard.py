@@ -35,6 +35,9 @@ from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json, least_versio
 Array = npt.NDArray[Any]
 StrPath: TypeAlias = str | os.PathLike[str]
 
+Span = tuple[int, int]
+"""(start, stop) of the maps of a shard."""
+
 SEARCHES = ("bfs", "astar")
 """The searches whose results are stored, as names of datasets and columns begin."""
 
@@ -143,8 +146,25 @@ class Origin:
         return {field.name: getattr(self, field.name) for field in fields(Origin)}
 
 
+class MapRange:
+    """The maps start <= i < stop of a dataset."""
+
+    start: int
+    stop: int
+
+    @property
+    def limits(self) -> Span:
+        """(start, stop)."""
+        return self.start, self.stop
+
+    @property
+    def maps(self) -> int:
+        """How many they are."""
+        return self.stop - self.start
+
+
 @dataclass(frozen=True)
-class Header(Origin):
+class Header(MapRange, Origin):
     """What the root attributes of a shard say.
 
     Attributes:
@@ -256,7 +276,8 @@ def encode(labels: Labels) -> dict[str, Array]:
         "sizes": maps.sizes[used],
         "directions": maps.directions[used[:, 1:]],
     }
-    for name, search in (("bfs", labels.bfs), ("astar", labels.astar)):
+    for name in SEARCHES:
+        search = labels.of(name)
         arrays[f"{name}_offsets"] = search.offsets
         arrays[f"{name}_moves"] = pack_moves(search.moves, bits_of(maps.movement))
         arrays[f"{name}_iterations"] = search.iterations
@@ -323,10 +344,8 @@ def bits_of(movement: Movement) -> int:
 def pack_moves(moves: Bytes, bits: int) -> Bytes:
     """Pack moves, the first one in the lowest bits of a byte."""
     each = 8 // bits
-    size = (len(moves) + each - 1) // each
-    padded = np.zeros(size * each, np.uint8)
-    padded[: len(moves)] = moves
-    packed = np.zeros(size, np.uint8)
+    padded = np.pad(moves, (0, -len(moves) % each))
+    packed = np.zeros(len(padded) // each, np.uint8)
     for k in range(each):
         packed |= padded[k::each] << np.uint8(bits * k)
     return packed
