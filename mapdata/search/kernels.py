@@ -713,44 +713,44 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
     Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A step costs at
     least UNIT, so it leads out of its bucket, and what lies in the nearest bucket cannot become
     cheaper, whatever the order within. A step of sqrt(2) ends one or two buckets ahead, so that
-    three lists through the log, used in turns, are all buckets there can be at a time. Returns as
+    four lists through the log, used in turns, are more than there can be at a time. Returns as
     `shortest_costs` does.
     """
     came = buffers.came
     costs = buffers.g
     pushed = buffers.pushed
     links = buffers.links
-    heads = np.zeros(3, np.int64)  # the latest push of each bucket; push 0 does not exist
+    heads = np.zeros(4, np.uint32)  # the latest push of each bucket; push 0 does not exist
     heads[0] = sources
     for k in range(1, sources + 1):
         links[k] = k - 1
-    pushes = sources + 1
+    pushes = np.uint32(sources + 1)
     bucket = 0
     waiting = sources
     while waiting:
-        entry = heads[bucket % 3]
+        entry = heads[np.uint64(bucket & 3)]
         if entry == 0:
             bucket += 1
             if bucket >= LONGEST:
                 raise ValueError(_TOO_LONG)
             continue
-        heads[bucket % 3] = links[entry]
+        heads[np.uint64(bucket & 3)] = links[np.uint64(entry)]
         waiting -= 1
-        cell = np.int64(pushed[entry])
-        cost = costs[cell]
+        cell = pushed[np.uint64(entry)]
+        cost = costs[np.uint64(cell)]
         if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
         for move in range(len(lattice.offsets)):
-            to = cell + lattice.offsets[move]
+            to = np.uint64(cell + lattice.offsets[move])
             tentative = cost + (UNIT if move < 4 else lattice.step)
             # most neighbours are no cheaper this way, so that their corners need no look
             if tentative < costs[to] and is_legal(came, cell, move, lattice):
                 costs[to] = tentative
-                ahead = (tentative >> UNIT_BITS) % 3
-                pushed[pushes] = to
-                links[pushes] = heads[ahead]
+                ahead = np.uint64((tentative >> UNIT_BITS) & 3)
+                pushed[np.uint64(pushes)] = to
+                links[np.uint64(pushes)] = heads[ahead]
                 heads[ahead] = pushes
-                pushes += 1
+                pushes += np.uint32(1)
                 waiting += 1
     # The log holds some cells twice and is not needed any more: the cells reached take its place.
     count = 0
