@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from operator import index
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,8 @@ To fault in new pages takes longer than most searches. What is kept is address s
 that searches touched take memory, mostly less than a quarter. A call on a larger grid takes its
 memory for itself and gives it back.
 """
+
+Cell: TypeAlias = "tuple[int, int] | Ints"
 
 _UINT8 = np.dtype(np.uint8)  # comparing with the class itself takes twice as long
 
@@ -165,21 +167,11 @@ def solve_batch(
         raise ValueError(
             f"got {len(stack)} grids, {count} starts and {len(ends)} goals, expected equal numbers"
         )
-    for name, cells in (("start", begins), ("goal", ends)):
-        outside = np.flatnonzero(((cells < 0) | (cells >= stack.shape[1:])).any(axis=1))
-        if len(outside):
-            k = int(outside[0])
-            raise ValueError(
-                f"problem {k}: {name} {_cell_text(cells[k])} is outside the map of "
-                f"{_size(stack)} cells"
-            )
     memory = _scratch_memory(stack)
     path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement), memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
-        start = tuple(begins[solved].tolist())
-        goal = tuple(ends[solved].tolist())
-        raise ValueError(f"problem {solved}: {_complaint(grid, start, goal)}")
+        raise ValueError(f"problem {solved}: {_complaint(grid, begins[solved], ends[solved])}")
     straight, diagonal, iterations, bounds = found.T
     costs = straight + diagonal * movement.diagonal_cost
     offsets = np.concatenate(([0], bounds))
@@ -239,13 +231,11 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
         return float(straight + diagonal * movement.diagonal_cost)
     if bad == -2:
         raise ValueError(_values_complaint(array))
-    cell = _cell_text(cells[bad])
-    if ((cells[bad] < 0) | (cells[bad] >= array.shape)).any():
-        raise ValueError(f"path: cell {bad}, {cell}, is outside the map of {_size(array)} cells")
-    if array[tuple(cells[bad])]:
-        raise ValueError(f"path: cell {bad}, {cell}, is occupied")
-    before = _cell_text(cells[bad - 1])
-    raise ValueError(f"path: step {bad - 1}, from {before} to {cell}, is not a move of {movement}")
+    why = _why_not_free(array, cells[bad])
+    if why:
+        raise ValueError(f"path: cell {bad}, {why}")
+    steps = f"from {_cell_text(cells[bad - 1])} to {_cell_text(cells[bad])}"
+    raise ValueError(f"path: step {bad - 1}, {steps}, is not a move of {movement}")
 
 
 def _search(
@@ -313,8 +303,9 @@ def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
     wide = np.int64 if array.dtype.kind in "iu" else np.float64
-    # contiguous, aligned and writable: one flavour of each for the kernel
-    values = np.require(array, wide, ("C", "A", "W"))
+    values = np.require(
+        array, wide, ["C", "A", "W"]
+    )  # contiguous, aligned, writable: one flavour each
     narrowed = np.empty(array.shape, np.uint8)
     if not narrow(values.reshape(-1), narrowed.reshape(-1)):
         raise ValueError(_values_complaint(array))
@@ -350,13 +341,20 @@ def _whole(name: str, cells: npt.ArrayLike) -> Ints:
     return array.astype(np.int64, copy=False)
 
 
-def _complaint(grid: Bytes, start: tuple[int, ...], goal: tuple[int, ...]) -> str:
+def _complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
     """Return why a problem was refused."""
     if np.any(grid > 1):
         return _values_complaint(grid)
-    if grid[start]:
-        return f"start: {start} is on an occupied cell"
-    return f"goal: {goal} is on an occupied cell"
+    why = _why_not_free(grid, start)
+    return f"start: {why}" if why else f"goal: {_why_not_free(grid, goal)}"
+
+
+def _why_not_free(grid: Bytes, cell: Cell) -> str:
+    """Return why ``cell`` cannot be on a path, or nothing."""
+    row, column = cell
+    if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+        return f"({row}, {column}) is outside the map of {_size(grid)} cells"
+    return f"({row}, {column}) is on an occupied cell" if grid[row, column] else ""
 
 
 def _values_complaint(grid: npt.NDArray[np.generic]) -> str:

@@ -288,12 +288,10 @@ def best_first(
     links = buffers.links
     f = buffers.f
     g_weight, h_weight = search
-    stride = np.uint32(lattice.stride)  # 32 bits, as in `astar_manhattan`
-    target = np.uint32(goal)
     goal_row, goal_column = position(goal, lattice)
     row, column = position(start, lattice)
     least = heuristic(row - goal_row, column - goal_column, lattice)  # the f of ``near``
-    slice_of_f = least >> _SLICE_BITS
+    slot = np.uint8(least >> _SLICE_BITS)  # the bucket of that f: 8 bits go around the ring
     buckets = np.zeros(_SLICES, np.uint32)
     size = 0  # of the heap
     came[start] = 0  # any move: a path is traced back only as far as its start
@@ -314,12 +312,12 @@ def best_first(
             size -= 1
             _remove_top(links, f, size)
         else:
-            end = slice_of_f + _SLICES
-            while slice_of_f < end and buckets[np.uint64(slice_of_f & (_SLICES - 1))] == 0:
-                slice_of_f += 1
-            if slice_of_f == end:
+            empty = 0
+            while empty < _SLICES and buckets[slot] == 0:
+                slot = np.uint8(slot + 1)
+                empty += 1
+            if empty == _SLICES:
                 break
-            slot = np.uint64(slice_of_f & (_SLICES - 1))
             near, buckets[slot], least = _split(buckets[slot], links, f)
             continue
         # It was pushed again with a smaller g, and so a smaller f, and expanded then.
@@ -327,14 +325,12 @@ def best_first(
             continue
         came[np.uint64(cell)] |= CLOSED
         expansions += 1
-        if cell == target:
+        if cell == goal:
             break
         cost = g[np.uint64(cell)]
         if cost >= LONGEST * UNIT:
             raise ValueError(_TOO_LONG)
-        padded_row = cell // stride
-        row = np.int64(padded_row) - 1
-        column = np.int64(cell - padded_row * stride) - 1
+        row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
             to = np.uint64(cell + lattice.offsets[move])
             tentative = cost + (UNIT if move < 4 else lattice.step)
@@ -366,9 +362,9 @@ def best_first(
                 near = pushes
             else:
                 f[np.uint64(pushes)] = tentative + h
-                slot = np.uint64(((tentative + h) >> _SLICE_BITS) & (_SLICES - 1))
-                links[np.uint64(pushes)] = buckets[slot]
-                buckets[slot] = pushes
+                ahead = np.uint8((tentative + h) >> _SLICE_BITS)
+                links[np.uint64(pushes)] = buckets[ahead]
+                buckets[ahead] = pushes
             pushes += np.uint32(1)
     return expansions, np.int64(pushes)
 
@@ -433,10 +429,13 @@ def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
 def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, key: Int) -> None:
     """Insert the latest ``push`` into a heap of ``size`` entries: it rises past equal f, too."""
     at = size
-    while at and f[(at - 1) >> 1] >= key:
-        f[at] = f[(at - 1) >> 1]
-        heap[at] = heap[(at - 1) >> 1]
-        at = (at - 1) >> 1
+    while at:
+        above = (at - 1) >> 1
+        if f[above] < key:
+            break
+        f[at] = f[above]
+        heap[at] = heap[above]
+        at = above
     f[at] = key
     heap[at] = push
 
@@ -501,8 +500,6 @@ def scratch(search: Weights, lattice: Lattice) -> Scratch:
     pushes = 8 * lattice.cells  # a cell is pushed at most once for each neighbour
     if search == BFS or (search == COSTS and lattice.step == UNIT):
         pushes = lattice.cells
-    elif search == ASTAR and lattice.diagonals == 0:
-        pushes = 2 * lattice.cells  # once on each stack
     # Two more: the start, and the entry 0 that does not exist.
     return scratch_in(np.empty(9 * lattice.cells + 16 * (pushes + 2), np.uint8), lattice)
 
@@ -516,16 +513,12 @@ def scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
     cells = lattice.cells
     pushes = (len(memory) - 9 * cells) // 16
     # The widest items come first, so that all are aligned.
-    f = 8 * cells
-    pushed = f + 8 * pushes
-    links = pushed + 4 * pushes
-    came = links + 4 * pushes
+    lists = 8 * (cells + pushes)
+    came = lists + 8 * pushes
+    wide = memory[:lists].view(np.int64)
+    narrow = memory[lists:came].view(np.uint32)
     return Scratch(
-        memory[came : came + cells],
-        memory[:f].view(np.int64),
-        memory[pushed:links].view(np.uint32),
-        memory[links:came].view(np.uint32),
-        memory[f:pushed].view(np.int64),
+        memory[came : came + cells], wide[:cells], narrow[:pushes], narrow[pushes:], wide[cells:]
     )
 
 
@@ -591,7 +584,7 @@ def solve_all(
     Returns:
         cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1,
         0), iterations, and the end of the path in ``cells``; the number of problems solved before
-        one was found bad.
+        one was found bad: an end outside or occupied, other values than 0 and 1.
     """
     lattice = lattice_of(grids.shape[1:], rule)
     buffers = scratch_in(memory, lattice)
@@ -604,7 +597,7 @@ def solve_all(
         stale = k == 0 or len(grids) > 1 or search == BFS
         if stale and not load(grid, buffers.came):
             return path, found, k
-        if grid[starts[k, 0], starts[k, 1]] or grid[goals[k, 0], goals[k, 1]]:
+        if not (is_free(grid, starts[k]) and is_free(grid, goals[k])):
             return path, found, k
         start = cell_at(starts[k, 0], starts[k, 1], lattice)
         goal = cell_at(goals[k, 0], goals[k, 1], lattice)
@@ -623,6 +616,13 @@ def solve_all(
         if search != BFS:
             wipe(buffers, pushes)
     return path[:used], found, len(starts)
+
+
+@inlined
+def is_free(grid: Bytes, cell: Ints) -> Int:
+    """Return whether ``cell`` (row, col) is inside ``grid`` and free."""
+    row, column = cell
+    return 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] == 0
 
 
 @kernel
@@ -648,11 +648,11 @@ def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
     if not is_binary(grid):
         return -2, 0
     for k in range(len(path)):
-        row, column = path[k]
-        if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]) or grid[row, column]:
+        if not is_free(grid, path[k]):
             return k, diagonal
         if k == 0:
             continue
+        row, column = path[k]
         row_before, column_before = path[k - 1]
         rows = abs(row - row_before)
         columns = abs(column - column_before)
@@ -719,44 +719,44 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
     Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A step costs at
     least UNIT, so it leads out of its bucket, and what lies in the nearest bucket cannot become
     cheaper, whatever the order within. A step of sqrt(2) ends one or two buckets ahead, so that
-    three lists through the log, used in turns, are all buckets there can be at a time. Returns as
+    four lists through the log, used in turns, are more than there can be at a time. Returns as
     `shortest_costs` does.
     """
     came = buffers.came
     costs = buffers.g
     pushed = buffers.pushed
     links = buffers.links
-    heads = np.zeros(3, np.int64)  # the latest push of each bucket; push 0 does not exist
+    heads = np.zeros(4, np.uint32)  # the latest push of each bucket; push 0 does not exist
     heads[0] = sources
     for k in range(1, sources + 1):
         links[k] = k - 1
-    pushes = sources + 1
+    pushes = np.uint32(sources + 1)
     bucket = 0
     waiting = sources
     while waiting:
-        entry = heads[bucket % 3]
+        entry = heads[np.uint64(bucket & 3)]
         if entry == 0:
             bucket += 1
             if bucket >= LONGEST:
                 raise ValueError(_TOO_LONG)
             continue
-        heads[bucket % 3] = links[entry]
+        heads[np.uint64(bucket & 3)] = links[np.uint64(entry)]
         waiting -= 1
-        cell = np.int64(pushed[entry])
-        cost = costs[cell]
+        cell = pushed[np.uint64(entry)]
+        cost = costs[np.uint64(cell)]
         if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
         for move in range(len(lattice.offsets)):
-            to = cell + lattice.offsets[move]
+            to = np.uint64(cell + lattice.offsets[move])
             tentative = cost + (UNIT if move < 4 else lattice.step)
             # most neighbours are no cheaper this way, so that their corners need no look
             if tentative < costs[to] and is_legal(came, cell, move, lattice):
                 costs[to] = tentative
-                ahead = (tentative >> UNIT_BITS) % 3
-                pushed[pushes] = to
-                links[pushes] = heads[ahead]
+                ahead = np.uint64((tentative >> UNIT_BITS) & 3)
+                pushed[np.uint64(pushes)] = to
+                links[np.uint64(pushes)] = heads[ahead]
                 heads[ahead] = pushes
-                pushes += 1
+                pushes += np.uint32(1)
                 waiting += 1
     # The log holds some cells twice and is not needed any more: the cells reached take its place.
     count = 0

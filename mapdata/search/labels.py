@@ -166,14 +166,13 @@ def label(maps: Maps) -> Labels:
     array([[ 0., 39.],
            [39.,  0.]])
     """
-    _check_seed_points(maps)
     segments = int(maps.segment_offsets[-1])
     pairs = int(maps.pair_offsets[-1])
     bfs_table = np.empty((segments, 2), np.int64)
     bfs_costs = np.empty((pairs, 2), np.int64)
     astar_table = np.empty_like(bfs_table)
     astar_costs = np.empty_like(bfs_costs)
-    bfs_moves, astar_moves = _label(
+    bfs_moves, astar_moves, bad = _label(
         maps.packed,
         maps.columns,
         maps.rooms,
@@ -186,6 +185,13 @@ def label(maps: Maps) -> Labels:
         astar_table,
         astar_costs,
     )
+    if bad >= 0:
+        i, q = divmod(bad, maps.seed_points.shape[1])
+        cell = tuple(maps.seed_points[i, q].tolist())
+        raise ValueError(f"seeds: {cell} of map {maps.index[i]} is not a free cell")
+    if maps.movement.connectivity == 4:
+        # Both searches are optimal, and each move costs 1: what BFS found is it.
+        astar_costs = bfs_costs.copy()
     bfs = _search_labels(bfs_moves, bfs_table, bfs_costs)
     astar = _search_labels(astar_moves, astar_table, astar_costs)
     return Labels(maps, bfs, astar)
@@ -195,23 +201,6 @@ def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
     """Return the labels of one search from what `_label` gave."""
     offsets = np.concatenate(([0], np.cumsum(table[:, 0])))
     return SearchLabels(moves, offsets, np.ascontiguousarray(table[:, 1]), costs)
-
-
-def _check_seed_points(maps: Maps) -> None:
-    """Refuse maps with a seed point that is outside or occupied."""
-    used = np.arange(maps.seed_points.shape[1]) < maps.rooms[:, None]
-    seed_points = maps.seed_points[used]
-    owner = np.repeat(np.arange(len(maps)), maps.rooms)
-    size = (maps.packed.shape[1], maps.columns)
-    bad: Flags = np.any((seed_points < 0) | (seed_points >= size), axis=1)
-    rows, columns = np.where(bad[:, None], 0, seed_points).T  # (0, 0) is inside every map
-    words = maps.packed[owner, rows, columns // WORD]
-    occupied = words >> (columns % WORD).astype(np.uint64) & np.uint64(1)
-    bad |= occupied == 1
-    if bad.any():
-        k = int(np.argmax(bad))
-        cell = tuple(seed_points[k].tolist())
-        raise ValueError(f"seeds: {cell} of map {maps.index[owner[k]]} is not a free cell")
 
 
 @kernel
@@ -227,8 +216,10 @@ def _label(
     bfs_costs: Ints,
     astar_table: Ints,
     astar_costs: Ints,
-) -> tuple[Bytes, Bytes]:
-    """Label every map; return the moves of BFS and of A*.
+) -> tuple[Bytes, Bytes, Int]:
+    """Label every map; return the moves of BFS and of A*, and -1.
+
+    If seed point q of map m is not a free cell, the last is m * (most rooms) + q.
 
     Fills the tables, (S, 2), with number of moves and iterations, and the costs, (P, 2), with
     straight and diagonal moves.
@@ -250,7 +241,11 @@ def _label(
         _unpack(packed[m], columns, fresh)
         n = rooms[m]
         for q in range(n):
-            seed_cells[q] = cell_at(seed_points[m, q, 0], seed_points[m, q, 1], lattice)
+            row, column = seed_points[m, q]
+            seed_cells[q] = cell_at(row, column, lattice)
+            inside = 0 <= row < packed.shape[1] and 0 <= column < columns
+            if not inside or fresh[seed_cells[q]] == WALL:
+                return bfs_moves, astar_moves, m * len(seed_cells) + q
         at = slice(segments[m], segments[m + 1])
         of = slice(pairs[m], pairs[m + 1])
         if small:
@@ -280,13 +275,12 @@ def _label(
             seed_cells[:n],
             lattice,
             searching,
-            bfs_costs[of],
             astar_table[at],
             astar_costs[of],
             astar_moves,
             astar_used,
         )
-    return bfs_moves[:bfs_used], astar_moves[:astar_used]
+    return bfs_moves[:bfs_used], astar_moves[:astar_used], -1
 
 
 @kernel
@@ -349,7 +343,6 @@ def _astar_labels(
     cells: Ints,
     lattice: Lattice,
     buffers: Scratch,
-    bfs_costs: Ints,
     table: Ints,
     costs: Ints,
     moves: Bytes,
@@ -357,6 +350,7 @@ def _astar_labels(
 ) -> tuple[Bytes, Int]:
     """Label one map by A*: a search for each segment; costs of the other pairs by `_fill_costs`.
 
+    Under 4-connectivity, where BFS finds the same, the costs of the other pairs are left out.
     Returns the moves and their number.
     """
     came = buffers.came
@@ -377,30 +371,16 @@ def _astar_labels(
         costs[pair, 0] = straight
         costs[pair, 1] = diagonal
         pair += 1
-        others = len(cells) - a - 2
-        _fill_costs(
-            cells[a],
-            cells[a + 2 :],
-            lattice,
-            buffers,
-            bfs_costs[pair : pair + others],
-            costs[pair:],
-        )
-        pair += others
+        if lattice.diagonals:
+            _fill_costs(cells[a], cells[a + 2 :], lattice, buffers, costs[pair:])
+        pair += len(cells) - a - 2
     return moves, used
 
 
 @kernel
-def _fill_costs(
-    source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, bfs_costs: Ints, costs: Ints
-) -> None:
+def _fill_costs(source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, costs: Ints) -> None:
     """Write the costs from ``source`` to each of ``cells``, as A* finds them, by the least work."""
-    if lattice.diagonals == 0:
-        # Both searches are optimal, and each move costs 1: what BFS found is it.
-        for k in range(len(cells)):
-            costs[k, 0] = bfs_costs[k, 0]
-            costs[k, 1] = 0
-    elif lattice.step != UNIT and len(cells) >= _MANY:
+    if lattice.step != UNIT and len(cells) >= _MANY:
         # sqrt(2) is irrational: only one pair of numbers of straight and diagonal moves has the
         # least cost, so that any optimal search finds that of A*.
         shortest_costs(source, lattice, buffers)

@@ -131,7 +131,8 @@ def cell_at(row: Int, column: Int, lattice: Lattice) -> Int:
 @inlined
 def position(cell: Int, lattice: Lattice) -> tuple[Int, Int]:
     """Return (row, column) of a padded cell."""
-    row = cell // lattice.stride
+    # 32 bits hold every cell, and are divided faster than 64.
+    row = np.int64(np.uint32(cell) // np.uint32(lattice.stride))
     return row - 1, cell - row * lattice.stride - 1
 
 
