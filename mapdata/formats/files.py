@@ -199,7 +199,7 @@ class Npz:
                         f"most {limits.unpacked}"
                     )
                 with archive.open(info) as member:
-                    self.shapes[name], _, _ = _header(member)
+                    self.shapes[name] = _shape(member)
 
     def __getitem__(self, name: str) -> Array:
         """Return one array.
@@ -214,8 +214,7 @@ class Npz:
             zipfile.ZipFile(self.path) as archive,
             archive.open(f"{name}.npy") as member,
         ):
-            size = archive.getinfo(f"{name}.npy").file_size
-            return _array(member, size, f"{self.path}: array {name!r}")
+            return _array(member, f"{self.path}: array {name!r}")
 
 
 @contextmanager
@@ -238,25 +237,21 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
     Raises:
         FormatError: not a sound file, too large, or pickled objects.
     """
-    data = read_bytes(path, limits)
-    return _array(io.BytesIO(data), len(data), str(path))
+    return _array(io.BytesIO(read_bytes(path, limits)), str(path))
 
 
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return what the header of an .npy says: shape, Fortran order and type."""
+def _shape(file: IO[bytes]) -> tuple[int, ...]:
+    """Return the shape that the header of an .npy says."""
     read_header = np.lib.format.read_array_header_2_0
     if np.lib.format.read_magic(file) == (1, 0):
         read_header = np.lib.format.read_array_header_1_0
-    return read_header(file, max_header_size=10_000)
+    return read_header(file)[0]
 
 
-def _array(file: IO[bytes], size: int, what: str) -> Array:
-    """Return the numbers of an .npy of ``size`` bytes, if it has as many as its header says."""
+def _array(file: IO[bytes], what: str) -> Array:
+    """Return the numbers of an .npy, if it has as many as its header says."""
     try:
-        shape, fortran, dtype = _header(file)
-        # no more than the archive states: without a number zipfile unpacks all that is there
-        values: Array = np.frombuffer(file.read(size), dtype)
-        values = values.reshape(shape, order="F" if fortran else "C")
+        values: Array = np.lib.format.read_array(file, allow_pickle=False)
     except Exception as error:
         # numpy parses the header as Python text: what it raises is not documented
         raise FormatError(

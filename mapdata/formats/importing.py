@@ -316,10 +316,8 @@ def to_maps(batch: Sequence[ForeignMap], header: Header, draws: Draws) -> Maps:
         maps.rooms[k] = len(cells)
         maps.passage_width[k] = one.passage_width
         maps.seed_points[k, : len(cells)] = cells
-        if one.sizes is not None:
-            maps.sizes[k, : len(one.sizes)] = one.sizes
-        if one.directions is not None:
-            maps.directions[k, : len(one.directions)] = one.directions
+        maps.sizes[k, : len(one.sizes)] = one.sizes
+        maps.directions[k, : len(one.directions)] = one.directions
         if one.split is not None:
             maps.split[k] = one.split
     return maps

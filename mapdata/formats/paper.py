@@ -271,8 +271,8 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
         number=number,
         seed_points=seed_points,
         rooms_known=True,
-        sizes=sizes if len(sizes) else None,
-        directions=directions.reshape(-1, 2) if len(directions) else None,
+        sizes=sizes,
+        directions=directions.reshape(-1, 2),
         passage_width=width,
         check=partial(_differing, stated) if stated else None,
     )
