@@ -115,7 +115,7 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
     match = _HEADER.match(data)
     if match is None:
         raise FormatError(f"{path}: its PGM header is damaged")
-    columns, rows, maximum = (int(match[k]) for k in (2, 3, 4))
+    columns, rows, maximum = map(int, match.groups()[1:])
     _check_size(path, rows, columns, limits)
     if not 1 <= maximum <= 65535:
         raise FormatError(f"{path}: says a maximum of {maximum}, expected 1 to 65535")

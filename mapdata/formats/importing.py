@@ -129,7 +129,7 @@ def import_maps(
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
     if shard_size is not None:
         check_count("shard_size", shard_size)
-    if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
+    if resolution is not None and not 0 < resolution < math.inf:
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
@@ -144,7 +144,7 @@ def import_maps(
             advance(1)
     if not groups:
         reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
-        raise ValueError("".join(["no map to import", *reasons]))
+        raise ValueError("no map to import" + "".join(reasons))
     folders = _folders(root, list(groups))
     codes: dict[Group, Bytes] = {}
     thresholds = split_thresholds(splits)
@@ -333,7 +333,7 @@ def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> I
     if one.rooms_known or missing <= 0:
         return one.seed_points
     _, columns = one.shape
-    given = one.seed_points[:, 0] * columns + one.seed_points[:, 1]
+    given = one.seed_points @ (columns, 1)
     cells = _free_component(one.grid, header.movement)
     cells = cells[~np.isin(cells, given)]
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))

@@ -371,8 +371,7 @@ def read(
     if scen or source.suffix.lower() == ".scen":
         points = _end_points(source, limits, maps, found).items()
     else:
-        paths = files_of(source, (".map",), limits, found.left_out)
-        points = ((path, []) for path in paths)
+        points = ((path, []) for path in files_of(source, (".map",), limits, found.left_out))
     closed: Counter[str] = Counter()
     for path, ends in points:
         with found.leaving_out(path):

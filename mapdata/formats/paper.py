@@ -229,7 +229,7 @@ def _columns(path: Path, headers: list[str]) -> list[str]:
     """
     columns = [_column(header) for header in headers]
     missing = [name for name in NEEDED if name not in columns]
-    if "label" not in columns and "item" not in columns:
+    if {"label", "item"}.isdisjoint(columns):
         missing.append("label")
     if missing:
         advice = "--format images reads the pictures alone"

@@ -123,7 +123,7 @@ def _fields(path: Path) -> dict[str, Any]:
     with refusing(f"{path}: not plain YAML"):
         # 700 bytes with aliases of aliases can stand for minutes of work.
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-            raise yaml.YAMLError("an alias: write out what it stands for")
+            raise FormatError(f"{path}: not plain YAML (an alias: write out what it stands for)")
         fields = yaml.safe_load(text)
     if not isinstance(fields, dict) or "image" not in fields:
         raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
