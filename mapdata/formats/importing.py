@@ -133,7 +133,7 @@ def import_maps(
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
-    with bar(progress, len(source.maps), unit=" maps checked") as advance:
+    with bar(progress and bool(source.maps), len(source.maps), unit=" maps checked") as advance:
         for one in _tiles(source, tile):
             why = _unusable(one, movement)
             if why is not None:

@@ -102,11 +102,11 @@ def read_terrain(path: str | Path, limits: Limits = LIMITS) -> Bytes:
             f"{path}: height {rows} and width {columns}, expected 1 to {limits.pixels} cells"
         )
     body = [line.rstrip(" \t") for line in lines[first : first + rows]]
+    expected = f"{columns} letters"
     for k in range(rows):
-        if k < len(body) and len(body[k]) == columns:
-            continue
         what = f"{len(body[k])} letters" if k < len(body) else "missing"
-        raise FormatError(f"{path}: row {k} is {what}, expected {columns} letters ({rows} rows)")
+        if what != expected:
+            raise FormatError(f"{path}: row {k} is {what}, expected {expected} ({rows} rows)")
     text = "".join(body)
     known = LAND + "".join(_ISLANDS) + BLOCKED
     unknown = set(text) - set(known)
