@@ -13,6 +13,10 @@ from mapdata.search.labels import Labels
 from mapdata.spec import Movement
 
 
+def _no_pairs() -> Ints:
+    return np.empty((0, 2), np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class ForeignMap:
     """One grid as a format gives it.
@@ -28,8 +32,8 @@ class ForeignMap:
             1.
         seed_points: (k, 2) int64, seed points that the source has; the others are drawn.
         rooms_known: ``seed_points`` are all there are: none is drawn.
-        sizes: (k, 2) int64, rows and columns of the rooms, -1 unknown.
-        directions: (k - 1, 2) int64, the legs of the passages, -1 none or unknown.
+        sizes: (k, 2) int64, rows and columns of the rooms, -1 unknown; empty: all are.
+        directions: (k - 1, 2) int64, the legs of the passages, -1 none or unknown; empty: all are.
         passage_width: in cells, -1 unknown.
         check: called with the labels and the number of this map in them; returns the names of what
             the source says otherwise.
@@ -41,10 +45,10 @@ class ForeignMap:
     split: int | None = None
     resolution: float | None = None
     number: int | None = None
-    seed_points: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    seed_points: Ints = field(default_factory=_no_pairs)
     rooms_known: bool = False
-    sizes: Ints | None = None
-    directions: Ints | None = None
+    sizes: Ints = field(default_factory=_no_pairs)
+    directions: Ints = field(default_factory=_no_pairs)
     passage_width: int = -1
     check: Callable[[Labels, int], list[str]] | None = None
     shape: tuple[int, int] = field(init=False)

@@ -19,7 +19,7 @@ from mapdata.arrays import Bytes
 from mapdata.generators.maps import Maps
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-from mapdata.spec import SPLITS
+from mapdata.spec import MAX_SIDE, SPLITS
 
 Array = npt.NDArray[Any]
 
@@ -52,22 +52,40 @@ class Limits:
 LIMITS = Limits()
 
 
+@contextmanager
+def refusing(message: str) -> Iterator[None]:
+    """Turn whatever a library raises into a `FormatError` that says ``message`` and the cause.
+
+    What zipfile, Pillow's decoders and numpy's parser of headers raise on damaged files is not
+    documented: zlib.error, struct.error, SyntaxError, EOFError and more.
+    """
+    try:
+        yield
+    except FormatError:
+        raise
+    except Exception as error:
+        raise FormatError(f"{message} ({type(error).__name__}: {error})") from None
+
+
+def check_file(path: Path, limits: Limits) -> None:
+    """Refuse to read what is no plain file, or larger than ``limits.unpacked``."""
+    if not path.is_file():
+        what = "not a plain file" if path.exists() else "no such file"
+        raise FormatError(f"{path}: {what}")
+    size = path.stat().st_size
+    if size > limits.unpacked:
+        raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
+
+
 def read_bytes(path: Path, limits: Limits = LIMITS) -> bytes:
     """Return the content of a file.
 
     Raises:
         FormatError: missing, not a plain file, or larger than ``limits.unpacked``.
     """
-    try:
-        if not path.is_file():
-            what = "not a plain file" if path.exists() else "no such file"
-            raise FormatError(f"{path}: {what}")
-        size = path.stat().st_size
-        if size > limits.unpacked:
-            raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
+    with refusing(f"{path}: cannot be read"):
+        check_file(path, limits)
         return path.read_bytes()
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error})") from None
 
 
 def read_text(path: Path, limits: Limits = LIMITS) -> str:
@@ -84,6 +102,17 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     except UnicodeDecodeError:
         text = data.decode("latin-1")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def check_sides(name: str, sides: tuple[int, int]) -> None:
+    """Refuse (rows, columns) that no map of a dataset can have.
+
+    Raises:
+        ValueError: the message names the option.
+    """
+    if not all(1 <= side <= MAX_SIDE for side in sides):
+        rows, columns = sides
+        raise ValueError(f"{name}: got {rows}x{columns}, expected 1 to {MAX_SIDE} rows and columns")
 
 
 LeftOut = list[tuple[str, str]]
@@ -187,7 +216,7 @@ class Npz:
         self.shapes: dict[str, tuple[int, ...]] = {}
         if not path.is_file():
             raise FormatError(f"{path}: no such file")
-        with _zip_errors(path), zipfile.ZipFile(path) as archive:
+        with refusing(f"{path}: not a sound .npz file"), zipfile.ZipFile(path) as archive:
             infos = [info for info in archive.infolist() if info.filename.endswith(".npy")]
             if not infos or len(infos) > 1000:
                 raise FormatError(f"{path}: holds {len(infos)} arrays, expected 1 to 1000")
@@ -210,26 +239,12 @@ class Npz:
         if name not in self.shapes:
             raise FormatError(f"{self.path}: holds no array {name!r}, but {', '.join(self.shapes)}")
         with (
-            _zip_errors(self.path),
+            refusing(f"{self.path}: not a sound .npz file"),
             zipfile.ZipFile(self.path) as archive,
             archive.open(f"{name}.npy") as member,
         ):
             size = archive.getinfo(f"{name}.npy").file_size
             return _array(member, size, f"{self.path}: array {name!r}")
-
-
-@contextmanager
-def _zip_errors(path: Path) -> Iterator[None]:
-    """Turn what zipfile raises on damaged archives into a `FormatError`."""
-    try:
-        yield
-    except FormatError:
-        raise
-    except Exception as error:
-        # BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error and more
-        raise FormatError(
-            f"{path}: not a sound .npz file ({type(error).__name__}: {error})"
-        ) from None
 
 
 def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
@@ -247,22 +262,16 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     read_header = np.lib.format.read_array_header_2_0
     if np.lib.format.read_magic(file) == (1, 0):
         read_header = np.lib.format.read_array_header_1_0
-    return read_header(file, max_header_size=10_000)
+    return read_header(file)
 
 
 def _array(file: IO[bytes], size: int, what: str) -> Array:
     """Return the numbers of an .npy of ``size`` bytes, if it has as many as its header says."""
-    try:
+    with refusing(f"{what}: not an array of numbers, and pickled objects are never opened"):
         shape, fortran, dtype = _header(file)
         # no more than the archive states: without a number zipfile unpacks all that is there
         values: Array = np.frombuffer(file.read(size), dtype)
         values = values.reshape(shape, order="F" if fortran else "C")
-    except Exception as error:
-        # numpy parses the header as Python text: what it raises is not documented
-        raise FormatError(
-            f"{what}: not an array of numbers ({type(error).__name__}: {error}); pickled objects "
-            "are never opened"
-        ) from None
     if values.dtype.kind not in "biuf":
         raise FormatError(f"{what}: holds {values.dtype}, expected numbers")
     return values

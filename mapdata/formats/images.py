@@ -22,14 +22,16 @@ from mapdata.formats.files import (
     FormatError,
     Limits,
     Npz,
+    check_sides,
     files_of,
     occupancy,
     read_bytes,
     read_npy,
+    refusing,
     split_of,
 )
 from mapdata.formats.registry import Format
-from mapdata.spec import MAX_SIDE
+from mapdata.spec import check_probability
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 ARRAYS = (".npy", ".npz")
@@ -72,25 +74,19 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
 
 def _picture(path: Path, limits: Limits) -> Pixels:
     """Return the pixels of a PNG, JPEG or BMP file, by Pillow."""
-    try:
+    with refusing(f"{path}: damaged picture"):
         with warnings.catch_warnings():
             # of decompression bombs: our own limit follows, before anything is decoded
             warnings.simplefilter("ignore")
-            image = Image.open(path, formats=("PNG", "JPEG", "BMP"))
+            try:
+                image = Image.open(path, formats=("PNG", "JPEG", "BMP"))
+            except UnidentifiedImageError:
+                raise FormatError(f"{path}: not a PNG, JPEG, BMP or PGM picture") from None
         with image:
             columns, rows = image.size
             _check_size(path, rows, columns, limits)
             image.load()
             return _decoded(image)
-    except UnidentifiedImageError:
-        raise FormatError(f"{path}: not a PNG, JPEG, BMP or PGM picture") from None
-    except Image.DecompressionBombError as error:
-        raise FormatError(f"{path}: {error}") from None
-    except FormatError:
-        raise
-    except Exception as error:
-        # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
-        raise FormatError(f"{path}: damaged picture ({type(error).__name__}: {error})") from None
 
 
 def _decoded(image: Image.Image) -> Pixels:
@@ -119,7 +115,7 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
     match = _HEADER.match(data)
     if match is None:
         raise FormatError(f"{path}: its PGM header is damaged")
-    columns, rows, maximum = (int(match[k]) for k in (2, 3, 4))
+    columns, rows, maximum = map(int, match.groups()[1:])
     _check_size(path, rows, columns, limits)
     if not 1 <= maximum <= 65535:
         raise FormatError(f"{path}: says a maximum of {maximum}, expected 1 to 65535")
@@ -195,14 +191,11 @@ def read(
         FormatError: nothing there. A bad file among others is left out, with the reason.
         ValueError: arguments.
     """
-    if not 0 <= threshold <= 1:
-        raise ValueError(f"threshold: got {threshold}, expected 0 to 1")
-    if fit is not None and size is None:
+    check_probability("threshold", threshold)
+    if size is not None:
+        check_sides("size", size)
+    elif fit is not None:
         raise ValueError("fit: does nothing without size")
-    if size is not None and not all(1 <= side <= MAX_SIDE for side in size):
-        raise ValueError(
-            f"size: got {size[0]}x{size[1]}, expected 1 to {MAX_SIDE} rows and columns"
-        )
     found = Collection()
     unknown = 0
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
@@ -297,12 +290,11 @@ def _fit(grey: Bytes, size: tuple[int, int] | None, fit: str | None) -> Bytes:
     rows, columns = size
     if fit != "crop":
         return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
-    if grey.shape[0] < rows or grey.shape[1] < columns:
-        raise FormatError(
-            f"has {grey.shape[0]} x {grey.shape[1]} cells, too small to crop {rows} x {columns}"
-        )
-    top = (grey.shape[0] - rows) // 2
-    left = (grey.shape[1] - columns) // 2
+    height, width = grey.shape
+    if height < rows or width < columns:
+        raise FormatError(f"has {height} x {width} cells, too small to crop {rows} x {columns}")
+    top = (height - rows) // 2
+    left = (width - columns) // 2
     return grey[top : top + rows, left : left + columns]
 
 

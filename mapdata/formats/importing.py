@@ -18,6 +18,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.files import check_sides
 from mapdata.formats.leaks import separate
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import draw_points, largest_component
@@ -59,12 +60,10 @@ class Draws(NamedTuple):
     Attributes:
         seed_points: seed points of a map.
         seed: 64-bit seed.
-        splits: fractions of train, val and test.
     """
 
     seed_points: int
     seed: int
-    splits: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -130,11 +129,11 @@ def import_maps(
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
     if shard_size is not None:
         check_count("shard_size", shard_size)
-    if resolution is not None and not (resolution > 0 and math.isfinite(resolution)):
+    if resolution is not None and not 0 < resolution < math.inf:
         raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
-    with bar(progress, len(source.maps), unit=" maps checked") as advance:
+    with bar(progress and bool(source.maps), len(source.maps), unit=" maps checked") as advance:
         for one in _tiles(source, tile):
             why = _unusable(one, movement)
             if why is not None:
@@ -144,16 +143,22 @@ def import_maps(
                 groups.setdefault((*one.shape, metres), []).append(one)
             advance(1)
     if not groups:
-        why = ""
-        if source.left_out:
-            name, reason = source.left_out[0]
-            why = f": {name}: {reason}"
-        raise ValueError(f"no map to import{why}")
+        reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
+        raise ValueError("no map to import" + "".join(reasons))
     folders = _folders(root, list(groups))
+    codes: dict[Group, Bytes] = {}
+    thresholds = split_thresholds(splits)
     for group, maps in groups.items():
         ordered = _ordered(maps, source)
-        groups[group] = separate(ordered, seed, splits, drop_leaks, source.notes)
-    draws = Draws(seed_points, seed, splits)
+        drawn = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
+        for k, one in enumerate(ordered):
+            if one.split is not None:
+                drawn[k] = one.split
+        # All keep their splits: were they drawn anew, other copies might be parted.
+        kept = separate(ordered, drawn, drop_leaks, source.notes)
+        groups[group] = [ordered[k] for k in kept]
+        codes[group] = drawn[kept]
+    draws = Draws(seed_points, seed)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
         for group, maps in groups.items():
@@ -174,7 +179,7 @@ def import_maps(
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                made.append(_write(folder, wanted, maps, draws, advance, pool))
+                made.append(_write(folder, wanted, maps, codes[group], draws, advance, pool))
     return made
 
 
@@ -184,8 +189,7 @@ def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[Foreign
         yield from source.maps
         return
     rows, columns = tile
-    if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
-        raise ValueError(f"tile: got {rows}x{columns}, expected 1 to {MAX_SIDE} rows and columns")
+    check_sides("tile", tile)
     for one in source.maps:
         grid = one.grid
         height, width = one.shape
@@ -203,7 +207,7 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     """Return why a map cannot be in a dataset, or None."""
     grid = one.grid
     rows, columns = one.shape
-    if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
+    if not 1 <= min(one.shape) <= max(one.shape) <= MAX_SIDE:
         return (
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
         )
@@ -260,15 +264,15 @@ def _write(
     folder: Path,
     wanted: Manifest,
     maps: list[ForeignMap],
+    splits: Bytes,
     draws: Draws,
     advance: Callable[[int], object],
     pool: Executor,
 ) -> Imported:
     """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""
-    if (folder / MANIFEST).exists():
-        found = read_manifest(folder)
-        if replace(found, shards=()) != wanted:
-            raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
+    other = ValueError(f"root: {folder} holds another dataset, expected an empty folder")
+    if (folder / MANIFEST).exists() and replace(read_manifest(folder), shards=()) != wanted:
+        raise other
     # The plan comes first: who goes on with an import that was stopped knows it by this.
     manifest = merge_locked(folder, wanted)
     have = {entry.name: entry for entry in manifest.shards}
@@ -277,7 +281,8 @@ def _write(
     for header in headers(wanted):
         batch = maps[header.start : header.stop]
         # in a thread, so that Ctrl-C need not wait for it
-        labels = pool.submit(label, to_maps(batch, header, draws)).result()
+        codes = splits[header.start : header.stop]
+        labels = pool.submit(label, to_maps(batch, codes, header, draws)).result()
         for k, one in enumerate(batch):
             if one.check is not None:
                 checked += 1
@@ -286,7 +291,7 @@ def _write(
         path = path_in(folder, shard_name(*header.limits))
         old = have.get(path.name)
         if old is not None and old.content_hash != content:
-            raise ValueError(f"root: {folder} holds another dataset, expected an empty folder")
+            raise other
         if old is None or not path.exists() or file_hash(path) != old.sha256:
             write_file(path, image)
             entry = entry_of(header, content, labels, image)
@@ -298,30 +303,27 @@ def _write(
     return Imported(folder, manifest, checked, dict(disagreements))
 
 
-def to_maps(batch: Sequence[ForeignMap], header: Header, draws: Draws) -> Maps:
-    """Return foreign maps of one size as `Maps`; draw the seed points and splits that they lack.
+def to_maps(batch: Sequence[ForeignMap], splits: Bytes, header: Header, draws: Draws) -> Maps:
+    """Return foreign maps of one size as `Maps`; draw the seed points that they lack.
 
     Args:
         batch: the maps ``header.start`` to ``header.stop`` - 1.
+        splits: (N,) their splits.
         header: their numbers, size and movement.
-        draws: how many seed points, and how they and the splits are drawn.
+        draws: how many seed points, and how they are drawn.
     """
     points = [_seed_points(one, header, draws, header.start + k) for k, one in enumerate(batch)]
     most = max(2, *map(len, points))
     indices = np.arange(header.start, header.stop)
     maps = Maps.empty(header.movement, header.map_size, indices, most)
+    maps.split[:] = splits
     maps.packed[:] = pack(np.stack([one.grid for one in batch]))
-    maps.split[:] = draw_splits(np.uint64(draws.seed), indices, split_thresholds(draws.splits))
     for k, (one, cells) in enumerate(zip(batch, points, strict=True)):
         maps.rooms[k] = len(cells)
         maps.passage_width[k] = one.passage_width
         maps.seed_points[k, : len(cells)] = cells
-        if one.sizes is not None:
-            maps.sizes[k, : len(one.sizes)] = one.sizes
-        if one.directions is not None:
-            maps.directions[k, : len(one.directions)] = one.directions
-        if one.split is not None:
-            maps.split[k] = one.split
+        maps.sizes[k, : len(one.sizes)] = one.sizes
+        maps.directions[k, : len(one.directions)] = one.directions
     return maps
 
 
@@ -331,7 +333,7 @@ def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> I
     if one.rooms_known or missing <= 0:
         return one.seed_points
     _, columns = one.shape
-    given = one.seed_points[:, 0] * columns + one.seed_points[:, 1]
+    given = one.seed_points @ (columns, 1)
     cells = _free_component(one.grid, header.movement)
     cells = cells[~np.isin(cells, given)]
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))

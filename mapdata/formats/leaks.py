@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
+from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import ForeignMap
-from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.shards.statistics import count_repeats, digests_of
 
 
-def separate(
-    maps: list[ForeignMap],
-    seed: int,
-    fractions: tuple[float, float, float],
-    drop: bool,
-    notes: list[str],
-) -> list[ForeignMap]:
+def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]) -> Ints:
     """Count the maps that stand in two splits, exactly and up to symmetry.
 
     Args:
         maps: all of one size, in their order.
-        seed: 64-bit seed of the splits that are drawn.
-        fractions: of train, val and test, where they are drawn.
+        splits: (N,) their splits.
         drop: leave out the copies in the earlier splits, so that the test split stays whole.
         notes: gets a line that says how many there are.
 
     Returns:
-        The maps that are left.
+        The numbers of the maps that are left.
     """
-    splits = draw_splits(np.uint64(seed), np.arange(len(maps)), split_thresholds(fractions))
-    for k, one in enumerate(maps):
-        if one.split is not None:
-            splits[k] = one.split
     digests = [digests_of(one.grid[None]) for one in maps]
     exact, symmetric = (np.concatenate(each) for each in zip(*digests, strict=True))
     # the number of each kind of map, and the last split that has one of it
@@ -44,7 +31,7 @@ def separate(
     copies = len(maps) - len(kept)
     if copies == 0:
         notes.append("no map stands in two splits, exactly or up to symmetry")
-        return maps
+        return kept
     same = count_repeats(exact, splits).across
     similar = count_repeats(symmetric, splits).across
     counts = [f"{same[a, b]} of {b} in {a} ({similar[a, b]} up to symmetry)" for a, b in same]
@@ -52,7 +39,4 @@ def separate(
     notes.append(
         f"maps in two splits: {', '.join(counts)}; {copies} copies in the earlier ones are {done}"
     )
-    if not drop:
-        return maps
-    # All keep their splits: were they drawn anew, other copies might be parted.
-    return [replace(maps[k], cells=maps[k].grid, split=int(splits[k])) for k in kept]
+    return kept if drop else np.arange(len(maps))

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +54,8 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         if not is_maze_hard(path):
             raise FormatError(f"{path}: expected the header {HEADER}")
         split = SPLIT_NAMES.get(path.stem.lower())
-        with path.open("rb") as file:
-            file.readline()
+        with path.open(encoding="latin-1", newline="\n") as file:
+            next(file)
             for number, line in enumerate(file, 2):
                 name = f"{path}, line {number}"
                 with found.leaving_out(name):
@@ -64,32 +63,27 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     return found
 
 
-def _maze(name: str, line: bytes, split: int | None, limits: Limits) -> ForeignMap:
+def _maze(name: str, line: str, split: int | None, limits: Limits) -> ForeignMap:
     """Return the map of a line.
 
     Raises:
         FormatError: it is none.
     """
-    fields = line.rstrip(b"\r\n").rsplit(b",", 3)  # only a source may hold a comma
+    fields = line.rsplit(",", 3)  # only a source may hold a comma
     if len(fields) < 4 or len(fields[1]) > limits.pixels:
         raise FormatError(f"{name}: expected {HEADER} of at most {limits.pixels} cells")
-    _, question, answer, _ = (field.decode("latin-1") for field in fields)
+    _, question, answer, _ = fields
     if set(question) - set("# SG") or question.count("S") != 1 or question.count("G") != 1:
         raise FormatError(f"{name}: expected cells '#' and ' ', one S and one G")
     cells = _cells(question)
-    start_and_goal = [np.argwhere(cells == end)[0] for end in (_START, _GOAL)]
     return ForeignMap(
         name,
         (cells == _OCCUPIED).astype(np.uint8),
         split,
-        seed_points=np.stack(start_and_goal),
+        seed_points=_ends(question, len(cells)),
         rooms_known=True,
-        check=partial(_differing, question, answer),
+        check=lambda _labels, _k: [] if is_shortest_answer(question, answer) else ["answer"],
     )
-
-
-def _differing(question: str, answer: str, _labels: Labels, _number: int) -> list[str]:
-    return [] if is_shortest_answer(question, answer) else ["answer"]
 
 
 def is_shortest_answer(question: str, answer: str) -> bool:
@@ -109,16 +103,12 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     if answer.replace("o", " ") != question:
         return False
     cells = _cells(answer)
-    start, goal = (tuple(np.argwhere(cells == end)[0].tolist()) for end in (_START, _GOAL))
-    distances = distance_field(cells == _OCCUPIED, start)
-    path = np.argwhere((cells == _PATH) | (cells == _START) | (cells == _GOAL))
-    moves = distances[tuple(path.T)]
-    order = np.argsort(moves)
-    # One cell at each distance from the start, each beside the next, and the goal is the last.
-    steps = np.abs(np.diff(path[order], axis=0)).sum(axis=1)
-    if not np.array_equal(moves[order], np.arange(len(path))) or (steps != 1).any():
-        return False
-    return bool(distances[goal] == len(path) - 1)
+    start, goal = _ends(answer, len(cells))
+    shortest = distance_field(cells == _OCCUPIED, start)[tuple(goal)]
+    # With all cells occupied that are not marked, the path can only be the marked one. It passes
+    # over all of them if there are as many as it needs.
+    marked = distance_field((cells == _OCCUPIED) | (cells == _FREE), start)[tuple(goal)]
+    return bool(shortest == marked == answer.count("o") + 1)
 
 
 def _cells(text: str) -> Bytes:
@@ -131,6 +121,11 @@ def _cells(text: str) -> Bytes:
     if side == 0 or side * side != len(text):
         raise FormatError(f"got {len(text)} cells, expected a square map")
     return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
+
+
+def _ends(text: str, side: int) -> Ints:
+    """Return the start and the goal, (2, 2)."""
+    return np.array([divmod(text.index(end), side) for end in "SG"], np.int64)
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -147,11 +142,10 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         )
     target.mkdir()
     with ExitStack() as opened:
-        files = []
-        for split in SPLITS:
-            file = opened.enter_context((target / f"{split}.csv").open("w", newline="\n"))
+        paths = [target / f"{split}.csv" for split in SPLITS]
+        files = [opened.enter_context(path.open("w", newline="\n")) for path in paths]
+        for file in files:
             print(HEADER, file=file)
-            files.append(file)
         for labels in root.labels(progress=progress):
             for k, code in enumerate(labels.maps.split):
                 files[code].writelines(_lines(labels, k))
@@ -164,17 +158,13 @@ def _lines(labels: Labels, k: int) -> Iterator[str]:
     for path in labels.route("astar", k):
         if len(path) < 2:  # no path, or two seed points in one cell
             continue
-        question = _marked(empty, path[[0]], _START)
-        question = _marked(question, path[[-1]], _GOAL)
-        answer = _marked(question, path[1:-1], _PATH)
-        texts = (question.tobytes().decode(), answer.tobytes().decode())
-        yield f"map{labels.maps.index[k]},{texts[0]},{texts[1]},{len(path) - 1}\n"
-
-
-def _marked(cells: Bytes, path: Ints, letter: np.uint8) -> Bytes:
-    marked = cells.copy()
-    marked[tuple(path.T)] = letter
-    return marked
+        cells = empty.copy()
+        cells[tuple(path.T)] = _PATH
+        cells[tuple(path[0])] = _START
+        cells[tuple(path[-1])] = _GOAL
+        answer = cells.tobytes().decode()
+        question = answer.replace("o", " ")
+        yield f"map{labels.maps.index[k]},{question},{answer},{len(path) - 1}\n"
 
 
 FORMAT = Format("maze-hard", (".csv",), read, write, is_mine=is_maze_hard)

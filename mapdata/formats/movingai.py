@@ -27,7 +27,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -102,11 +102,11 @@ def read_terrain(path: str | Path, limits: Limits = LIMITS) -> Bytes:
             f"{path}: height {rows} and width {columns}, expected 1 to {limits.pixels} cells"
         )
     body = [line.rstrip(" \t") for line in lines[first : first + rows]]
+    expected = f"{columns} letters"
     for k in range(rows):
-        if k < len(body) and len(body[k]) == columns:
-            continue
         what = f"{len(body[k])} letters" if k < len(body) else "missing"
-        raise FormatError(f"{path}: row {k} is {what}, expected {columns} letters ({rows} rows)")
+        if what != expected:
+            raise FormatError(f"{path}: row {k} is {what}, expected {expected} ({rows} rows)")
     text = "".join(body)
     known = LAND + "".join(_ISLANDS) + BLOCKED
     unknown = set(text) - set(known)
@@ -268,10 +268,8 @@ def check_scen(
             grid = world(terrains[name], letters)
             for first in range(0, len(problems), _AT_A_TIME):
                 part = problems[first : first + _AT_A_TIME]
-                starts = np.array([problem.start for problem in part])
-                goals = np.array([problem.goal for problem in part])
-                lengths = _lengths(grid, starts, goals).tolist()
-                for problem, found in zip(part, lengths, strict=True):
+                ends = np.array([(problem.start, problem.goal) for problem in part])
+                for problem, found in zip(part, _lengths(grid, ends), strict=True):
                     if not agrees(problem, found):
                         ours = "no path" if found < 0 else f"{found:.8f}"
                         report.disagreements.append(
@@ -296,15 +294,15 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
             )
 
 
-def _lengths(grid: Bytes, starts: Ints, goals: Ints) -> Floats:
-    """Return the optimal length from each start to its goal, both (N, 2); -1 without a path."""
-    lengths = np.full(len(starts), -1.0)
+def _lengths(grid: Bytes, ends: Ints) -> list[float]:
+    """Return the optimal length between the ends, (N, 2, 2), of each problem; -1 without a path."""
+    lengths = np.full(len(ends), -1.0)
     # an end on a blocked cell is a problem without a path here, an error to a search
-    is_free = (grid[tuple(starts.T)] == 0) & (grid[tuple(goals.T)] == 0)
+    is_free = (grid[tuple(ends.T)] == 0).all(axis=0)
     if is_free.any():
-        batch = search_batch("astar", grid, starts[is_free], goals[is_free], MOVEMENT)
-        lengths[is_free] = batch.cost
-    return lengths
+        starts, goals = ends[is_free].swapaxes(0, 1)
+        lengths[is_free] = search_batch("astar", grid, starts, goals, MOVEMENT).cost
+    return lengths.tolist()
 
 
 def agrees(problem: Problem, found: float) -> bool:
@@ -373,8 +371,7 @@ def read(
     if scen or source.suffix.lower() == ".scen":
         points = _end_points(source, limits, maps, found).items()
     else:
-        paths = files_of(source, (".map",), limits, found.left_out)
-        points = ((path, []) for path in paths)
+        points = ((path, []) for path in files_of(source, (".map",), limits, found.left_out))
     closed: Counter[str] = Counter()
     for path, ends in points:
         with found.leaving_out(path):
@@ -440,12 +437,10 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    first, second = np.triu_indices(len(seed_points), 1)
-    starts = seed_points[first]
-    goals = seed_points[second]
+    pairs = np.stack(np.triu_indices(len(seed_points), 1), axis=1)
+    ends = seed_points[pairs]
     lines = ["version 1"]
-    found = _lengths(grid, starts, goals).tolist()
-    for start, goal, cost in zip(starts.tolist(), goals.tolist(), found, strict=True):
+    for (start, goal), cost in zip(ends.tolist(), _lengths(grid, ends), strict=True):
         length = max(cost, 0.0)  # 0 stands for no path
         bucket = math.floor(length / 4)
         cells = (*start[::-1], *goal[::-1])  # x and y

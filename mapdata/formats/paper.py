@@ -51,7 +51,15 @@ from PIL import Image
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, walk
+from mapdata.formats.files import (
+    LIMITS,
+    SPLIT_NAMES,
+    FormatError,
+    Limits,
+    check_file,
+    refusing,
+    walk,
+)
 from mapdata.formats.images import PICTURES, brightness, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.search.labels import Labels
@@ -196,9 +204,7 @@ def _rows(path: Path, limits: Limits) -> Iterator[dict[str, str]]:
     Raises:
         FormatError: too large, a column is missing, or it is no CSV.
     """
-    size = path.stat().st_size
-    if size > limits.unpacked:
-        raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
+    check_file(path, limits)
     csv.field_size_limit(limits.unpacked)  # a route may have more than 131,072 letters
     separator = _separator(_header(path))
     try:
@@ -223,7 +229,7 @@ def _columns(path: Path, headers: list[str]) -> list[str]:
     """
     columns = [_column(header) for header in headers]
     missing = [name for name in NEEDED if name not in columns]
-    if "label" not in columns and "item" not in columns:
+    if {"label", "item"}.isdisjoint(columns):
         missing.append("label")
     if missing:
         advice = "--format images reads the pictures alone"
@@ -236,10 +242,8 @@ def _movement(path: Path, texts: set[str]) -> Movement:
     if len(texts) > 1:
         raise FormatError(f"{path}: holds maps of {len(texts)} movements, expected one")
     text = "".join(texts)
-    try:
-        return Movement(**json.loads(text)) if text else Movement()
-    except (TypeError, ValueError) as error:
-        raise FormatError(f"{path}: its movement is {text[:60]!r} ({error})") from None
+    with refusing(f"{path}: its movement is {text[:60]!r}"):
+        return Movement(**json.loads(text or "{}"))
 
 
 def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
@@ -271,8 +275,8 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
         number=number,
         seed_points=seed_points,
         rooms_known=True,
-        sizes=sizes if len(sizes) else None,
-        directions=directions.reshape(-1, 2) if len(directions) else None,
+        sizes=sizes,
+        directions=directions.reshape(-1, 2),
         passage_width=width,
         check=partial(_differing, stated) if stated else None,
     )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import FormatError, Limits, walk
+from mapdata.formats.files import FormatError, Limits, files_of
 from mapdata.options import options_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
@@ -70,11 +70,9 @@ def recognise(source: StrPath) -> str:
             what was found.
     """
     source = Path(source)
-    if not source.exists():
-        raise FormatError(f"{source}: no such file or folder")
     endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
     owners: dict[Path, Format] = {}
-    for path in walk(source, endings, Limits(), []) if source.is_dir() else [source]:
+    for path in files_of(source, endings, Limits(), []):
         for one in FORMATS.values():
             if path.suffix.lower() in one.endings and one.is_mine(path):
                 owners[path] = one
@@ -151,17 +149,12 @@ def export(
     if target.exists() and not is_empty:
         raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{os.getpid()}-{target.name}")
-    try:
+    with TemporaryDirectory(prefix=".", dir=target.parent, ignore_cleanup_errors=True) as folder:
+        temporary = Path(folder, "export")
         notes: list[str] = write(temporary, source, progress, **options)
         if target.is_dir():
             target.rmdir()  # it is empty; a file cannot replace a folder
         os.replace(temporary, target)
-    finally:
-        if temporary.is_dir():
-            shutil.rmtree(temporary, ignore_errors=True)
-        else:
-            temporary.unlink(missing_ok=True)
     return notes
 
 

@@ -36,6 +36,7 @@ from mapdata.formats.files import (
     files_of,
     map_files,
     read_text,
+    refusing,
     split_of,
 )
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
@@ -119,13 +120,11 @@ def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
 def _fields(path: Path) -> dict[str, Any]:
     """Return the fields of a .yaml file by name."""
     text = read_text(path, Limits(unpacked=2**20))
-    try:
+    with refusing(f"{path}: not plain YAML"):
         # 700 bytes with aliases of aliases can stand for minutes of work.
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-            raise yaml.YAMLError("an alias: write out what it stands for")
+            raise FormatError(f"{path}: not plain YAML (an alias: write out what it stands for)")
         fields = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
-        raise FormatError(f"{path}: not plain YAML ({error})") from None
     if not isinstance(fields, dict) or "image" not in fields:
         raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
     return fields
@@ -157,10 +156,8 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
     if not isinstance(name, str) or not name or "\0" in name:
         raise FormatError(f"{path}: image is {str(name)[:40]!r}, expected the name of a picture")
     folder = path.parent.resolve()
-    try:
+    with refusing(f"{path}: image is {name[:80]!r}"):
         image = (folder / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise FormatError(f"{path}: image is {name[:80]!r} ({error})") from None
     inside = image.is_relative_to(folder)
     if not (inside and image.is_file()):
         what = "is missing" if inside else "lies outside the folder of the yaml"
