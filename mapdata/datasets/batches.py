@@ -283,7 +283,7 @@ class BatchReader:
             successor = _successor(self.manifests[place], now.manifests[0], entry)
             if successor is None:
                 raise
-            shard = head(now.open_shard(successor), entry.stop - entry.start)
+            shard = head(now.open_shard(successor), entry.maps)
         if (
             np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points
         ):  # kernels rely on it

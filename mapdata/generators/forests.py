@@ -1,8 +1,8 @@
 """Forests: discs and boxes at random places, up to a density, down to single occupied cells.
 
 Random obstacles of a given density are the oldest benchmark of grid planners: Sturtevant,
-"Benchmarks for grid-based pathfinding", 2012, https://doi.org/10.1109/TCIAIG.2012.2197681, section
-III, and the forests of Bhardwaj, Choudhury, Scherer, "Learning heuristic search via imitation",
+"Benchmarks for grid-based pathfinding", 2012, https://doi.org/10.1109/TCIAIG.2012.2197681,
+and the forests of Bhardwaj, Choudhury, Scherer, "Learning heuristic search via imitation",
 CoRL 2017, https://arxiv.org/abs/1707.03034, section 5.
 """
 

@@ -53,7 +53,7 @@ def inflate(grid: npt.ArrayLike, radius: float) -> Bytes:
     Raises:
         ValueError: what `clearance` refuses, or a radius that is no finite number of at least 0.
 
-    Source: Lozano-Pérez, "Spatial planning: a configuration space approach", 1983, section II,
+    Source: Lozano-Pérez, "Spatial planning: a configuration space approach", 1983,
     https://doi.org/10.1109/TC.1983.1676196.
 
     >>> inflate([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]], 1.5)

@@ -153,7 +153,7 @@ def _facts(of: DatasetStatistics, copied: bool) -> Section:
 def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
     """Return what one dataset is, in words; empty where it has no such thing."""
     rows, columns = manifest.map_size
-    maps = sum(entry.stop - entry.start for entry in manifest.shards)
+    maps = manifest.done
     facts = {
         "maps": f"{maps:,} in {_count(len(manifest.shards), 'shard')}",
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",

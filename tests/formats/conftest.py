@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mapdata import MapSpec, Maze, build
+from mapdata import MapSpec, build
 
 SPEC = MapSpec(
     (20, 70),
@@ -24,12 +24,4 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """24 maps of 20 x 70 cells in two shards, some segments without a path."""
     folder = tmp_path_factory.mktemp("formats") / "maps"
     build(folder, SPEC, maps=24, seed=5, shard_size=16)
-    return folder
-
-
-@pytest.fixture(scope="session")
-def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """24 mazes of 15 x 15 cells in two shards."""
-    folder = tmp_path_factory.mktemp("formats") / "square"
-    build(folder, Maze((15, 15)), maps=24, seed=5, shard_size=16)
     return folder

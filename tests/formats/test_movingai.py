@@ -400,10 +400,10 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A map beyond the largest side is left out with advice; tiles of it are maps."""
-    text = "type octile\nheight 6\nwidth 1030\nmap\n" + ("." * 1030 + "\n") * 6
+    text = "type octile\nheight 6\nwidth 4100\nmap\n" + ("." * 4100 + "\n") * 6
     (tmp_path / "wide.map").write_text(text)
     code, _, err = cli(capsys, "import", tmp_path, tmp_path / "no")
     assert code == 2
     assert "--tile cuts it" in err
-    assert cli(capsys, "import", tmp_path, tmp_path / "out", "--tile", "3x500")[0] == 0
+    assert cli(capsys, "import", tmp_path, tmp_path / "out", "--tile", "3x2000")[0] == 0
     assert read_manifest(tmp_path / "out").maps == 4

@@ -594,7 +594,7 @@ def test_evaluate_script(
     for wrong in (
         ["--json", "none/rows.json"],
         ["--weights", "none"],
-        ["--preset", "cave"],
+        ["--preset", "caves"],
         ["--sizes", "1"],
     ):
         with pytest.raises(SystemExit) as stopped:
