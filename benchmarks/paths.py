@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 import mapdata
 from benchmarks import naive
 from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
-from mapdata import MapSpec, generate
+from mapdata import MapSpec, Maze, Movement, generate
 
 Ints: TypeAlias = npt.NDArray[np.int64]
 Bytes: TypeAlias = npt.NDArray[np.uint8]
@@ -27,6 +27,12 @@ Path: TypeAlias = Sequence[Any] | npt.NDArray[Any]
 """Cells, or what a peer has for them, one for each; empty without a path."""
 
 PACKAGES = ("mapdata-torch", "numpy", "numba")
+
+RULES = {
+    "4-connected": Movement(),
+    "8-connected": Movement(8, corner_cutting=True, diagonal_cost=1),
+}
+"""The rules that pyastar2d has, too."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +93,12 @@ def table_1(size: int, rooms: tuple[int, int] = (2, 9)) -> MapSpec:
 Solver: TypeAlias = Callable[[Cell, Cell], Path]
 
 
-def pyastar2d(module: Any, grid: Bytes) -> Solver:
+def pyastar2d(module: Any, grid: Bytes, diagonals: bool = False) -> Solver:
     """Weights in float32, infinite where occupied."""
     weights = np.where(grid == 1, np.inf, 1).astype(np.float32)
-    return lambda start, goal: none_is_empty(module.astar_path(weights, start, goal))
+    return lambda start, goal: none_is_empty(
+        module.astar_path(weights, start, goal, allow_diagonal=diagonals)
+    )
 
 
 def tcod(module: Any, grid: Bytes) -> Solver:
@@ -299,15 +307,84 @@ def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
     ]
 
 
+def grids_of(side: int) -> dict[str, Bytes]:
+    """Return a map of ``side`` x ``side`` of each kind: empty, rooms, maze, obstacles."""
+    corridors = Maze((side, side), corridor=max(1, side // 256), reopened=0.05, seed_points=2)
+    obstacles = np.random.default_rng(0).random((side, side)) < 0.3
+    return {
+        "empty": np.zeros((side, side), np.uint8),
+        "rooms": generate(table_1(side), 1, [0]).occupancy[0],
+        "maze": generate(corridors, 1, [0]).occupancy[0],
+        "obstacles": obstacles.astype(np.uint8),
+    }
+
+
+def ends_of(grid: Bytes, count: int, *, near: bool) -> list[tuple[Cell, Cell]]:
+    """Return ``count`` problems between free cells: any two, or two at most 8 rows and columns
+    apart.
+    """
+    source = np.random.default_rng(1)
+    free = np.argwhere(grid == 0)
+    ends = []
+    for start in free[source.integers(len(free), size=count)]:
+        around = free[(abs(free - start) <= 8).all(axis=1)] if near else free
+        goal = around[source.integers(len(around))]
+        ends.append(((int(start[0]), int(start[1])), (int(goal[0]), int(goal[1]))))
+    return ends
+
+
+def kinds_of(side: int, rounds: int) -> list[Row]:
+    """Return the rows of single calls beside pyastar2d, for each kind of map and each rule."""
+    peer = next(iter(PEERS))
+    rows = []
+    for kind, grid in grids_of(side).items():
+        for (rule, movement), near in product(RULES.items(), (False, True)):
+            if near and kind != "rooms":
+                continue
+            ends = ends_of(grid, 4, near=near)
+            ours = partial(each_path, partial(astar_path, grid, movement), ends)
+            contestants = {"ours": ours}
+            if not peer.absence:
+                solve = pyastar2d(peer.load(), grid, diagonals=rule == "8-connected")
+                theirs = partial(each_path, solve, ends)
+                contestants["theirs"] = theirs
+                if [len(path) for path in ours()] != [len(path) for path in theirs()]:
+                    raise SystemExit(f"mapdata and {peer.name} differ on {kind} {side} x {side}")
+            times = interleaved(contestants, rounds)
+            work = f"A* a {'short ' if near else ''}path, {kind}, {side} x {side}, {rule}"
+            value = each(times["ours"], len(ends))
+            if peer.absence:
+                rows.append(Row(work, value, target="1x", note=f"{peer.name}: skipped"))
+                continue
+            other = each(times["theirs"], len(ends))
+            ratio = f"{median_ratio(times['theirs'], times['ours']):,.1f}x"
+            rows.append(Row(work, value, other, ratio, "1x", f"{peer.name}: equal lengths"))
+    return rows
+
+
+def astar_path(grid: Bytes, movement: Movement, start: Cell, goal: Cell) -> Path:
+    """Return our path."""
+    return mapdata.astar(grid, start, goal, movement).path
+
+
+def each_path(solve: Solver, ends: list[tuple[Cell, Cell]]) -> list[Path]:
+    """Return the path of each problem."""
+    return [solve(start, goal) for start, goal in ends]
+
+
 def table(quick: bool, parent: str | None = None) -> str:
     """Measure, and return the table; nothing is written."""
     rounds = 3 if quick else 9
     count = 100 if quick else 400
     rows = [*rows_of(64, count, 100, rounds), *rows_of(256, count // 4, 25, rounds)]
+    for side in (64, 256, 1024) if quick else (64, 256, 1024, 4096):
+        rows += kinds_of(side, min(rounds, 5))
     notes = (
         f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
         "median of the repeats'",
-        "maps of Table 1, for 256 x 256 with 4 times the sides; between consecutive rooms, "
+        "maps of Table 1, for larger ones with as many times the sides; between consecutive rooms, "
         "4-connected",
+        "the rows of kinds of maps: 4 problems each between free cells, a short one at most 8 rows "
+        "and columns apart; 8-connected: diagonals cost 1 and cut corners, as those of pyastar2d",
     )
     return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])

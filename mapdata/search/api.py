@@ -33,12 +33,12 @@ from mapdata.spec import Movement
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
 
-KEPT_BYTES = 2**30
-"""Scratch memory that a thread keeps from one call to the next, at most: that of 2800 x 2800 cells.
+KEPT_BYTES = 5 * 2**28
+"""Scratch memory that a thread keeps from one call to the next, at most.
 
-To fault in new pages takes longer than most searches. What is kept is address space; only pages
-that searches touched take memory, mostly less than a quarter. A call on a larger grid takes its
-memory for itself and gives it back.
+To fault in new pages takes longer than most searches. What is kept is address space, 1.25 GiB at
+most; only pages that searches touched take memory, mostly less than a quarter. A call that needs
+more (8-connected, on over 9.7 M cells) takes it for itself and gives it back.
 """
 
 Cell: TypeAlias = "tuple[int, int] | Ints"
@@ -167,7 +167,7 @@ def solve_batch(
         raise ValueError(
             f"got {len(stack)} grids, {count} starts and {len(ends)} goals, expected equal numbers"
         )
-    memory = _scratch_memory(stack)
+    memory = _scratch_memory(stack, movement)
     path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement), memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
@@ -196,7 +196,7 @@ def distance_field(
     array = as_grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    good = write_field(array, row, column, rule_of(movement), _scratch_memory(array), out)
+    good = write_field(array, row, column, rule_of(movement), _scratch_memory(array, movement), out)
     if not good:
         raise ValueError(_values_complaint(array))
     if array[row, column]:
@@ -244,7 +244,7 @@ def _search(
     array = as_grid(grid, 2)
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
-    memory = _scratch_memory(array)
+    memory = _scratch_memory(array, movement)
     path, straight, diagonal, iterations = solve_one(
         array, *begin, *end, search, rule_of(movement), memory
     )
@@ -263,11 +263,11 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
-def _scratch_memory(grid: Bytes) -> Bytes:
+def _scratch_memory(grid: Bytes, movement: Movement) -> Bytes:
     """Return room for any search on ``grid``, this thread's own until its next call."""
     rows, columns = grid.shape[-2:]
-    # 9 bytes a cell of the lattice and 16 for each of 8 pushes, as `scratch` reckons
-    needed = 137 * (rows + 2) * (columns + 2) + 32
+    # As `scratch` reckons: 9 bytes a cell of the lattice, and 16 for each of its pushes.
+    needed = (9 + 16 * movement.connectivity) * (rows + 2) * (columns + 2) + 32
     memory = _kept.memory
     if needed > len(memory):
         memory = np.empty(needed, np.uint8)

@@ -497,7 +497,8 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 @kernel
 def scratch(search: Weights, lattice: Lattice) -> Scratch:
     """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
-    pushes = 8 * lattice.cells  # a cell is pushed at most once for each neighbour
+    # A cell is pushed at most once for each neighbour.
+    pushes = len(lattice.offsets) * lattice.cells
     if search == BFS or (search == COSTS and lattice.step == UNIT):
         pushes = lattice.cells
     # Two more: the start, and the entry 0 that does not exist.
