@@ -1,4 +1,4 @@
-"""The types of arrays, named by what they hold, and how objects that hold arrays are printed."""
+"""The types of arrays, named by what they hold; how objects that hold arrays are printed."""
 
 from __future__ import annotations
 
@@ -16,6 +16,15 @@ Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
+
+
+def offsets_of(counts: npt.ArrayLike) -> Ints:
+    """Return where runs of so many values begin, one after another, and where the last ends.
+
+    >>> offsets_of([2, 0, 3])
+    array([0, 2, 2, 5])
+    """
+    return np.concatenate(([0], np.cumsum(counts)))
 
 
 def summary(self: Any) -> str:

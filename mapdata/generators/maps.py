@@ -7,7 +7,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Ints, Words, summary
+from mapdata.arrays import Bytes, Flags, Ints, Words, offsets_of, summary
 from mapdata.jit import Int, kernel
 from mapdata.spec import Movement
 
@@ -90,7 +90,7 @@ class Maps:
     @cached_property
     def segment_offsets(self) -> Ints:
         """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map."""
-        return np.concatenate(([0], np.cumsum(self.rooms - 1)))
+        return offsets_of(self.rooms - 1)
 
     @cached_property
     def segment_pairs(self) -> Ints:
@@ -106,7 +106,7 @@ class Maps:
     def pair_offsets(self) -> Ints:
         """(N + 1,) int64: number of the first pair of rooms of each map, n (n - 1) / 2 a map."""
         pairs = self.rooms * (self.rooms - 1) // 2
-        return np.concatenate(([0], np.cumsum(pairs)))
+        return offsets_of(pairs)
 
 
 @kernel

@@ -8,7 +8,7 @@ from functools import cache, cached_property
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Flags, Ints, summary
+from mapdata.arrays import Bytes, Flags, Ints, offsets_of, summary
 from mapdata.generators.maps import WORD, Maps
 from mapdata.jit import Int, kernel
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
@@ -86,7 +86,7 @@ class Labels:
     @cached_property
     def all_connected(self) -> Flags:
         """(N,) bool: paths exist between all rooms of a map."""
-        paths_before = np.concatenate(([0], np.cumsum(self.reachable)))
+        paths_before = offsets_of(self.reachable)
         paths = np.diff(paths_before[self.maps.segment_offsets])
         return np.asarray(paths == self.maps.rooms - 1)
 
@@ -199,7 +199,7 @@ def label(maps: Maps) -> Labels:
 
 def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
     """Return the labels of one search from what `_label` gave."""
-    offsets = np.concatenate(([0], np.cumsum(table[:, 0])))
+    offsets = offsets_of(table[:, 0])
     return SearchLabels(moves, offsets, np.ascontiguousarray(table[:, 1]), costs)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mapdata.arrays import offsets_of
 from mapdata.generators.generator import Generator as MapGenerator
 from mapdata.generators.generator import generate
 from mapdata.generators.maps import Maps
@@ -217,7 +218,7 @@ def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
     lengths = np.concatenate([np.diff(piece.offsets) for piece in pieces])
     return SearchLabels(
         moves=np.concatenate([piece.moves for piece in pieces]),
-        offsets=np.concatenate(([0], np.cumsum(lengths))),
+        offsets=offsets_of(lengths),
         iterations=np.concatenate([piece.iterations for piece in pieces]),
         costs=np.concatenate([piece.costs for piece in pieces]),
     )

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Int32s, Ints
+from mapdata.arrays import Bytes, Int32s, Ints, offsets_of
 from mapdata.jit import kernel
 from mapdata.search.labels import Labels, SearchLabels
 
@@ -69,7 +69,7 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
         moves += np.diff(search.offsets[maps.segment_offsets])
     padded_moves = (moves + 3) // 4 * 4  # a record is a whole number of words
     sizes = 4 * words + packed.shape[1] + padded_moves
-    offsets = np.concatenate(([0], np.cumsum(sizes)))
+    offsets = offsets_of(sizes)
     records = np.zeros(offsets[-1], np.uint8)
     if count:
         _write(
