@@ -33,8 +33,7 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from tqdm.auto import tqdm
 
 from mapdata.arrays import Bytes, Floats, Ints
-from mapdata.datasets import MapDataModule, Sample
-from mapdata.datasets.sampler import LateLoader
+from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.shards import write_file
 from mapdata.spec import canonical_json
 from models.roadmap import between, build_roadmap, halton, radius

@@ -15,6 +15,7 @@ from mapdata.search import (
     Lattice,
     Rule,
     cell_at,
+    count_moves,
     heuristic,
     in_cells,
     is_legal,
@@ -23,8 +24,8 @@ from mapdata.search import (
     position,
     rule_of,
     search_batch,
+    write_cells,
 )
-from mapdata.search.kernels import count_moves, write_cells
 from models.common import check_problems
 from models.path_predictor import PathPredictor
 

@@ -5,12 +5,13 @@ from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS, Batch
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, row
-from mapdata.datasets.sampler import EpochSampler
+from mapdata.datasets.sampler import EpochSampler, LateLoader
 
 __all__ = [
     "FIELDS",
     "Batch",
     "EpochSampler",
+    "LateLoader",
     "MapDataModule",
     "MapDataset",
     "OnlineMapDataset",

@@ -13,6 +13,7 @@ from mapdata.search.api import (
     search_batch,
 )
 from mapdata.search.footprint import clearance, clearances, inflate, inflate_all, least_squared
+from mapdata.search.kernels import count_moves, write_cells
 from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.search.lattice import (
     MAX_CELLS,
@@ -48,6 +49,7 @@ __all__ = [
     "check_path",
     "clearance",
     "clearances",
+    "count_moves",
     "distance_field",
     "hardness",
     "heuristic",
@@ -63,4 +65,5 @@ __all__ = [
     "position",
     "rule_of",
     "search_batch",
+    "write_cells",
 ]
