@@ -331,11 +331,14 @@ def _fetch_once(place: str, name: str, most: int) -> bytes:
     except Exception as error:
         # a timeout of fsspec says nothing; that of the package below it does
         why = " ".join((str(error) or str(error.__cause__)).split())
-        raise ConnectionError(
-            f"{url} could not be read: {why} ({len(PAUSES) + 1} tries, each given up after "
-            f"{MOST_SILENCE:g} s without a byte)"
-        ) from error
-    return bytes(data)
+    else:
+        return bytes(data)
+    # Not from within the handler: the error of HTTP holds what cannot be pickled, and Dask pickles
+    # an error with its causes.
+    raise ConnectionError(
+        f"{url} could not be read: {why} ({len(PAUSES) + 1} tries, each given up after "
+        f"{MOST_SILENCE:g} s without a byte)"
+    )
 
 
 def _open_url(url: str) -> Any:
