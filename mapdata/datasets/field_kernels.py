@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
-from mapdata.jit import Int, inlined, kernel
+from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.jit import Int, kernel
 from mapdata.search.kernels import Scratch, bucket_search, scratch, shortest_costs
 from mapdata.search.lattice import (
     COSTS,
     FAR,
-    UNIT,
-    Lattice,
     Rule,
     cell_at,
-    heuristic,
     in_cells,
-    is_legal,
     lattice_of,
     load,
-    position,
 )
 
 PADDING = -1
@@ -29,15 +22,6 @@ PADDING = -1
 
 PROBABLE = 0.95
 """TransPath's threshold of the path probability."""
-
-
-class GoalFields(NamedTuple):
-    """The fields that one search around the goal gives, (B, 1, H, W) each, or empty."""
-
-    cost_to_go: Float32s
-    optimal_moves: Bytes
-    heuristic_ratio: Float32s
-    optimal_mask: Bytes
 
 
 @kernel
@@ -79,81 +63,6 @@ def count_steps(cells: Ints, offsets: Ints) -> tuple[Ints, Ints]:
             else:
                 straight[b] += 1
     return straight, diagonal
-
-
-@kernel
-def fill_goal_fields(
-    grids: Bytes, starts: Ints, goals: Ints, rule: Rule, fields: GoalFields
-) -> None:
-    """Fill those of the fields that are not empty, from one search a problem."""
-    cost_to_go, optimal_moves, heuristic_ratio, optimal_mask = fields
-    _, rows, columns = grids.shape
-    lattice = lattice_of((rows, columns), rule)
-    buffers = scratch(COSTS, lattice)
-    came = buffers.came
-    costs = buffers.g
-    for b in range(len(grids)):
-        goal_row = goals[b, 0]
-        goal_column = goals[b, 1]
-        load(grids[b], came)
-        shortest_costs(cell_at(goal_row, goal_column, lattice), lattice, buffers)
-        for row in range(rows):
-            for column in range(columns):
-                cell = cell_at(row, column, lattice)
-                cost = costs[cell]
-                if len(cost_to_go) or len(heuristic_ratio):
-                    value = in_cells(cost) if cost != FAR else -1.0
-                    if len(cost_to_go):
-                        cost_to_go[b, 0, row, column] = value
-                    if len(heuristic_ratio):
-                        least = in_cells(heuristic(row - goal_row, column - goal_column, lattice))
-                        heuristic_ratio[b, 0, row, column] = (
-                            least / value if value > 0 else 1.0 + value
-                        )
-                if len(optimal_moves):
-                    moves = _moves_from(costs, came, cell, lattice) if cost != FAR else 0
-                    optimal_moves[b, 0, row, column] = moves
-        if len(optimal_mask):
-            optimal_mask[b] = 0
-            start = cell_at(starts[b, 0], starts[b, 1], lattice)
-            if costs[start] != FAR:
-                _follow(start, costs, came, lattice, buffers.pushed, optimal_mask[b, 0])
-
-
-@inlined
-def _moves_from(costs: Ints, came: Bytes, cell: Int, lattice: Lattice) -> Int:
-    """Return the bit set of the moves from ``cell`` that start a shortest path to the goal."""
-    found = np.uint8(0)
-    # Straight moves need no rule, since walls are FAR: without a branch, a tenth faster.
-    for move in range(4):
-        shortest = costs[cell + lattice.offsets[move]] + UNIT == costs[cell]
-        found |= np.uint8(shortest) << np.uint8(move)
-    for move in range(4, len(lattice.offsets)):
-        shortest = costs[cell + lattice.offsets[move]] + lattice.step == costs[cell]
-        if shortest and is_legal(came, cell, move, lattice):
-            found |= np.uint8(1) << np.uint8(move)
-    return found
-
-
-@kernel
-def _follow(
-    start: Int, costs: Ints, came: Bytes, lattice: Lattice, stack: UInt32s, mask: Bytes
-) -> None:
-    """Mark all cells that optimal moves lead to from ``start``."""
-    stack[0] = start
-    mask[position(start, lattice)] = 1
-    size = 1
-    while size:
-        size -= 1
-        cell = np.int64(stack[size])
-        moves = _moves_from(costs, came, cell, lattice)
-        for move in range(len(lattice.offsets)):
-            if moves >> move & 1:
-                to = cell + lattice.offsets[move]
-                if mask[position(to, lattice)] == 0:
-                    mask[position(to, lattice)] = 1
-                    stack[size] = to
-                    size += 1
 
 
 @kernel

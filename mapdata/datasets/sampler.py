@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 from torch.utils.data.distributed import DistributedSampler
 
-from mapdata.arrays import Ints
+from mapdata.arrays import Ints, UInt32s
 from mapdata.datasets.sample import Sample
 from mapdata.jit import Int, kernel
 from mapdata.rng import ORDER, block
@@ -77,10 +77,14 @@ class EpochSampler(DistributedSampler[Any]):
             yield from range(rank, total, world)
             return
         epoch, done = self._position()
-        order = permutation(np.uint64(self.sampling_seed), epoch, total)
+        # Four bytes a sample: Python's integers take nine times as much, so each batch has its own.
+        order = np.arange(total, dtype=np.uint32)
+        shuffle(order, np.uint64(self.sampling_seed), epoch)
         even = total - total % world  # all ranks get equally many
         mine = order[:even][rank::world]
-        yield from (mine[done * self.batch_size :] + epoch * total).tolist()
+        for first in range(done * self.batch_size, len(mine), self.batch_size):
+            batch = mine[first : first + self.batch_size].astype(np.int64)
+            yield from (batch + epoch * total).tolist()
 
     def _share(self) -> tuple[int, int]:
         """Return (rank, number of ranks)."""
@@ -107,16 +111,14 @@ class EpochSampler(DistributedSampler[Any]):
 
 
 @kernel
-def permutation(seed: np.uint64, epoch: Int, count: Int) -> Ints:
-    """Return 0 to count - 1 in the order of an epoch, by the shuffle of Fisher and Yates.
+def shuffle(order: Ints | UInt32s, seed: np.uint64, epoch: Int) -> None:
+    """Bring ``order`` into that of an epoch, by the shuffle of Fisher and Yates.
 
     Its draws are 64-bit words of stream ORDER.
     """
-    order = np.arange(count)
-    for k in range(count - 1, 0, -1):
+    for k in range(len(order) - 1, 0, -1):
         w0, w1, _w2, _w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
         # multiply-high of a 64-bit word, in two halves
         n = np.uint64(k + 1)
         j = (w0 * n + ((w1 * n) >> np.uint64(32))) >> np.uint64(32)
         order[k], order[np.int64(j)] = order[np.int64(j)], order[k]
-    return order

@@ -19,6 +19,7 @@ from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
+from mapdata.search.goals import goal_fields
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
@@ -237,8 +238,9 @@ def _collect(
         indices = all_indices[:left]
         grids = all_grids[:left]
         left -= len(indices)
+        none = goal_fields(grids.shape, ())
         sampled = sample_problems(
-            grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement)
+            grids, np.uint64(seed), 0, indices, problems.bands, rule_of(movement), none
         )
         kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:

@@ -9,14 +9,20 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, inlined, kernel
-from mapdata.problems.sources import Bands
+from mapdata.problems.sources import Bands, Random
 from mapdata.rng import PROBLEM, block, bounded
-from mapdata.search.kernels import find, scratch, shortest_costs, wipe, write_cells
+from mapdata.search.goals import (
+    Around,
+    GoalFields,
+    around,
+    count_to_goal,
+    search_around,
+    write_fields,
+)
+from mapdata.search.kernels import find, scratch, wipe, write_cells
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
-    COSTS,
-    FAR,
     Rule,
     Weights,
     cell_at,
@@ -27,6 +33,9 @@ from mapdata.search.lattice import (
     parts,
     position,
 )
+
+_OPEN = Random().bands
+"""No conditions."""
 
 _ATTEMPTS = 32
 """Goals tried on one map before it is given up."""
@@ -39,13 +48,13 @@ def sample_problems(
     epoch: Int,
     indices: Ints,
     bands: Bands,
-    diagonals: Int,
-    step: Int,
+    rule: Rule,
+    fields: GoalFields,
 ) -> Ints:
     """Sample a problem on each grid: a goal, then one of the starts that fit it.
 
-    docs/format.md, section 6, fixes the draws. The goal comes first so that the costs to it, which
-    the conditions need, are those that fields of the goal need.
+    docs/format.md, section 6, fixes the draws. The goal comes first so that the search around it,
+    which tells the starts, is the one that gives its fields.
 
     Args:
         grids: (B, H, W).
@@ -53,53 +62,51 @@ def sample_problems(
         epoch: pass over the data.
         indices: (B,) number of each problem.
         bands: as `Random.bands`; a tuple, which numba keeps in registers.
-        diagonals: as `rule_of` gives it.
-        step: likewise.
+        rule: as `rule_of` gives it.
+        fields: those of them that are not empty are filled where a problem is found.
 
     Returns:
         (B, 6): start, goal, straight and diagonal steps of a shortest path (all count as straight
         where they cost the same); -1 where the map has no such problem.
     """
-    rows, columns = grids.shape[1:]
-    lattice = lattice_of((rows, columns), (diagonals, step))
-    buffers = scratch(COSTS, lattice)
-    costs = buffers.g
-    starts = np.empty(rows * columns, np.int64)
+    found = around(grids.shape[1:], rule)
+    weighed = bands != _OPEN or len(fields.cost_to_go) + len(fields.heuristic_ratio) > 0
+    unfit = np.empty(grids.shape[1:], np.uint8)
     sampled = np.full((len(grids), 6), -1)
     for b in range(len(grids)):
-        free: Int = 0
-        for row in range(rows):
-            for column in range(columns):
-                if grids[b, row, column] == 0:
-                    free += 1
+        free = _count_free(grids[b])
         if free < 2:
             continue
         for attempt in range(_ATTEMPTS):
             w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
             goal_row, goal_column = _free_cell(grids[b], bounded(w0, 0, free - 1))
-            goal = cell_at(goal_row, goal_column, lattice)
-            load(grids[b], buffers.came)
-            shortest_costs(goal, lattice, buffers)
-            # A uniform start among those that fit: they are listed in row-major order.
-            fitting = 0
-            for row in range(rows):
-                for column in range(columns):
-                    cell = cell_at(row, column, lattice)
-                    if costs[cell] == FAR or cell == goal:
-                        continue
-                    least = heuristic(row - goal_row, column - goal_column, lattice)
-                    if _is_within(bands, costs[cell], least):
-                        starts[fitting] = cell
-                        fitting += 1
+            search_around(grids[b], goal_row, goal_column, weighed, found)
+            # A uniform start among those that fit: they count in row-major order.
+            _mark_unfit(bands, goal_row, goal_column, found, unfit)
+            fitting = _count_free(unfit)
             if fitting:
-                start = starts[bounded(w1, 0, fitting - 1)]
-                sampled[b, 0], sampled[b, 1] = position(start, lattice)
+                start_row, start_column = _free_cell(unfit, bounded(w1, 0, fitting - 1))
+                start = cell_at(start_row, start_column, found.lattice)
+                sampled[b, 0] = start_row
+                sampled[b, 1] = start_column
                 sampled[b, 2] = goal_row
                 sampled[b, 3] = goal_column
-                sampled[b, 4], sampled[b, 5] = parts(costs[start])
+                sampled[b, 4], sampled[b, 5] = count_to_goal(start, found)
+                write_fields(b, sampled[b, :2], sampled[b, 2:4], found, fields)
                 break
             # Nothing fits this goal: another one.
     return sampled
+
+
+@kernel
+def _count_free(grid: Bytes) -> Int:
+    """Return how many cells of a grid are free."""
+    count: Int = 0
+    for row in range(grid.shape[0]):
+        for column in range(grid.shape[1]):
+            if grid[row, column] == 0:
+                count += 1
+    return count
 
 
 @kernel
@@ -107,12 +114,34 @@ def _free_cell(grid: Bytes, number: Int) -> tuple[Int, Int]:
     """Return the ``number``-th free cell of a grid in row-major order."""
     left = number
     for row in range(grid.shape[0]):
+        # Row by row first, which is fast: a count has no branches.
+        free = _count_free(grid[row : row + 1])
+        if left >= free:
+            left -= free
+            continue
         for column in range(grid.shape[1]):
             if grid[row, column] == 0:
                 if left == 0:
                     return row, column
                 left -= 1
     return -1, -1
+
+
+@kernel
+def _mark_unfit(bands: Bands, goal_row: Int, goal_column: Int, found: Around, unfit: Bytes) -> None:
+    """Write 0 where a problem from there to the goal meets the conditions, else 1."""
+    costs = found.costs
+    moves = found.moves
+    lattice = found.lattice
+    for row in range(unfit.shape[0]):
+        for column in range(unfit.shape[1]):
+            cell = np.uint64(cell_at(row, column, lattice))
+            # The goal has no moves, nor has a cell that it cannot be reached from.
+            fits = moves[cell] != 0
+            if bands != _OPEN and fits:
+                least = heuristic(row - goal_row, column - goal_column, lattice)
+                fits = _is_within(bands, costs[cell], least)
+            unfit[row, column] = not fits
 
 
 @inlined

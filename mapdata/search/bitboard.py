@@ -1,30 +1,39 @@
-"""Breadth-first search of small maps, 64 cells at a time.
+"""Breadth-first search of 4-connected maps, 64 cells at a time.
 
-A row of a map is one word, with column c in bit c, and a level of the search, all cells equally far
-from where it began, is one word a row. The next level is the current one shifted by one cell in the
-four directions, less the cells seen before.
+A set of cells is a board: a row of the map is one word or several, with column c in bit c % 64 of
+word c // 64. A level of the search, all cells equally far from where it began, is such a set. The
+next level is the current one shifted by one cell in the four directions, less what was seen
+before.
 
-The order of a first-in-first-out queue seems lost in a set of bits, but it is not. Within a level,
-cells stand in the order of their paths, compared move by move (N < E < S < W), because a cell's
-parent is the first of its neighbours and neighbours are seen in the order of moves. So the path
-that the queue finds is the first of all shortest ones, which a descent from the start through the
-levels around the goal meets; and the cells expanded before the goal are all nearer ones, and those
-of its level whose path comes first, a set that can be carried along the path.
+`search_board` gives all moves that lead nearer to a goal. `bit_labels` gives the paths of the queue
+on maps of one word a row. Its order, first in, first out, seems lost in a set of bits, but it is
+not. Within a level, cells stand in the order of their paths, compared move by move (N < E < S < W),
+because a cell's parent is the first of its neighbours and neighbours are seen in the order of
+moves. So the path that the queue finds is the first of all shortest ones, which a descent from the
+start through the levels around the goal meets; and the cells expanded before the goal are all
+nearer ones, and those of its level whose path comes first, a set that can be carried along the
+path.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.kernels import with_capacity
+from mapdata.search.lattice import Lattice, cell_at
+
+WORD = 64
+"""Cells in a word."""
 
 MAX_SIDE = 64
-"""Most rows and columns of a map that is searched here."""
+"""Most rows and columns of a map that `bit_labels` searches."""
 
 _EDGE = 3
-"""Empty rows above and below a level: a level reads two beyond what the one before it wrote."""
+"""Empty rows above and below a board: a level reads two beyond what the one before it wrote."""
 
 _LEVEL = MAX_SIDE + 2 * _EDGE
 """Words of a level."""
@@ -32,12 +41,175 @@ _LEVEL = MAX_SIDE + 2 * _EDGE
 _LEVELS = MAX_SIDE * MAX_SIDE + 2
 """Most levels of a search."""
 
+_NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_LAST = np.uint64(63)
 _ALL = ~np.uint64(0)
+_TWO = np.uint64(2)
 _PAIRS = np.uint64(0x5555555555555555)
 _FOURS = np.uint64(0x3333333333333333)
 _EIGHTS = np.uint64(0x0F0F0F0F0F0F0F0F)
 _BYTES = np.uint64(0x0101010101010101)
+
+_EIGHT_CELLS = np.unpackbits(np.arange(256, dtype=np.uint8), bitorder="little").view(np.uint64)
+"""The bits of each byte, 0 to 255, as eight bytes in a word."""
+
+
+class Board(NamedTuple):
+    """Sets of cells of maps of one size. Cell (row, 0) is bit 0 of word ``(row + 3) * stride``.
+
+    Attributes:
+        stride: words of a row.
+        carry: all ones where rows have several words, between which bits are carried, else 0.
+        free: (words,) the free cells; after a search those of them that it reached.
+        unseen: (words,) those that the search has not reached.
+        levels: (2, words) levels of the search, in turns.
+        digit: (words,) the cells whose level has digit 1, the second lowest in binary.
+        moves: (4, words) the cells from which N, E, S, W lead nearer to where it began.
+    """
+
+    stride: Int
+    carry: np.uint64
+    free: Words
+    unseen: Words
+    levels: Words
+    digit: Words
+    moves: Words
+
+
+@kernel
+def board_of(shape: tuple[Int, Int]) -> Board:
+    """Return an empty board for maps of ``shape`` (rows, columns)."""
+    rows, columns = shape
+    stride = 1
+    carry = _NONE
+    if columns > WORD:
+        # At least one bit of a row belongs to no cell: it keeps what is carried from row to row.
+        stride = columns // WORD + 1
+        carry = _ALL
+    words = (rows + 2 * _EDGE) * stride
+    sets = np.zeros((9, words), np.uint64)
+    return Board(stride, carry, sets[0], sets[1], sets[2:4], sets[4], sets[5:])
+
+
+@kernel
+def search_board(
+    grid: Bytes, row: Int, column: Int, board: Board, lattice: Lattice, moves: Bytes
+) -> bool:
+    """Find the moves that lead nearer to (row, column) on a 4-connected map.
+
+    Args:
+        grid: (H, W).
+        row: of the goal.
+        column: of the goal.
+        board: for maps of this size.
+        lattice: likewise.
+        moves: (cells + 8,), filled with bit sets of the moves N, E, S, W.
+
+    Returns:
+        Whether the search was worth its while. It gives up where few cells are equally far from the
+        goal, as in a maze: a level takes its time however few they are.
+    """
+    rows, columns = grid.shape
+    _load(grid, board)
+    if not _search_levels(row, column, rows + columns, board):
+        return False
+    _find_moves(row + column, board)
+    north = board.moves[0].view(np.uint8)
+    east = board.moves[1].view(np.uint8)
+    south = board.moves[2].view(np.uint8)
+    west = board.moves[3].view(np.uint8)
+    for r in range(rows):
+        first = (r + _EDGE) * board.stride * 8
+        cell = cell_at(r, 0, lattice)
+        # Eight cells at a time, which may go beyond the row: the next one is written later.
+        for k in range((columns + 7) // 8):
+            i = np.uint64(first + k)
+            low = _EIGHT_CELLS[north[i]] | (_EIGHT_CELLS[east[i]] << _ONE)
+            high = _EIGHT_CELLS[south[i]] | (_EIGHT_CELLS[west[i]] << _ONE)
+            eight = low | (high << _TWO)
+            for j in range(8):  # becomes one store
+                moves[np.uint64(cell + 8 * k + j)] = np.uint8(eight >> np.uint64(8 * j))
+    return True
+
+
+@kernel
+def _load(grid: Bytes, board: Board) -> None:
+    """Make the free cells of ``grid`` those of the board."""
+    rows, columns = grid.shape
+    flat = grid.reshape(-1)
+    for row in range(rows):
+        for first in range(0, columns, WORD):
+            cell = np.uint64(row * columns + first)
+            word = _NONE
+            for k in range(min(WORD, columns - first)):
+                bit = np.uint64(k)
+                word |= np.uint64(flat[cell + bit] ^ np.uint8(1)) << bit
+            board.free[(row + _EDGE) * board.stride + first // WORD] = word
+
+
+@kernel
+def _search_levels(row: Int, column: Int, most: Int, board: Board) -> bool:
+    """Search level by level from (row, column); write what is reached, and ``digit``.
+
+    Digit 1 of a number changes at every second one. So before every second level it is flipped for
+    all cells that are still unseen: in the end, as often as it changes from 0 to their own level.
+
+    Returns whether there are less than ``most`` levels; else it gives up.
+    """
+    stride = board.stride
+    free = board.free
+    unseen = board.unseen
+    digit = board.digit
+    here = board.levels[0]
+    new = board.levels[1]
+    for k in range(len(free)):
+        unseen[k] = free[k]
+        digit[k] = 0
+        here[k] = 0
+        new[k] = 0
+    low = (row + _EDGE) * stride + column // WORD
+    high = low
+    here[low] = _ONE << np.uint64(column % WORD)
+    unseen[low] &= ~here[low]
+    for level in range(1, most):
+        if level % 2 == 0:
+            for k in range(len(free)):
+                digit[np.uint64(k)] ^= unseen[np.uint64(k)]
+        low, high = _next_level(here, new, unseen, low, high, stride, board.carry)
+        if low > high:
+            for k in range(len(free)):
+                free[k] &= ~unseen[k]
+            return True
+        here, new = new, here
+    return False
+
+
+@kernel
+def _find_moves(goal: Int, board: Board) -> None:
+    """Write the ``moves`` of a search that began where row and column add up to ``goal``.
+
+    A neighbour's level is one more or one less. Digit 0 is as on a chessboard, and digit 1 tells
+    the two apart: from 10 to 01 it changes, from 11 to 10 it does not.
+    """
+    digit = board.digit
+    reached = board.free
+    carry = board.carry
+    stride = np.uint64(board.stride)
+    for k in range(_EDGE * board.stride, len(reached) - _EDGE * board.stride):
+        i = np.uint64(k)
+        # Even columns have the even bits, in whichever word.
+        odd = _PAIRS if (k // board.stride - _EDGE + goal) % 2 else ~_PAIRS
+        # A neighbour whose digit 1 is not as here is nearer.
+        same = digit[i] ^ odd
+        north = reached[i - stride] & (digit[i - stride] ^ same)
+        east = _eastern(reached, i, carry) & (_eastern(digit, i, carry) ^ same)
+        south = reached[i + stride] & (digit[i + stride] ^ same)
+        west = _western(reached, i, carry) & (_western(digit, i, carry) ^ same)
+        board.moves[0, i] = reached[i] & north
+        board.moves[1, i] = reached[i] & east
+        board.moves[2, i] = reached[i] & south
+        board.moves[3, i] = reached[i] & west
 
 
 @kernel
@@ -116,7 +288,7 @@ def bit_labels(
                 break
             here = level[at : at + _LEVEL]
             new = level[at + _LEVEL : at + 2 * _LEVEL]
-            low, high = _next_level(here, new, unseen, low, high)
+            low, high = _next_level(here, new, unseen, low, high, 1, _NONE)
             if low > high:  # nothing new: all that can be reached is seen
                 break
             depth += 1
@@ -141,25 +313,26 @@ def bit_labels(
 
 
 @inlined
-def _next_level(here: Words, new: Words, unseen: Words, low: Int, high: Int) -> tuple[Int, Int]:
-    """Write the level ``new`` that follows ``here``, whose cells lie in rows ``low`` to ``high``.
+def _next_level(
+    here: Words, new: Words, unseen: Words, low: Int, high: Int, stride: Int, carry: np.uint64
+) -> tuple[Int, Int]:
+    """Write the level ``new`` that follows ``here``, whose cells lie in words ``low`` to ``high``.
 
-    Returns the first and last row of the new level; the first is beyond the last if it is empty.
+    Returns the first and last word of the new level; the first is beyond the last if it is empty.
     """
-    # With unsigned indices into two views the compiler sees that nothing overlaps, and takes 8 rows
-    # at a time.
-    for row in range(low - 1, high + 2):
-        r = np.uint64(row)
-        reached = _beside(here, r) & unseen[r]
-        new[r] = reached
-        unseen[r] ^= reached
-    # The level after this one reads two rows beyond it, and the buffer holds an older search.
-    new[low - 3] = 0
-    new[low - 2] = 0
-    new[high + 2] = 0
-    new[high + 3] = 0
-    first = low - 1
-    last = high + 1
+    first = low - stride
+    last = high + stride
+    # With unsigned indices into two views the compiler sees that nothing overlaps, and takes
+    # several words at a time.
+    for k in range(first, last + 1):
+        i = np.uint64(k)
+        reached = _beside(here, i, np.uint64(stride), carry) & unseen[i]
+        new[i] = reached
+        unseen[i] ^= reached
+    # The level after this one reads two rows beyond it, and the buffer holds an older level.
+    for k in range(2 * stride):
+        new[first - 1 - k] = 0
+        new[last + 1 + k] = 0
     while first <= last and new[first] == 0:
         first += 1
     while first <= last and new[last] == 0:
@@ -168,10 +341,22 @@ def _next_level(here: Words, new: Words, unseen: Words, low: Int, high: Int) -> 
 
 
 @inlined
-def _beside(level: Words, row: np.uint64) -> Int:
-    """Return the cells of a row that are one move away from a cell of ``level``."""
-    east_and_west = (level[row] << _ONE) | (level[row] >> _ONE)
-    return east_and_west | level[row - _ONE] | level[row + _ONE]
+def _beside(level: Words, word: np.uint64, stride: np.uint64, carry: np.uint64) -> Int:
+    """Return the cells of a word that are one move away from a cell of ``level``."""
+    beside = _eastern(level, word, carry) | _western(level, word, carry)
+    return beside | level[word - stride] | level[word + stride]
+
+
+@inlined
+def _eastern(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
+    """Return the cells of a word whose neighbour in the east is one of ``cells``."""
+    return (cells[word] >> _ONE) | ((cells[word + _ONE] << _LAST) & carry)
+
+
+@inlined
+def _western(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
+    """Return the cells of a word whose neighbour in the west is one of ``cells``."""
+    return (cells[word] << _ONE) | ((cells[word - _ONE] >> _LAST) & carry)
 
 
 @kernel
@@ -205,7 +390,7 @@ def _trace(
         # The children of a cell that stands before the path's cell stand before the path's next.
         for r in range(first, last + 1):
             i = np.uint64(r)
-            then[i] = _beside(now, i) & level[i]
+            then[i] = _beside(now, i, _ONE, _NONE) & level[i]
         then[first - 2] = 0
         then[first - 1] = 0
         then[last + 1] = 0

@@ -11,9 +11,10 @@ cells can have one, of 8 million cells at most, but only if it is drawn for it. 
 back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has an inverse modulo
 UNIT, a power of two.
 
-The legal moves, the heuristic and hardness are defined here. The corner rule is written three times
-more, each for a reason that is given there: `flood` and `first_bad_cell` in kernels.py, and on
-tensors `legal_moves` in models/common.py; tests hold all four together.
+The legal moves, the heuristic and hardness are defined here. The corner rule is written four times
+more, each for a reason that is given there: `flood` and `first_bad_cell` in kernels.py,
+`_search_buckets` in goals.py, and on tensors `legal_moves` in models/common.py; tests hold all five
+together.
 """
 
 from __future__ import annotations

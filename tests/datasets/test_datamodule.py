@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import random
 import sys
+import tracemalloc
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
@@ -18,7 +19,7 @@ import pytest
 import pytorch_lightning as pl
 import torch
 import yaml
-from helpers import ranks, run_helper, samples
+from helpers import ranks, reference, run_helper, samples
 from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
@@ -156,15 +157,48 @@ def test_each_pass_is_an_epoch(root: str) -> None:
 
 def test_the_order_is_a_permutation_without_pattern() -> None:
     """Each number once; over many epochs each place holds each number about equally often."""
-    data = MapDataset.__new__(MapDataset)  # the sampler asks it for its length alone
-    data.__dict__["_kept"] = np.arange(12)
     counts = np.zeros((12, 12))
-    sampler = EpochSampler(data, 4, 3)
+    sampler = sampler_of(12, 4, 3)
     for epoch in range(600):
         order = np.array(list(sampler)) - epoch * 12
         assert sorted(order.tolist()) == list(range(12))
         counts[np.arange(12), order] += 1
     assert 20 < counts.min() < counts.max() < 85  # 50 are expected
+
+
+def sampler_of(count: int, batch_size: int, sampling_seed: int) -> EpochSampler:
+    """Return the sampler of a dataset of so many problems."""
+    data = MapDataset.__new__(MapDataset)  # the sampler asks it for its length alone
+    data.__dict__["_kept"] = np.arange(count)
+    return EpochSampler(data, batch_size, sampling_seed)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 64, 300])
+def test_the_order_is_the_shuffle_of_the_reference(count: int) -> None:
+    """Fisher and Yates with the words of stream order, whatever the batch size; Python's ints."""
+    sampler = sampler_of(count, 7, 2**63 + 5)
+    sampler.set_epoch(3)
+    order = list(range(count))
+    for k in range(count - 1, 0, -1):
+        first, second, _, _ = reference.block(2**63 + 5, k, 3, reference.ORDER, 0)
+        j = (first << 32 | second) * (k + 1) >> 64
+        order[k], order[j] = order[j], order[k]
+    found = list(sampler)
+    assert found == [k + 3 * count for k in order]
+    assert {type(k) for k in found} == {int}
+
+
+def test_a_million_samples_take_a_few_bytes_each() -> None:
+    """The sampler never holds them as a list of Python's integers, which take 36 bytes."""
+    sampler = sampler_of(1_000_000, 256, 1)
+    next(iter(sampler))  # compiles
+    tracemalloc.start()
+    try:
+        next(iter(sampler))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 5_000_000
 
 
 @pytest.mark.parametrize("split", ["train", "val"])

@@ -110,7 +110,8 @@ def test_fields_around_the_goal(shape: tuple[int, int], movement: Movement) -> N
             FIELDS["optimal_mask"](batch)[k, 0], optimal_cells(problem, movement)
         )
         np.testing.assert_array_equal(
-            FIELDS["optimal_moves"](batch)[k, 0], moves_to_goal(problem, movement)
+            FIELDS["optimal_moves"](batch)[k, 0],
+            reference.reference_moves(problem.rows(), problem.goal, movement),
         )
 
 
@@ -124,21 +125,6 @@ def optimal_cells(problem: Problem, movement: Movement) -> Array:
         for cell, cost in to_goal.items():
             mask[cell] = reference.weigh(reference.add(cost, from_start[cell]), movement) == best
     return mask
-
-
-def moves_to_goal(problem: Problem, movement: Movement) -> Array:
-    """Return, per cell, the bits of the moves N, E, S, W, NE, SE, SW, NW that lower the cost by
-    their own.
-    """
-    bits = np.zeros(problem.grid.shape, np.uint8)
-    to_goal = reference.reference_distances(problem.rows(), problem.goal, movement)
-    steps = reference.STRAIGHT + reference.DIAGONAL
-    for cell, cost in to_goal.items():
-        for neighbour, step in reference.neighbours(problem.rows(), cell, movement):
-            through = reference.weigh(reference.add(to_goal[neighbour], step), movement)
-            if through == reference.weigh(cost, movement):
-                bits[cell] |= 1 << steps.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
-    return bits
 
 
 @movements

@@ -298,6 +298,22 @@ def reference_field(grid: Grid, goal: Cell, movement: Movement) -> npt.NDArray[n
     return field
 
 
+def reference_moves(grid: Grid, goal: Cell, movement: Movement) -> npt.NDArray[np.uint8]:
+    """Return, per cell, the bits of the moves that lower the cost to the goal by their own.
+
+    Bit k is move k of N, E, S, W, NE, SE, SW, NW.
+    """
+    bits = np.zeros((len(grid), len(grid[0])), np.uint8)
+    steps = STRAIGHT + DIAGONAL
+    costs = reference_distances(grid, goal, movement)
+    for cell, cost in costs.items():
+        for neighbour, step in neighbours(grid, cell, movement):
+            through = weigh(add(costs[neighbour], step), movement)
+            if through == weigh(cost, movement):
+                bits[cell] |= 1 << steps.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
+    return bits
+
+
 class ReferenceProblem(NamedTuple):
     """A problem, and what its shortest path costs."""
 

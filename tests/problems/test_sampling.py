@@ -16,6 +16,7 @@ from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, gen
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
 from mapdata.search import rule_of
+from mapdata.search.goals import goal_fields
 
 MOVEMENTS = [
     Movement(),
@@ -29,7 +30,13 @@ def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Mo
     """Sample a problem on each of the grids 0, 1, ..."""
     indices = np.arange(len(grids))
     return sample_problems(
-        grids, np.uint64(seed), epoch, indices, conditions.bands, *rule_of(movement)
+        grids,
+        np.uint64(seed),
+        epoch,
+        indices,
+        conditions.bands,
+        rule_of(movement),
+        goal_fields(grids.shape, ()),
     )
 
 
