@@ -25,10 +25,11 @@ from mapdata.search.lattice import (
     ASTAR,
     BFS,
     MAX_CELLS,
+    Rule,
     Weights,
     rule_of,
 )
-from mapdata.spec import Movement
+from mapdata.spec import Movement, check_choice
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name."""
@@ -145,8 +146,7 @@ def search_batch(
         ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not
             fit together.
     """
-    if search not in SEARCHES:
-        raise ValueError(f"search: got {search!r}, expected 'bfs' or 'astar'")
+    check_choice("search", search, SEARCHES)
     return solve_batch(SEARCHES[search], grids, starts, goals, movement)
 
 
@@ -167,8 +167,9 @@ def solve_batch(
         raise ValueError(
             f"got {len(stack)} grids, {count} starts and {len(ends)} goals, expected equal numbers"
         )
-    memory = _scratch_memory(stack, movement)
-    path, found, solved = solve_all(stack, begins, ends, search, rule_of(movement), memory)
+    rule = rule_of(movement)
+    memory = _scratch_memory(stack, rule)
+    path, found, solved = solve_all(stack, begins, ends, search, rule, memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         raise ValueError(f"problem {solved}: {_complaint(grid, begins[solved], ends[solved])}")
@@ -196,7 +197,8 @@ def distance_field(
     array = as_grid(grid, 2)
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
-    good = write_field(array, row, column, rule_of(movement), _scratch_memory(array, movement), out)
+    rule = rule_of(movement)
+    good = write_field(array, row, column, rule, _scratch_memory(array, rule), out)
     if not good:
         raise ValueError(_values_complaint(array))
     if array[row, column]:
@@ -244,10 +246,9 @@ def _search(
     array = as_grid(grid, 2)
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
-    memory = _scratch_memory(array, movement)
-    path, straight, diagonal, iterations = solve_one(
-        array, *begin, *end, search, rule_of(movement), memory
-    )
+    rule = rule_of(movement)
+    memory = _scratch_memory(array, rule)
+    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule, memory)
     if iterations == 0:  # every search expands its start
         raise ValueError(_complaint(array, begin, end))
     cost = straight + diagonal * movement.diagonal_cost
@@ -263,11 +264,11 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
-def _scratch_memory(grid: Bytes, movement: Movement) -> Bytes:
+def _scratch_memory(grid: Bytes, rule: Rule) -> Bytes:
     """Return room for any search on ``grid``, this thread's own until its next call."""
     rows, columns = grid.shape[-2:]
-    # As `scratch` reckons: 9 bytes a cell of the lattice, and 16 for each of its pushes.
-    needed = (9 + 16 * movement.connectivity) * (rows + 2) * (columns + 2) + 32
+    # As `scratch` reckons: 9 bytes a cell of the lattice, and 16 for each of its 4 or 8 pushes.
+    needed = (137 if rule[0] else 73) * (rows + 2) * (columns + 2) + 32
     memory = _kept.memory
     if needed > len(memory):
         memory = np.empty(needed, np.uint8)

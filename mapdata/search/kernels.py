@@ -11,8 +11,9 @@ cell. So ``came[cell] < CLOSED`` means that the cell is in the open list.
 
 Two habits of these kernels look odd and are for speed:
 
-- Hot loops index by np.uint64. numba lets a signed index count from the end, as Python does, and
-  tests its sign at each access. (uint64 with int64 would give float64, hence constants like _ONE.)
+- Hot loops index by unsigned integers. numba lets a signed index count from the end, as Python
+  does, and tests its sign at each access. (uint64 with int64 would give float64, hence constants
+  like _ONE.)
 - A push is written to a log that is never shortened, and links between its entries make the stacks,
   buckets and heaps. No entry moves or is changed when its cell gets a smaller g: the cell is pushed
   again, and the older entry is dropped when it is popped. The log also says which cells a search
@@ -213,41 +214,41 @@ def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -
                 return expansions, np.int64(pushes)
             near = far
             far = np.uint32(0)
-        cell = pushed[np.uint64(near)]
-        near = links[np.uint64(near)]
+        cell = pushed[near]
+        near = links[near]
         # It was pushed again with a smaller g, and so a smaller f, and expanded then.
-        if came[np.uint64(cell)] & CLOSED:
+        if came[cell] & CLOSED:
             continue
-        came[np.uint64(cell)] |= CLOSED
+        came[cell] |= CLOSED
         expansions += 1
         if cell == target:
             return expansions, np.int64(pushes)
-        tentative = g[np.uint64(cell)] + 1
+        tentative = g[cell] + 1
         row = cell // stride
         column = cell - row * stride
         for move in range(4):
             if move == 0:
-                to = np.uint64(cell - stride)
+                to = cell - stride
                 closer = row > goal_row
             elif move == 1:
-                to = np.uint64(cell + np.uint32(1))
+                to = cell + np.uint32(1)
                 closer = column < goal_column
             elif move == 2:
-                to = np.uint64(cell + stride)
+                to = cell + stride
                 closer = row < goal_row
             else:
-                to = np.uint64(cell - np.uint32(1))
+                to = cell - np.uint32(1)
                 closer = column > goal_column
             before = came[to]
             if before == UNSEEN or (before < CLOSED and g[to] > tentative):
                 came[to] = move
                 g[to] = tentative
-                pushed[np.uint64(pushes)] = to
+                pushed[pushes] = to
                 if closer:
-                    links[np.uint64(pushes)] = near
+                    links[pushes] = near
                     near = pushes
                 else:
-                    links[np.uint64(pushes)] = far
+                    links[pushes] = far
                     far = pushes
                 pushes += np.uint32(1)
 
@@ -303,8 +304,8 @@ def best_first(
     expansions = 0
     while True:
         if near:
-            cell = pushed[np.uint64(near)]
-            near = links[np.uint64(near)]
+            cell = pushed[near]
+            near = links[near]
         elif search != ASTAR:
             if size == 0:
                 break
@@ -321,13 +322,13 @@ def best_first(
             near, buckets[slot], least = _split(buckets[slot], links, f)
             continue
         # It was pushed again with a smaller g, and so a smaller f, and expanded then.
-        if came[np.uint64(cell)] & CLOSED:
+        if came[cell] & CLOSED:
             continue
-        came[np.uint64(cell)] |= CLOSED
+        came[cell] |= CLOSED
         expansions += 1
         if cell == goal:
             break
-        cost = g[np.uint64(cell)]
+        cost = g[cell]
         if cost >= LONGEST * UNIT:
             raise ValueError(_TOO_LONG)
         row, column = position(cell, lattice)
@@ -351,19 +352,19 @@ def best_first(
             h = heuristic(rows, columns, lattice)
             came[to] = move
             g[to] = tentative
-            pushed[np.uint64(pushes)] = to
+            pushed[pushes] = to
             if search != ASTAR:
                 if h_weight != 1:  # a float would round large h
                     h = np.int64(h_weight * h)
                 _insert(links, f, size, pushes, g_weight * tentative + h)
                 size += 1
             elif tentative + h == least:
-                links[np.uint64(pushes)] = near
+                links[pushes] = near
                 near = pushes
             else:
-                f[np.uint64(pushes)] = tentative + h
+                f[pushes] = tentative + h
                 ahead = np.uint8((tentative + h) >> _SLICE_BITS)
-                links[np.uint64(pushes)] = buckets[ahead]
+                links[pushes] = buckets[ahead]
                 buckets[ahead] = pushes
             pushes += np.uint32(1)
     return expansions, np.int64(pushes)
@@ -376,23 +377,23 @@ def _split(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
     Returns the top of each, 0 if it is empty, and the least f.
     """
     # Turned upside down first, so that moving push by push restores the order.
-    least = f[np.uint64(top)]
+    least = f[top]
     bottom = np.uint32(0)
     while top:
-        below = links[np.uint64(top)]
-        least = min(least, f[np.uint64(top)])
-        links[np.uint64(top)] = bottom
+        below = links[top]
+        least = min(least, f[top])
+        links[top] = bottom
         bottom = top
         top = below
     near = np.uint32(0)
     rest = np.uint32(0)
     while bottom:
-        above = links[np.uint64(bottom)]
-        if f[np.uint64(bottom)] == least:
-            links[np.uint64(bottom)] = near
+        above = links[bottom]
+        if f[bottom] == least:
+            links[bottom] = near
             near = bottom
         else:
-            links[np.uint64(bottom)] = rest
+            links[bottom] = rest
             rest = bottom
         bottom = above
     return near, rest, least
@@ -741,10 +742,10 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
             if bucket >= LONGEST:
                 raise ValueError(_TOO_LONG)
             continue
-        heads[np.uint64(bucket & 3)] = links[np.uint64(entry)]
+        heads[np.uint64(bucket & 3)] = links[entry]
         waiting -= 1
-        cell = pushed[np.uint64(entry)]
-        cost = costs[np.uint64(cell)]
+        cell = pushed[entry]
+        cost = costs[cell]
         if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
             continue
         for move in range(len(lattice.offsets)):
@@ -754,8 +755,8 @@ def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
             if tentative < costs[to] and is_legal(came, cell, move, lattice):
                 costs[to] = tentative
                 ahead = np.uint64((tentative >> UNIT_BITS) & 3)
-                pushed[np.uint64(pushes)] = to
-                links[np.uint64(pushes)] = heads[ahead]
+                pushed[pushes] = to
+                links[pushes] = heads[ahead]
                 heads[ahead] = pushes
                 pushes += np.uint32(1)
                 waiting += 1

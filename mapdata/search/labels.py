@@ -40,6 +40,7 @@ from mapdata.search.lattice import (
     parts,
     rule_of,
 )
+from mapdata.spec import check_choice
 
 _MANY = 3
 """From so many rooms on, one search of the whole map costs less than an A* to each."""
@@ -136,8 +137,7 @@ class Labels:
 
     def of(self, search: str) -> SearchLabels:
         """Return the labels by ``search``, "bfs" or "astar"."""
-        if search not in ("bfs", "astar"):
-            raise ValueError(f"search: got {search!r}, expected 'bfs' or 'astar'")
+        check_choice("search", search, ("bfs", "astar"))
         return self.bfs if search == "bfs" else self.astar
 
 
