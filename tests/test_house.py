@@ -51,14 +51,15 @@ TESTED_IN = {
     "mapdata/formats/paper.py": ("formats/test_paper.py", "formats/test_registry.py"),
     "mapdata/plotting/figures.py": ("plotting/test_figures.py", "shards/test_root.py"),
     "mapdata/problems/sources.py": ("problems/test_sources.py", "datasets/test_datamodule.py"),
-    "mapdata/problems/sampling.py": ("problems/test_symmetry.py",),
-    "mapdata/problems/symmetry.py": ("datasets/test_dataset.py",),
-    "mapdata/search/bitboard.py": ("search/test_goals.py",),
-    "mapdata/search/goals.py": ("problems/test_sampling.py", "problems/test_symmetry.py"),
-    "mapdata/search/kernels.py": ("search/test_api.py", "search/test_labels.py"),
+    "mapdata/problems/symmetry.py": ("datasets/test_dataset.py", "problems/test_symmetry.py"),
+    "mapdata/search/kernels.py": (
+        "search/test_api.py",
+        "search/test_labels.py",
+        "search/test_bitboard.py",
+    ),
     "mapdata/search/lattice.py": (
         "search/test_lattice.py",
-        "search/test_goals.py",
+        "search/test_bitboard.py",
         "problems/test_sampling.py",
     ),
     "mapdata/shards/builder.py": (

@@ -29,14 +29,8 @@ from mapdata.datasets.sample import (
 )
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random, Route, Source, problem_source
-from mapdata.problems.symmetry import (
-    sample_symmetries,
-    transform_cells,
-    transform_fields,
-    transform_grids,
-)
+from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import search_batch
-from mapdata.search.goals import GoalFields, goal_fields
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
 from mapdata.spec import SPLITS, Movement, check_choice
@@ -46,10 +40,9 @@ if TYPE_CHECKING:
 
 Transform = Callable[[Sample], Any]
 
-Sampled = tuple[Bytes, Ints, list[tuple[Ints, Paths]], GoalFields | None]
-"""Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none;
-the paths found, pieces for `Paths.join`, none where they have not been searched; and the fields of
-the goals, where these have been searched."""
+Sampled = tuple[Bytes, Ints, list[tuple[Ints, Paths]]]
+"""Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
+the paths found, pieces for `Paths.join`, none where they have not been searched."""
 
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
@@ -192,18 +185,16 @@ class ProblemDataset(Dataset[Sample], ABC):
         Each is sampled on its own map, or on a substitute where that has none.
         """
         places = indices.copy()
-        grids, ends, pieces, fields = self._sample(places, indices, epoch)
+        grids, ends, pieces = self._sample(places, indices, epoch)
         for attempt in range(SUBSTITUTES):
             missing = np.flatnonzero(ends[:, 0] < 0)
             if len(missing) == 0:
                 break
             places[missing] = self._substitutes(indices[missing], attempt)
-            grids[missing], ends[missing], more, others = self._sample(
+            grids[missing], ends[missing], more = self._sample(
                 places[missing], indices[missing], epoch
             )
             pieces += [(missing[rows], paths) for rows, paths in more]
-            for name in self._wanted.intersection(GoalFields._fields) if fields else ():
-                getattr(fields, name)[missing] = getattr(others, name)
         else:
             raise ValueError(
                 f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row"
@@ -214,7 +205,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         def paths() -> Paths:
             return Paths.join(pieces, len(ends)) if pieces else self._solve(grids, starts, goals)
 
-        return self._as_batch(indices, places, grids, starts, goals, paths, fields)
+        return self._as_batch(indices, places, grids, starts, goals, paths)
 
     def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
         """Sample a problem on each of the maps at some places."""
@@ -223,9 +214,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         grids = self._grids(places)
         seed = np.uint64(self.serving.sampling_seed)
         rule = rule_of(self.movement)
-        fields = goal_fields(grids.shape, self._wanted)
-        sampled = sample_problems(grids, seed, epoch, indices, problems.bands, rule, fields)
-        return grids, sampled[:, :4], [], fields
+        sampled = sample_problems(grids, seed, epoch, indices, problems.bands, *rule)
+        return grids, sampled, []
 
     def _as_batch(
         self,
@@ -235,7 +225,6 @@ class ProblemDataset(Dataset[Sample], ABC):
         starts: Ints,
         goals: Ints,
         paths: Callable[[], Paths],
-        fields: GoalFields | None = None,
     ) -> Batch:
         return Batch(
             self.movement,
@@ -248,7 +237,6 @@ class ProblemDataset(Dataset[Sample], ABC):
             lambda: self._rooms(places, grids),
             self._wanted,
             self.serving.max_length,
-            fields,
         )
 
     def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
@@ -480,10 +468,8 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         seed_points = batch.rooms.seed_points
         return batch.rooms._replace(seed_points=transformed(seed_points, seed_points.shape[1]))
 
-    fields = batch.found_fields
     return replace(
         batch,
-        found_fields=fields and transform_fields(fields, codes),
         grids=transform_grids(batch.grids, codes),
         starts=transformed(batch.starts),
         goals=transformed(batch.goals),

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
 from mapdata.jit import Int, kernel
-from mapdata.search.kernels import Scratch, bucket_search, scratch, shortest_costs
+from mapdata.search.bitboard import search_around
+from mapdata.search.kernels import cost_at, scratch, shortest_costs
 from mapdata.search.lattice import (
-    COSTS,
-    FAR,
+    ASTAR,
+    Lattice,
     Rule,
     cell_at,
+    heuristic,
     in_cells,
     lattice_of,
     load,
+    position,
 )
 
 PADDING = -1
@@ -22,6 +27,15 @@ PADDING = -1
 
 PROBABLE = 0.95
 """TransPath's threshold of the path probability."""
+
+
+class GoalFields(NamedTuple):
+    """The fields that one search around the goal gives, (B, 1, H, W) each, or empty."""
+
+    cost_to_go: Float32s
+    optimal_moves: Bytes
+    heuristic_ratio: Float32s
+    optimal_mask: Bytes
 
 
 @kernel
@@ -66,6 +80,59 @@ def count_steps(cells: Ints, offsets: Ints) -> tuple[Ints, Ints]:
 
 
 @kernel
+def fill_goal_fields(
+    grids: Bytes, starts: Ints, goals: Ints, rule: Rule, fields: GoalFields
+) -> None:
+    """Fill those of the fields that are not empty, from one search a problem."""
+    cost_to_go, optimal_moves, heuristic_ratio, optimal_mask = fields
+    _, rows, columns = grids.shape
+    lattice = lattice_of((rows, columns), rule)
+    buffers = scratch(ASTAR, lattice)
+    moves = buffers.came
+    costs_too = len(cost_to_go) + len(heuristic_ratio) > 0
+    for b in range(len(grids)):
+        goal_row = goals[b, 0]
+        goal_column = goals[b, 1]
+        search_around(grids[b], goal_row, goal_column, costs_too, lattice, buffers)
+        if len(optimal_moves):
+            for row in range(rows):
+                first = np.uint64(cell_at(row, 0, lattice))
+                for column in range(columns):
+                    optimal_moves[b, 0, row, column] = moves[first + np.uint64(column)]
+        for row in range(rows if costs_too else 0):
+            for column in range(columns):
+                value = cost_at(cell_at(row, column, lattice), buffers)
+                if len(cost_to_go):
+                    cost_to_go[b, 0, row, column] = value
+                if len(heuristic_ratio):
+                    least = in_cells(heuristic(row - goal_row, column - goal_column, lattice))
+                    heuristic_ratio[b, 0, row, column] = least / value if value > 0 else 1.0 + value
+        if len(optimal_mask):
+            optimal_mask[b] = 0
+            start = cell_at(starts[b, 0], starts[b, 1], lattice)
+            if moves[start] or start == cell_at(goal_row, goal_column, lattice):
+                _follow(start, moves, lattice, buffers.pushed, optimal_mask[b, 0])
+
+
+@kernel
+def _follow(start: Int, moves: Bytes, lattice: Lattice, stack: UInt32s, mask: Bytes) -> None:
+    """Mark all cells that optimal ``moves`` lead to from ``start``."""
+    stack[0] = start
+    mask[position(start, lattice)] = 1
+    size = 1
+    while size:
+        size -= 1
+        cell = np.int64(stack[size])
+        for move in range(len(lattice.offsets)):
+            if moves[cell] >> move & 1:
+                to = cell + lattice.offsets[move]
+                if mask[position(to, lattice)] == 0:
+                    mask[position(to, lattice)] = 1
+                    stack[size] = to
+                    size += 1
+
+
+@kernel
 def path_probabilities(
     grids: Bytes, starts: Ints, goals: Ints, cells: Ints, ends: Ints, rule: Rule
 ) -> Float32s:
@@ -75,36 +142,29 @@ def path_probabilities(
     """
     count, rows, columns = grids.shape
     lattice = lattice_of((rows, columns), rule)
-    buffers = scratch(COSTS, lattice)
-    around_start = np.empty(lattice.cells, np.int64)
-    around_goal = np.empty(lattice.cells, np.int64)
-    around_path = buffers.g
-    came = buffers.came
-    pushed = buffers.pushed
-    links = buffers.links
+    around_start = scratch(ASTAR, lattice)
+    around_goal = scratch(ASTAR, lattice)
+    around_path = scratch(ASTAR, lattice)
     out = np.zeros((count, 1, rows, columns), np.float32)
     for b in range(count):
         length = ends[b + 1] - ends[b]
         if length == 0:
             continue
-        start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        for source, costs in ((start, around_start), (goal, around_goal)):
-            load(grids[b], came)
-            shortest_costs(source, lattice, Scratch(came, costs, pushed, links, buffers.f))
-        around_path[:] = FAR
+        path = np.empty(length, np.int64)
         for k in range(length):
-            cell = cell_at(cells[ends[b] + k, 0], cells[ends[b] + k, 1], lattice)
-            pushed[1 + k] = cell
-            around_path[cell] = 0
-        bucket_search(length, lattice, buffers)
-        best = in_cells(around_goal[start])
+            path[k] = cell_at(cells[ends[b] + k, 0], cells[ends[b] + k, 1], lattice)
+        search_around(grids[b], starts[b, 0], starts[b, 1], True, lattice, around_start)
+        search_around(grids[b], goals[b, 0], goals[b, 1], True, lattice, around_goal)
+        load(grids[b], around_path.came)
+        shortest_costs(path, lattice, around_path)
+        best = cost_at(path[0], around_goal)
         for row in range(rows):
             for column in range(columns):
                 cell = cell_at(row, column, lattice)
-                if around_start[cell] != FAR:
-                    through = in_cells(around_start[cell]) + in_cells(around_goal[cell])
-                    through += in_cells(around_path[cell])
+                from_start = cost_at(cell, around_start)
+                if from_start >= 0:
+                    through = from_start + cost_at(cell, around_goal)
+                    through += cost_at(cell, around_path)
                     ratio = best / through if through > 0 else 1.0
                     if ratio >= PROBABLE:
                         out[b, 0, row, column] = ratio
@@ -115,19 +175,18 @@ def path_probabilities(
 def fill_room_matrices(grids: Bytes, seed_points: Ints, rule: Rule) -> Float32s:
     """Return (B, R, R) float32 of costs between seed points, -1 no connection, -2 padding."""
     lattice = lattice_of(grids.shape[1:], rule)
-    buffers = scratch(COSTS, lattice)
+    buffers = scratch(ASTAR, lattice)
     most = seed_points.shape[1]
     out = np.full((len(grids), most, most), -2, np.float32)
     for b in range(len(grids)):
         for i in range(most):
             if seed_points[b, i, 0] < 0:
                 break
-            load(grids[b], buffers.came)
-            source = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
-            shortest_costs(source, lattice, buffers)
+            row, column = seed_points[b, i]
+            search_around(grids[b], row, column, True, lattice, buffers)
             for j in range(most):
                 if seed_points[b, j, 0] < 0:
                     break
-                cost = buffers.g[cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)]
-                out[b, i, j] = -1 if cost == FAR else in_cells(cost)
+                row, column = seed_points[b, j]
+                out[b, i, j] = cost_at(cell_at(row, column, lattice), buffers)
     return out

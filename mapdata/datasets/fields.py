@@ -16,7 +16,9 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Float32s, Ints, summary
 from mapdata.datasets.field_kernels import (
+    GoalFields,
     count_steps,
+    fill_goal_fields,
     fill_room_matrices,
     mask_paths,
     pad_paths,
@@ -25,7 +27,6 @@ from mapdata.datasets.field_kernels import (
 from mapdata.datasets.sample import PATH_STEP
 from mapdata.search.api import search_batch
 from mapdata.search.footprint import clearances
-from mapdata.search.goals import GoalFields, fill_goal_fields, goal_fields
 from mapdata.search.lattice import UNIT, rule_of
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.spec import Movement
@@ -95,7 +96,6 @@ class Batch:
         find_rooms: gives connection matrices and seed points.
         wanted: names of the fields that will be asked for.
         max_length: how many cells ``path`` holds; None for what the batch needs.
-        found_fields: `goal_fields`, where they were found as the problems were sampled.
     """
 
     movement: Movement
@@ -108,7 +108,6 @@ class Batch:
     find_rooms: Callable[[], Rooms]
     wanted: frozenset[str]
     max_length: int | None = None
-    found_fields: GoalFields | None = None
 
     __repr__ = summary
 
@@ -136,9 +135,16 @@ class Batch:
     @cached_property
     def goal_fields(self) -> GoalFields:
         """The fields that come from the search around the goal, empty if not asked for."""
-        if self.found_fields is not None:
-            return self.found_fields
-        fields = goal_fields(self.grids.shape, self.wanted)
+        shape, none = (len(self), 1, *self.grids.shape[1:]), (0, 1, 1, 1)
+        fields = GoalFields(
+            *(
+                np.empty(
+                    shape if name in self.wanted else none,
+                    np.uint8 if name.startswith("optimal") else np.float32,
+                )
+                for name in GoalFields._fields
+            )
+        )
         fill_goal_fields(self.grids, self.starts, self.goals, rule_of(self.movement), fields)
         return fields
 

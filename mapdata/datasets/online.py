@@ -123,4 +123,4 @@ class OnlineMapDataset(ProblemDataset):
             SEARCHES[self.serving.search],
             rule_of(self.movement),
         )
-        return maps.occupancy, ends, [(np.arange(len(ends)), Paths(*found))], None
+        return maps.occupancy, ends, [(np.arange(len(ends)), Paths(*found))]

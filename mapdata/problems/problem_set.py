@@ -19,7 +19,6 @@ from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
-from mapdata.search.goals import goal_fields
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
@@ -238,14 +237,13 @@ def _collect(
         indices = all_indices[:left]
         grids = all_grids[:left]
         left -= len(indices)
-        none = goal_fields(grids.shape, ())
         sampled = sample_problems(
-            grids, np.uint64(seed), 0, indices, problems.bands, rule_of(movement), none
+            grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement)
         )
         kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:
-            starts, goals, steps = np.split(sampled[kept], 3, axis=1)
-            cost = steps[:, 0] + steps[:, 1] * movement.diagonal_cost
+            starts, goals = np.split(sampled[kept], 2, axis=1)
+            cost = search_batch("astar", grids[kept], starts, goals, movement).cost
             hard_so_far = hard + np.cumsum(hardness(cost, starts, goals, movement) >= HARD)
             enough = int(np.searchsorted(hard_so_far, until_hard)) + 1
             kept = kept[:enough]
@@ -261,4 +259,4 @@ def _collect(
         )
     index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
-    return Problems(grid, ends[:, :2], ends[:, 2:4], movement, description)
+    return Problems(grid, ends[:, :2], ends[:, 2:], movement, description)

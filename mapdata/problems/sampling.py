@@ -11,18 +11,21 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.sources import Bands, Random
 from mapdata.rng import PROBLEM, block, bounded
-from mapdata.search.goals import (
-    Around,
-    GoalFields,
-    around,
-    count_to_goal,
+from mapdata.search.bitboard import (
+    Board,
+    bit_at,
+    board_of,
+    count_bits,
+    nth_cell,
     search_around,
-    write_fields,
+    search_board,
+    word_at,
 )
-from mapdata.search.kernels import find, scratch, wipe, write_cells
+from mapdata.search.kernels import Scratch, find, scratch, wipe, write_cells
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
+    Lattice,
     Rule,
     Weights,
     cell_at,
@@ -48,13 +51,13 @@ def sample_problems(
     epoch: Int,
     indices: Ints,
     bands: Bands,
-    rule: Rule,
-    fields: GoalFields,
+    diagonals: Int,
+    step: Int,
 ) -> Ints:
     """Sample a problem on each grid: a goal, then one of the starts that fit it.
 
-    docs/format.md, section 6, fixes the draws. The goal comes first so that the search around it,
-    which tells the starts, is the one that gives its fields.
+    docs/format.md, section 6, fixes the draws. The goal comes first so that one search around it
+    tells which starts there are.
 
     Args:
         grids: (B, H, W).
@@ -62,86 +65,65 @@ def sample_problems(
         epoch: pass over the data.
         indices: (B,) number of each problem.
         bands: as `Random.bands`; a tuple, which numba keeps in registers.
-        rule: as `rule_of` gives it.
-        fields: those of them that are not empty are filled where a problem is found.
+        diagonals: as `rule_of` gives it.
+        step: likewise.
 
     Returns:
-        (B, 6): start, goal, straight and diagonal steps of a shortest path (all count as straight
-        where they cost the same); -1 where the map has no such problem.
+        (B, 4): start and goal, -1 where the map has no such problem.
     """
-    found = around(grids.shape[1:], rule)
-    weighed = bands != _OPEN or len(fields.cost_to_go) + len(fields.heuristic_ratio) > 0
-    unfit = np.empty(grids.shape[1:], np.uint8)
-    sampled = np.full((len(grids), 6), -1)
+    lattice = lattice_of(grids.shape[1:], (diagonals, step))
+    buffers = scratch(ASTAR, lattice)
+    sampled = np.full((len(grids), 4), -1)
     for b in range(len(grids)):
-        free = _count_free(grids[b])
+        board = board_of(grids[b])
+        free = count_bits(board.free, 0, len(board.free))
         if free < 2:
             continue
         for attempt in range(_ATTEMPTS):
             w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
-            goal_row, goal_column = _free_cell(grids[b], bounded(w0, 0, free - 1))
-            search_around(grids[b], goal_row, goal_column, weighed, found)
+            goal = nth_cell(board.free, board.stride, bounded(w0, 0, free - 1))
             # A uniform start among those that fit: they count in row-major order.
-            _mark_unfit(bands, goal_row, goal_column, found, unfit)
-            fitting = _count_free(unfit)
+            _keep_fitting(grids[b], goal, bands, lattice, buffers, board)
+            fitting = count_bits(board.reached, 0, len(board.free))
             if fitting:
-                start_row, start_column = _free_cell(unfit, bounded(w1, 0, fitting - 1))
-                start = cell_at(start_row, start_column, found.lattice)
-                sampled[b, 0] = start_row
-                sampled[b, 1] = start_column
-                sampled[b, 2] = goal_row
-                sampled[b, 3] = goal_column
-                sampled[b, 4], sampled[b, 5] = count_to_goal(start, found)
-                write_fields(b, sampled[b, :2], sampled[b, 2:4], found, fields)
+                number = bounded(w1, 0, fitting - 1)
+                sampled[b, 0], sampled[b, 1] = nth_cell(board.reached, board.stride, number)
+                sampled[b, 2], sampled[b, 3] = goal
                 break
             # Nothing fits this goal: another one.
     return sampled
 
 
 @kernel
-def _count_free(grid: Bytes) -> Int:
-    """Return how many cells of a grid are free."""
-    count: Int = 0
-    for row in range(grid.shape[0]):
-        for column in range(grid.shape[1]):
-            if grid[row, column] == 0:
-                count += 1
-    return count
-
-
-@kernel
-def _free_cell(grid: Bytes, number: Int) -> tuple[Int, Int]:
-    """Return the ``number``-th free cell of a grid in row-major order."""
-    left = number
-    for row in range(grid.shape[0]):
-        # Row by row first, which is fast: a count has no branches.
-        free = _count_free(grid[row : row + 1])
-        if left >= free:
-            left -= free
-            continue
-        for column in range(grid.shape[1]):
-            if grid[row, column] == 0:
-                if left == 0:
-                    return row, column
-                left -= 1
-    return -1, -1
-
-
-@kernel
-def _mark_unfit(bands: Bands, goal_row: Int, goal_column: Int, found: Around, unfit: Bytes) -> None:
-    """Write 0 where a problem from there to the goal meets the conditions, else 1."""
-    costs = found.costs
-    moves = found.moves
-    lattice = found.lattice
-    for row in range(unfit.shape[0]):
-        for column in range(unfit.shape[1]):
-            cell = np.uint64(cell_at(row, column, lattice))
+def _keep_fitting(
+    grid: Bytes,
+    goal: tuple[Int, Int],
+    bands: Bands,
+    lattice: Lattice,
+    buffers: Scratch,
+    board: Board,
+) -> None:
+    """Make ``reached`` the cells from which a problem to ``goal`` meets the conditions."""
+    row, column = goal
+    # Without conditions all fit that reach the goal. Straight moves tell which they are, since a
+    # diagonal move between two free cells leads nowhere else.
+    if (
+        bands == _OPEN
+        and lattice.diagonals < 2
+        and search_board(row, column, sum(grid.shape), board)
+    ):
+        board.reached[word_at(row, column, board.stride)] ^= bit_at(column)
+        return
+    search_around(grid, row, column, True, lattice, buffers)
+    board.reached.fill(0)
+    for k in range(grid.shape[0]):
+        for j in range(grid.shape[1]):
+            cell = cell_at(k, j, lattice)
             # The goal has no moves, nor has a cell that it cannot be reached from.
-            fits = moves[cell] != 0
-            if bands != _OPEN and fits:
-                least = heuristic(row - goal_row, column - goal_column, lattice)
-                fits = _is_within(bands, costs[cell], least)
-            unfit[row, column] = not fits
+            if buffers.came[cell]:
+                least = heuristic(k - row, j - column, lattice)
+                if _is_within(bands, buffers.g[cell], least):
+                    board.reached[word_at(k, j, board.stride)] |= bit_at(j)
 
 
 @inlined

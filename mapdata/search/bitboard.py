@@ -5,10 +5,10 @@ word c // 64. A level of the search, all cells equally far from where it began, 
 next level is the current one shifted by one cell in the four directions, less what was seen
 before.
 
-`search_board` gives all moves that lead nearer to a goal. `bit_labels` gives the paths of the queue
-on maps of one word a row. Its order, first in, first out, seems lost in a set of bits, but it is
-not. Within a level, cells stand in the order of their paths, compared move by move (N < E < S < W),
-because a cell's parent is the first of its neighbours and neighbours are seen in the order of
+`search_around` gives all moves that lead nearer to a goal. `bit_labels` gives the paths of the
+queue on maps of one word a row. Its order, first in, first out, seems lost in a set of bits, but it
+is not. Within a level, cells stand in the order of their paths, compared move by move (N < E < S <
+W), because a cell's parent is the first of its neighbours and neighbours are seen in the order of
 moves. So the path that the queue finds is the first of all shortest ones, which a descent from the
 start through the levels around the goal meets; and the cells expanded before the goal are all
 nearer ones, and those of its level whose path comes first, a set that can be carried along the
@@ -23,8 +23,8 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
 from mapdata.jit import Int, inlined, kernel
-from mapdata.search.kernels import with_capacity
-from mapdata.search.lattice import Lattice, cell_at
+from mapdata.search.kernels import Scratch, shortest_costs, with_capacity
+from mapdata.search.lattice import Lattice, cell_at, load
 
 WORD = 64
 """Cells in a word."""
@@ -51,92 +51,89 @@ _FOURS = np.uint64(0x3333333333333333)
 _EIGHTS = np.uint64(0x0F0F0F0F0F0F0F0F)
 _BYTES = np.uint64(0x0101010101010101)
 
+_BYTE = 8
+"""Bits of a byte."""
+
 _EIGHT_CELLS = np.unpackbits(np.arange(256, dtype=np.uint8), bitorder="little").view(np.uint64)
 """The bits of each byte, 0 to 255, as eight bytes in a word."""
 
 
 class Board(NamedTuple):
-    """Sets of cells of maps of one size. Cell (row, 0) is bit 0 of word ``(row + 3) * stride``.
+    """What a search of a map by bits finds; cell (row, 0) is bit 0 of word ``(row + 3) * stride``.
 
     Attributes:
         stride: words of a row.
         carry: all ones where rows have several words, between which bits are carried, else 0.
-        free: (words,) the free cells; after a search those of them that it reached.
-        unseen: (words,) those that the search has not reached.
-        levels: (2, words) levels of the search, in turns.
-        digit: (words,) the cells whose level has digit 1, the second lowest in binary.
-        moves: (4, words) the cells from which N, E, S, W lead nearer to where it began.
+        free: (words,) the free cells.
+        reached: (words,) those of them that the search reaches.
+        digit: (words,) those of them whose level has digit 1, the second lowest in binary.
     """
 
     stride: Int
     carry: np.uint64
     free: Words
-    unseen: Words
-    levels: Words
+    reached: Words
     digit: Words
-    moves: Words
 
 
 @kernel
-def board_of(shape: tuple[Int, Int]) -> Board:
-    """Return an empty board for maps of ``shape`` (rows, columns)."""
-    rows, columns = shape
+def search_around(
+    grid: Bytes, row: Int, column: Int, costs_too: bool, lattice: Lattice, buffers: Scratch
+) -> None:
+    """Write to ``came`` which moves lead to (row, column) by shortest paths, as bit sets.
+
+    With ``costs_too``, their costs go to ``g``, as from `shortest_costs`. Moves alone are found by
+    bits, on 4-connected maps.
+    """
+    if lattice.diagonals == 0 and not costs_too and grid.shape[1] >= _BYTE:
+        board = board_of(grid)
+        if search_board(row, column, sum(grid.shape), board):
+            _write_moves(row + column, board, lattice, grid.shape, buffers.came)
+            return
+    load(grid, buffers.came)
+    source = np.empty(1, np.int64)
+    source[0] = cell_at(row, column, lattice)
+    shortest_costs(source, lattice, buffers)
+
+
+@inlined
+def word_at(row: Int, column: Int, stride: Int) -> Int:
+    """Return which word of a board holds a cell."""
+    return (row + _EDGE) * stride + column // WORD
+
+
+@inlined
+def bit_at(column: Int) -> Int:
+    """Return the bit of a cell in its word."""
+    return _ONE << np.uint64(column % WORD)
+
+
+@kernel
+def nth_cell(words: Words, stride: Int, number: Int) -> tuple[Int, Int]:
+    """Return the ``number``-th cell of a set in row-major order."""
+    k = 0
+    while number >= count_bits(words, k, k + 1):
+        number -= count_bits(words, k, k + 1)
+        k += 1
+    column = WORD * (k % stride)
+    while number or words[k] & bit_at(column) == 0:
+        if words[k] & bit_at(column):
+            number -= 1
+        column += 1
+    return k // stride - _EDGE, column
+
+
+@kernel
+def board_of(grid: Bytes) -> Board:
+    """Return the board of a map, for searches."""
+    rows, columns = grid.shape
     stride = 1
     carry = _NONE
     if columns > WORD:
         # At least one bit of a row belongs to no cell: it keeps what is carried from row to row.
         stride = columns // WORD + 1
         carry = _ALL
-    words = (rows + 2 * _EDGE) * stride
-    sets = np.zeros((9, words), np.uint64)
-    return Board(stride, carry, sets[0], sets[1], sets[2:4], sets[4], sets[5:])
-
-
-@kernel
-def search_board(
-    grid: Bytes, row: Int, column: Int, board: Board, lattice: Lattice, moves: Bytes
-) -> bool:
-    """Find the moves that lead nearer to (row, column) on a 4-connected map.
-
-    Args:
-        grid: (H, W).
-        row: of the goal.
-        column: of the goal.
-        board: for maps of this size.
-        lattice: likewise.
-        moves: (cells + 8,), filled with bit sets of the moves N, E, S, W.
-
-    Returns:
-        Whether the search was worth its while. It gives up where few cells are equally far from the
-        goal, as in a maze: a level takes its time however few they are.
-    """
-    rows, columns = grid.shape
-    _load(grid, board)
-    if not _search_levels(row, column, rows + columns, board):
-        return False
-    _find_moves(row + column, board)
-    north = board.moves[0].view(np.uint8)
-    east = board.moves[1].view(np.uint8)
-    south = board.moves[2].view(np.uint8)
-    west = board.moves[3].view(np.uint8)
-    for r in range(rows):
-        first = (r + _EDGE) * board.stride * 8
-        cell = cell_at(r, 0, lattice)
-        # Eight cells at a time, which may go beyond the row: the next one is written later.
-        for k in range((columns + 7) // 8):
-            i = np.uint64(first + k)
-            low = _EIGHT_CELLS[north[i]] | (_EIGHT_CELLS[east[i]] << _ONE)
-            high = _EIGHT_CELLS[south[i]] | (_EIGHT_CELLS[west[i]] << _ONE)
-            eight = low | (high << _TWO)
-            for j in range(8):  # becomes one store
-                moves[np.uint64(cell + 8 * k + j)] = np.uint8(eight >> np.uint64(8 * j))
-    return True
-
-
-@kernel
-def _load(grid: Bytes, board: Board) -> None:
-    """Make the free cells of ``grid`` those of the board."""
-    rows, columns = grid.shape
+    sets = np.zeros((3, (rows + 2 * _EDGE) * stride), np.uint64)
     flat = grid.reshape(-1)
     for row in range(rows):
         for first in range(0, columns, WORD):
@@ -145,71 +142,80 @@ def _load(grid: Bytes, board: Board) -> None:
             for k in range(min(WORD, columns - first)):
                 bit = np.uint64(k)
                 word |= np.uint64(flat[cell + bit] ^ np.uint8(1)) << bit
-            board.free[(row + _EDGE) * board.stride + first // WORD] = word
+            sets[0, word_at(row, first, stride)] = word
+    return Board(stride, carry, sets[0], sets[1], sets[2])
 
 
 @kernel
-def _search_levels(row: Int, column: Int, most: Int, board: Board) -> bool:
-    """Search level by level from (row, column); write what is reached, and ``digit``.
+def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
+    """Search level by level from (row, column), and write what is ``reached``.
 
-    Digit 1 of a number changes at every second one. So before every second level it is flipped for
-    all cells that are still unseen: in the end, as often as it changes from 0 to their own level.
-
-    Returns whether there are less than ``most`` levels; else it gives up.
+    Returns whether there are less than ``most`` levels. It gives up where few cells are equally far
+    from the goal, as in a maze: a level takes its time however few they are.
     """
     stride = board.stride
-    free = board.free
-    unseen = board.unseen
+    unseen = board.free.copy()
     digit = board.digit
-    here = board.levels[0]
-    new = board.levels[1]
-    for k in range(len(free)):
-        unseen[k] = free[k]
-        digit[k] = 0
-        here[k] = 0
-        new[k] = 0
-    low = (row + _EDGE) * stride + column // WORD
+    digit.fill(0)
+    levels = np.zeros((2, len(unseen)), np.uint64)
+    here = levels[0]
+    new = levels[1]
+    low = word_at(row, column, stride)
     high = low
-    here[low] = _ONE << np.uint64(column % WORD)
-    unseen[low] &= ~here[low]
+    here[low] = bit_at(column)
+    unseen[low] ^= here[low]
     for level in range(1, most):
-        if level % 2 == 0:
-            for k in range(len(free)):
-                digit[np.uint64(k)] ^= unseen[np.uint64(k)]
         low, high = _next_level(here, new, unseen, low, high, stride, board.carry)
         if low > high:
-            for k in range(len(free)):
-                free[k] &= ~unseen[k]
+            for k in range(len(unseen)):
+                board.reached[k] = board.free[k] ^ unseen[k]
             return True
+        if level & 2:
+            for k in range(low, high + 1):
+                digit[np.uint64(k)] |= new[np.uint64(k)]
         here, new = new, here
     return False
 
 
 @kernel
-def _find_moves(goal: Int, board: Board) -> None:
-    """Write the ``moves`` of a search that began where row and column add up to ``goal``.
+def _write_moves(
+    goal: Int, board: Board, lattice: Lattice, shape: tuple[Int, Int], came: Bytes
+) -> None:
+    """Write which moves lead nearer to a goal whose row and column add up to ``goal``.
 
     A neighbour's level is one more or one less. Digit 0 is as on a chessboard, and digit 1 tells
     the two apart: from 10 to 01 it changes, from 11 to 10 it does not.
     """
     digit = board.digit
-    reached = board.free
+    reached = board.reached
     carry = board.carry
     stride = np.uint64(board.stride)
-    for k in range(_EDGE * board.stride, len(reached) - _EDGE * board.stride):
-        i = np.uint64(k)
+    for row in range(shape[0]):
         # Even columns have the even bits, in whichever word.
-        odd = _PAIRS if (k // board.stride - _EDGE + goal) % 2 else ~_PAIRS
-        # A neighbour whose digit 1 is not as here is nearer.
-        same = digit[i] ^ odd
-        north = reached[i - stride] & (digit[i - stride] ^ same)
-        east = _eastern(reached, i, carry) & (_eastern(digit, i, carry) ^ same)
-        south = reached[i + stride] & (digit[i + stride] ^ same)
-        west = _western(reached, i, carry) & (_western(digit, i, carry) ^ same)
-        board.moves[0, i] = reached[i] & north
-        board.moves[1, i] = reached[i] & east
-        board.moves[2, i] = reached[i] & south
-        board.moves[3, i] = reached[i] & west
+        odd = _PAIRS if (row + goal) % 2 else ~_PAIRS
+        for first in range(0, shape[1], WORD):
+            i = np.uint64(word_at(row, first, board.stride))
+            # A neighbour whose digit 1 is not as here is nearer.
+            same = digit[i] ^ odd
+            north = reached[i] & reached[i - stride] & (digit[i - stride] ^ same)
+            south = reached[i] & reached[i + stride] & (digit[i + stride] ^ same)
+            east = reached[i] & _eastern(reached, i, carry) & (_eastern(digit, i, carry) ^ same)
+            west = reached[i] & _western(reached, i, carry) & (_western(digit, i, carry) ^ same)
+            cell = np.uint64(cell_at(row, first, lattice))
+            # Eight cells at a time, which may go beyond the row: the next one is written later.
+            for k in range(0, min(WORD, shape[1] - first), _BYTE):
+                shift = np.uint64(k)
+                low = _eight_cells(north >> shift) | (_eight_cells(east >> shift) << _ONE)
+                high = _eight_cells(south >> shift) | (_eight_cells(west >> shift) << _ONE)
+                eight = low | (high << _TWO)
+                for j in range(_BYTE):  # becomes one store
+                    came[cell + np.uint64(k + j)] = np.uint8(eight >> np.uint64(_BYTE * j))
+
+
+@inlined
+def _eight_cells(word: np.uint64) -> Int:
+    """Return the lowest eight bits as eight bytes in a word."""
+    return _EIGHT_CELLS[word & np.uint64(255)]
 
 
 @kernel

@@ -36,7 +36,6 @@ from mapdata.search.lattice import (
     ASTAR,
     BFS,
     CLOSED,
-    COSTS,
     FAR,
     LONGEST,
     ROOT,
@@ -497,10 +496,10 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
 
 @kernel
 def scratch(search: Weights, lattice: Lattice) -> Scratch:
-    """Return what `find` writes to, or `shortest_costs` if ``search`` is COSTS."""
+    """Return what `find` writes to; for `shortest_costs`, that of ASTAR."""
     # A cell is pushed at most once for each neighbour.
     pushes = len(lattice.offsets) * lattice.cells
-    if search == BFS or (search == COSTS and lattice.step == UNIT):
+    if search == BFS:
         pushes = lattice.cells
     # Two more: the start, and the entry 0 that does not exist.
     return scratch_in(np.empty(9 * lattice.cells + 16 * (pushes + 2), np.uint8), lattice)
@@ -681,89 +680,96 @@ def write_field(
     buffers = scratch_in(memory, lattice)
     if not load(grid, buffers.came):
         return False
-    shortest_costs(cell_at(row, column, lattice), lattice, buffers)
+    source = np.empty(1, np.int64)
+    source[0] = cell_at(row, column, lattice)
+    shortest_costs(source, lattice, buffers)
     for k in range(grid.shape[0]):
         for j in range(grid.shape[1]):
-            cost = buffers.g[cell_at(k, j, lattice)]
-            out[k, j] = -1 if cost == FAR else in_cells(cost)
+            out[k, j] = cost_at(cell_at(k, j, lattice), buffers)
     return True
 
 
-@kernel
-def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
-    """Write the cost of the shortest path from ``source`` to every cell into ``g``, else FAR.
-
-    ``came`` is as `load` leaves it; the buffers are `scratch` of COSTS. Returns how many cells are
-    reached; they stand in ``pushed``, each once.
-    """
-    came = buffers.came
-    costs = buffers.g
-    queue = buffers.pushed
-    costs[:] = FAR
-    costs[source] = 0
-    if lattice.step != UNIT:
-        queue[1] = source
-        return bucket_search(1, lattice, buffers)
-    # All moves cost 1: a cell is one move farther than its parent, which stands before it.
-    count = flood(source, np.empty(0, np.int64), lattice, buffers)
-    for k in range(1, count):
-        cell = np.int64(queue[k])
-        costs[cell] = costs[cell - lattice.offsets[came[cell]]] + UNIT
-        if costs[cell] >= LONGEST * UNIT:
-            raise ValueError(_TOO_LONG)
-    return count
+@inlined
+def cost_at(cell: Int, buffers: Scratch) -> float:
+    """Return what `shortest_costs` found for a cell, in cells; -1 without a path."""
+    cost = buffers.g[cell]
+    return in_cells(cost) if 0 <= cost < FAR else -1.0
 
 
 @kernel
-def bucket_search(sources: Int, lattice: Lattice, buffers: Scratch) -> Int:
-    """Write costs from the nearest of the sources ``pushed[1:sources + 1]``, whose ``g`` is 0.
+def shortest_costs(sources: Ints, lattice: Lattice, buffers: Scratch) -> None:
+    """Write the costs of shortest paths from every cell to the nearest source, and their moves.
+
+    ``came`` is as `load` leaves it. The costs go to ``g``, FAR without a path and -1 in walls; the
+    moves that start a shortest path go to ``came``, as bit sets.
 
     Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A step costs at
     least UNIT, so it leads out of its bucket, and what lies in the nearest bucket cannot become
-    cheaper, whatever the order within. A step of sqrt(2) ends one or two buckets ahead, so that
-    four lists through the log, used in turns, are more than there can be at a time. Returns as
-    `shortest_costs` does.
+    cheaper, whatever the order within. So once a cell of it is expanded, all nearer cells have
+    their costs, and the moves that lead to them tell which are optimal.
+
+    Its steps go without branches, which the processor would often guess wrong: a neighbour's cost
+    is always stored and the neighbour always pushed, and the next push overwrites it unless it was
+    cheaper this way. A wall costs -1, so that nothing is.
     """
     came = buffers.came
     costs = buffers.g
-    pushed = buffers.pushed
-    links = buffers.links
-    heads = np.zeros(4, np.uint32)  # the latest push of each bucket; push 0 does not exist
-    heads[0] = sources
-    for k in range(1, sources + 1):
-        links[k] = k - 1
-    pushes = np.uint32(sources + 1)
+    # The cells of a bucket, and those pushed meanwhile: each neighbour pushes a cell at most once.
+    here = buffers.pushed
+    ahead = buffers.links
+    for k in range(lattice.cells):
+        costs[k] = FAR if came[k] == UNSEEN else -1
+        came[k] = 0
+    waiting = np.uint64(len(sources))
+    for k in range(len(sources)):
+        here[k] = sources[k]
+        costs[sources[k]] = 0
+    stride = np.uint64(lattice.stride)
+    cut = lattice.diagonals == 2
     bucket = 0
-    waiting = sources
     while waiting:
-        entry = heads[np.uint64(bucket & 3)]
-        if entry == 0:
-            bucket += 1
-            if bucket >= LONGEST:
-                raise ValueError(_TOO_LONG)
-            continue
-        heads[np.uint64(bucket & 3)] = links[entry]
-        waiting -= 1
-        cell = pushed[entry]
-        cost = costs[cell]
-        if cost >> UNIT_BITS != bucket:  # it was pushed again with a smaller cost
-            continue
-        for move in range(len(lattice.offsets)):
-            to = np.uint64(cell + lattice.offsets[move])
-            tentative = cost + (UNIT if move < 4 else lattice.step)
-            # most neighbours are no cheaper this way, so that their corners need no look
-            if tentative < costs[to] and is_legal(came, cell, move, lattice):
-                costs[to] = tentative
-                ahead = np.uint64((tentative >> UNIT_BITS) & 3)
-                pushed[pushes] = to
-                links[pushes] = heads[ahead]
-                heads[ahead] = pushes
-                pushes += np.uint32(1)
-                waiting += 1
-    # The log holds some cells twice and is not needed any more: the cells reached take its place.
-    count = 0
-    for k in range(len(costs)):
-        if costs[k] != FAR:
-            pushed[count] = k
-            count += 1
-    return count
+        if bucket >= LONGEST:
+            raise ValueError(_TOO_LONG)
+        pushed = _ZERO
+        while waiting:
+            waiting -= _ONE
+            cell = np.uint64(here[waiting])
+            cost = costs[cell]
+            distance = (cost >> UNIT_BITS) - bucket
+            if distance:
+                # A step of sqrt(2) may end two buckets ahead; or the cell was pushed again with a
+                # smaller cost, and has been expanded.
+                ahead[pushed] = cell
+                pushed += _ONE if distance > 0 else _ZERO
+                continue
+            moves: Int = 0
+            there = cost + UNIT
+            for move, to in enumerate((cell - stride, cell + _ONE, cell + stride, cell - _ONE)):
+                before = costs[to]
+                moves |= np.int64(before + UNIT == cost) << move
+                costs[to] = min(there, before)
+                ahead[pushed] = to
+                pushed += _ONE if there < before else _ZERO
+            if lattice.diagonals:
+                # The corner rule of `is_legal`, without its branches.
+                north = cut | (costs[cell - stride] >= 0)
+                east = cut | (costs[cell + _ONE] >= 0)
+                south = cut | (costs[cell + stride] >= 0)
+                west = cut | (costs[cell - _ONE] >= 0)
+                there = cost + lattice.step
+                for move, to, legal in (
+                    (4, cell - stride + _ONE, north & east),
+                    (5, cell + stride + _ONE, south & east),
+                    (6, cell + stride - _ONE, south & west),
+                    (7, cell - stride - _ONE, north & west),
+                ):
+                    before = costs[to]
+                    moves |= np.int64(legal & (before + lattice.step == cost)) << move
+                    cheaper = legal & (there < before)
+                    costs[to] = there if cheaper else before
+                    ahead[pushed] = to
+                    pushed += _ONE if cheaper else _ZERO
+            came[cell] = moves
+        here, ahead = ahead, here
+        waiting = pushed
+        bucket += 1

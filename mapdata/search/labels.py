@@ -354,9 +354,9 @@ def _astar_labels(
     Returns the moves and their number.
     """
     came = buffers.came
-    came[:] = fresh
     pair = 0
     for a in range(len(cells) - 1):
+        came[:] = fresh
         straight, diagonal, expansions, pushes = find(
             cells[a], cells[a + 1], ASTAR, lattice, buffers
         )
@@ -372,14 +372,14 @@ def _astar_labels(
         costs[pair, 1] = diagonal
         pair += 1
         if lattice.diagonals:
-            _fill_costs(cells[a], cells[a + 2 :], lattice, buffers, costs[pair:])
+            _fill_costs(cells[a : a + 1], cells[a + 2 :], lattice, buffers, costs[pair:])
         pair += len(cells) - a - 2
     return moves, used
 
 
 @kernel
-def _fill_costs(source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, costs: Ints) -> None:
-    """Write the costs from ``source`` to each of ``cells``, as A* finds them, by the least work."""
+def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, buffers: Scratch, costs: Ints) -> None:
+    """Write what A* finds costs from ``source`` (1,) to each of ``cells``, by the least work."""
     if lattice.step != UNIT and len(cells) >= _MANY:
         # sqrt(2) is irrational: only one pair of numbers of straight and diagonal moves has the
         # least cost, so that any optimal search finds that of A*.
@@ -391,7 +391,7 @@ def _fill_costs(source: Int, cells: Ints, lattice: Lattice, buffers: Scratch, co
                 costs[k, 0], costs[k, 1] = parts(buffers.g[cells[k]])
     else:
         for k in range(len(cells)):
-            straight, diagonal, _, pushes = find(source, cells[k], ASTAR, lattice, buffers)
+            straight, diagonal, _, pushes = find(source[0], cells[k], ASTAR, lattice, buffers)
             costs[k, 0] = straight
             costs[k, 1] = diagonal
             wipe(buffers, pushes)

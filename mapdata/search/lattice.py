@@ -12,9 +12,9 @@ back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has a
 UNIT, a power of two.
 
 The legal moves, the heuristic and hardness are defined here. The corner rule is written four times
-more, each for a reason that is given there: `flood` and `first_bad_cell` in kernels.py,
-`_search_buckets` in goals.py, and on tensors `legal_moves` in models/common.py; tests hold all five
-together.
+more, each for a reason that is given there: `flood`, `first_bad_cell` and
+`shortest_costs` in kernels.py, and on tensors `legal_moves` in models/common.py; tests hold all
+five together.
 """
 
 from __future__ import annotations
@@ -76,9 +76,6 @@ ASTAR: Weights = (1, 1.0)
 
 BFS: Weights = (-1, 0.0)
 """Breadth-first search. It has no f: the numbers only tell it from the others."""
-
-COSTS: Weights = (-2, 0.0)
-"""The costs of all cells from one; likewise."""
 
 Rule: TypeAlias = tuple[Int, Int]
 """How one moves, as kernels take it: ``diagonals`` and ``step`` of a `Lattice`."""

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
 
-from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, generate
+from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, astar, generate
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
 from mapdata.search import rule_of
-from mapdata.search.goals import goal_fields
 
 MOVEMENTS = [
     Movement(),
@@ -27,17 +26,22 @@ MOVEMENTS = [
 
 
 def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement) -> Ints:
-    """Sample a problem on each of the grids 0, 1, ..."""
+    """Sample a problem on each of the grids 0, 1, ...; return start, goal and cost, (B, 6).
+
+    The cost is that of a shortest path, straight and diagonal steps; where these cost the same, all
+    count as straight. Without a problem all is -1.
+    """
     indices = np.arange(len(grids))
-    return sample_problems(
-        grids,
-        np.uint64(seed),
-        epoch,
-        indices,
-        conditions.bands,
-        rule_of(movement),
-        goal_fields(grids.shape, ()),
+    ends = sample_problems(
+        grids, np.uint64(seed), epoch, indices, conditions.bands, *rule_of(movement)
     )
+    found = np.full((len(grids), 6), -1)
+    found[:, :4] = ends
+    for k in np.flatnonzero(ends[:, 0] >= 0):
+        moves = np.diff(astar(grids[k], ends[k, :2], ends[k, 2:], movement).path, axis=0)
+        diagonal = 0 if movement.diagonal_cost == 1 else np.abs(moves).sum() - len(moves)
+        found[k, 4:] = len(moves) - diagonal, diagonal
+    return found
 
 
 bands = st.none() | st.tuples(st.integers(0, 8) | st.none(), st.integers(9, 14) | st.none())

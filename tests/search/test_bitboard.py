@@ -1,4 +1,7 @@
-"""Searching by words of 64 cells; that its labels are the reference's is in test_labels.py."""
+"""Searching by words of 64 cells: the moves to a goal are the reference's, on maps of any size.
+
+That its labels are the reference's is in test_labels.py.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,24 @@ from dataclasses import replace
 from random import Random
 
 import numpy as np
+import pytest
+from helpers import reference
+from helpers.grids import serpentine
+from helpers.reference import Cell
+from helpers.specs import MOVEMENTS, SIDES, movements
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from mapdata import MapSpec, generate, label
+from mapdata import MapSpec, Movement, generate, label
+from mapdata.arrays import Bytes
 from mapdata.generators import pack
-from mapdata.search.bitboard import count_bits
+from mapdata.search import lattice_of, rule_of
+from mapdata.search.bitboard import count_bits, search_around
+from mapdata.search.kernels import scratch
+from mapdata.search.lattice import ASTAR
+
+WORDS = [(7, 63), (7, 64), (7, 65), (6, 127), (6, 128), (6, 129), (5, 200), (200, 5), (66, 66)]
+"""Rows of one word and of several, that they fill and that they do not."""
 
 
 def test_bits_are_counted() -> None:
@@ -29,3 +46,57 @@ def test_one_column_of_wall_more_changes_no_label() -> None:
     narrow, wide = label(maps).bfs, label(replace(maps, columns=65, packed=wider)).bfs
     for name in ("moves", "offsets", "iterations", "costs"):
         np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
+
+
+def compare(grid: Bytes, goal: Cell, movement: Movement) -> None:
+    """Compare moves with the reference; twice, since alone they are found by bits."""
+    expected = reference.reference_moves(grid.tolist(), goal, movement)
+    lattice = lattice_of(grid.shape, rule_of(movement))
+    for costs_too in (False, True):
+        buffers = scratch(ASTAR, lattice)
+        search_around(grid, *goal, costs_too, lattice, buffers)
+        found = buffers.came.reshape(-1, lattice.stride)[1:-1, 1:-1]
+        np.testing.assert_array_equal(found, expected)
+
+
+@movements
+@pytest.mark.parametrize("shape", WORDS, ids=str)
+def test_rows_of_several_words(shape: tuple[int, int], movement: Movement) -> None:
+    """From the corners and the ends of words, on empty and scattered maps."""
+    source = np.random.default_rng(shape)
+    last_row = shape[0] - 1
+    last_column = shape[1] - 1
+    goals = [(0, 0), (last_row, last_column), (last_row // 2, min(63, last_column))]
+    for k, density in enumerate((0.0, 0.15, 0.35)):
+        grid = (source.random(shape) < density).astype(np.uint8)
+        grid[goals[k]] = 0
+        compare(grid, goals[k], movement)
+
+
+@settings(max_examples=40)
+@given(
+    shape=st.tuples(st.integers(1, 7), SIDES | st.sampled_from([127, 128, 200])),
+    turned=st.booleans(),
+    density=st.sampled_from([0.0, 0.1, 0.3, 0.45]),
+    seed=st.integers(0, 2**32),
+    movement=st.sampled_from(MOVEMENTS),
+)
+def test_maps_of_any_shape(
+    shape: tuple[int, int], turned: bool, density: float, seed: int, movement: Movement
+) -> None:
+    """Scattered maps, and a goal anywhere."""
+    source = np.random.default_rng(seed)
+    shape = shape[::-1] if turned else shape
+    grid = (source.random(shape) < density).astype(np.uint8)
+    row, column = source.integers(0, shape).tolist()
+    grid[row, column] = 0
+    compare(grid, (row, column), movement)
+
+
+@movements
+def test_long_corridors(movement: Movement) -> None:
+    """Where few cells are equally far from the goal, the search by bits gives up."""
+    source = np.random.default_rng(1)
+    for shape in ((21, 9), (9, 70)):
+        grid = serpentine(*shape, source)
+        compare(grid, (0, 0), movement)
