@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -17,7 +18,7 @@ import mapdata
 from benchmarks import naive
 from benchmarks.measure import Row, each, interleaved, median_ratio, to_text
 from benchmarks.paths import problems_of, table_1
-from mapdata import MapSpec, generate, label
+from mapdata import MapSpec, Movement, generate, label
 
 PACKAGES = ("mapdata-torch", "numpy", "numba")
 SIZES, ROOMS = (64, 128, 256, 512), (9, 32)
@@ -37,12 +38,18 @@ def label_rows(count: int, rounds: int) -> list[Row]:
         raise SystemExit(f"mapdata and naive.py differ on maps {bad}: nothing was measured")
     drawings = [naive.drawing_of(maps, i) for i in range(count)]
     work = [(maps.occupancy[i], naive.seed_points_of(maps, i)) for i in range(count)]
+    for each_map in work:
+        if repr(naive.careful_label(*each_map)) != repr(naive.label(*each_map)):
+            raise SystemExit("naive.label and careful_label differ: nothing was measured")
     segments, pairs = (problems_of(maps, every_pair=every) for every in (False, True))
     times = interleaved(
         {
             "all": lambda: label(generate(spec, 0, indices)),
             "naive all": lambda: [
                 naive.label(naive.carve(drawings[i]), work[i][1]) for i in range(count)
+            ],
+            "careful all": lambda: [
+                naive.careful_label(naive.carve(drawings[i]), work[i][1]) for i in range(count)
             ],
             "different": lambda: label(generate(spec, 0, range(DIFFERENT))),
             "draw": lambda: generate(spec, 0, indices),
@@ -92,6 +99,13 @@ def label_rows(count: int, rounds: int) -> list[Row]:
             "700x",
         ),
         row("the same", "all", many, shared, "naive.py, had it shared searches as label does"),
+        row(
+            "the same",
+            "all",
+            many,
+            times["careful all"],
+            "careful_label of naive.py: flat lists, shared searches",
+        ),
         Row("the same, all maps different", each(times["different"], DIFFERENT)),
         row("draw and carve, a map", "draw", many, times["naive draw"], "naive.py: no draws"),
         row(
@@ -122,6 +136,40 @@ def label_rows(count: int, rounds: int) -> list[Row]:
             times["naive pairs"],
             "naive.py; search_batch",
         ),
+    ]
+
+
+def movement_rows(rounds: int) -> list[Row]:
+    """Return the rows of harder maps, under both connectivities, and of very many rooms."""
+    halls = MapSpec(
+        map_size=(256, 256),
+        rooms=(200, 200),
+        room_rows=(8, 20),
+        room_columns=(8, 20),
+        passage_width=(2, 4),
+    )
+    specs = {
+        "preset paper": (MapSpec.preset("paper"), 200, ("", "")),
+        "preset dungeon": (MapSpec.preset("dungeon"), 100, ("", "")),
+        "preset dungeon128": (MapSpec.preset("dungeon128"), 10, ("", "12 ms")),
+        "256 x 256, 200 rooms": (halls, 1, ("50 ms", "0.3 s")),
+    }
+    batches = {
+        f"{name}, {movement.connectivity}-connected": (
+            replace(spec, movement=movement),
+            count,
+            target,
+        )
+        for name, (spec, count, targets) in specs.items()
+        for movement, target in zip((Movement(), Movement(8)), targets, strict=True)
+    }
+    times = interleaved(
+        {name: partial(_draw_and_label, spec, count) for name, (spec, count, _) in batches.items()},
+        rounds,
+    )
+    return [
+        Row(f"all labels, {name}, a map", each(times[name], count), target=target)
+        for name, (_, count, target) in batches.items()
     ]
 
 
@@ -186,11 +234,15 @@ def _draw_and_label(spec: MapSpec, count: int) -> object:
 def table(quick: bool, parent: str | None = None) -> str:
     """Measure, and return the table; nothing is written."""
     rounds = 3 if quick else 9
-    rows = [*label_rows(10 if quick else 40, rounds), *growth_rows(5e6 if quick else 2e8, rounds)]
+    rows = [
+        *label_rows(10 if quick else 40, rounds),
+        *movement_rows(rounds),
+        *growth_rows(5e6 if quick else 2e8, rounds),
+    ]
     notes = (
         f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
         "median of the repeats'",
-        "preset paper (64 x 64, Table 1), 4-connected; targets are ratios, for growth what linear "
-        "would be",
+        "preset paper (64 x 64, Table 1), 4-connected, unless a row says otherwise; targets are "
+        "limits of time or ratios, for growth what linear would be",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)

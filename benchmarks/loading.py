@@ -17,18 +17,29 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 import pytorch_lightning as pl
 import torch
 from PIL import Image
 from torch.utils.data import DataLoader, Dataset, IterableDataset, TensorDataset
 
 from benchmarks.measure import Peer, Row, interleaved, median_ratio, to_text
-from mapdata import MapDataModule, MapDataset, MapSpec, OnlineMapDataset, Sample, build
+from mapdata import (
+    MapDataModule,
+    MapDataset,
+    MapSpec,
+    Movement,
+    OnlineMapDataset,
+    Random,
+    Sample,
+    build,
+)
 
 PACKAGES = ("mapdata-torch", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "pillow")
 ARROW = Peer("HF datasets", "datasets", "datasets", 'load_from_disk(path).with_format("torch")[i]')
@@ -198,12 +209,23 @@ def web_dataset(path: Path, tensors: Tensors) -> Iterable[Any]:
     return pipeline
 
 
+def memory_maps(folder: Path, tensors: Tensors) -> list[npt.NDArray[Any]]:
+    """Return the tensors as mapped npy files."""
+    files = []
+    for name, tensor in zip(MASKED, tensors, strict=True):
+        np.save(folder / f"{name}.npy", tensor.numpy())
+        files.append(np.load(folder / f"{name}.npy", mmap_mode="r"))
+    return files
+
+
 def peers(folder: Path, root: Path, few: int) -> list[Reader]:
     """Return the other readers, each on ``few`` samples or on as many as fit into RAM."""
     tensors = in_ram(root, min(IN_RAM, len(MapDataset(root))))
     length = len(tensors[0])
     small = [tensor[:few] for tensor in tensors]
     order = [torch.tensor(batch) for batch in orders(length, 20)]
+    targets = [torch.empty((BATCH, *tensor.shape[1:]), dtype=tensor.dtype) for tensor in tensors]
+    files = memory_maps(folder, tensors)
     outputs = [np.empty((BATCH, *tensor.shape[1:]), tensor.numpy().dtype) for tensor in tensors]
     ram, naive, npz = (
         TensorDataset(*tensors),
@@ -218,6 +240,15 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
         for batch in order:
             [tensor[batch] for tensor in tensors]
 
+    def index_into() -> None:
+        for batch in order:
+            for tensor, target in zip(tensors, targets, strict=True):
+                torch.index_select(tensor, 0, batch, out=target)
+
+    def index_files() -> None:
+        for batch in order:
+            [torch.from_numpy(file[batch.numpy()]) for file in files]
+
     def fill() -> None:
         for _ in range(20):
             for output in outputs:
@@ -231,6 +262,13 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
             f"uint8, {length:,} samples",
             "5x",
         ),
+        Reader(
+            "index_select(out=)",
+            index_into,
+            20 * BATCH,
+            "in-RAM tensors, into the same memory again and again",
+        ),
+        Reader("np.memmap[idx]", index_files, 20 * BATCH, "npy files, one a field, page cache"),
         Reader(
             "TensorDataset, DataLoader",
             lambda: drain(loader_of(ram, length, 2)),
@@ -371,6 +409,48 @@ def reader_rows(
         beside("online", "masked", "0.33x"),
     ]
     return rows
+
+
+def field_rows(folder: Path, rounds: int) -> list[Row]:
+    """Return the rows of what planners train on: goal fields, random problems, symmetries."""
+    moves = ("map", "goal", "optimal_moves")
+    predictor = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
+    runs: dict[str, Callable[[], object]] = {}
+    targets = {}
+    for preset, movement, fields_target, random_target in (
+        ("paper", Movement(), "200,000 samples/s", "100,000 samples/s"),
+        ("dungeon", Movement(8), "30,000 samples/s", "25,000 samples/s"),
+    ):
+        root = folder / preset
+        build(root, MapSpec.preset(preset), maps=4_000, shard_size=4_000)
+        kind = f"{preset}, {movement.connectivity}-connected"
+        serve = partial(MapDataset, root, "train", movement=movement)
+        datasets = {
+            f"{kind}: {', '.join(moves)}": (serve(moves), fields_target),
+            f"{kind}: map, goal, cost_to_go": (serve(("map", "goal", "cost_to_go")), ""),
+            f"{kind}: random problems, {', '.join(moves)}": (
+                serve(moves, problems="random"),
+                random_target,
+            ),
+            f"{kind}: random problems with distance >= 10, the same": (
+                serve(moves, problems=Random(distance=(10, None))),
+                "",
+            ),
+            f"{kind}: augmented random problems, {', '.join(predictor)}": (
+                serve(predictor, problems="random", augment=True),
+                "",
+            ),
+            f"{kind}: default fields, augmented": (
+                serve(("map", "start", "goal", "path"), augment=True),
+                "500,000 samples/s",
+            ),
+        }
+        for name, (dataset, target) in datasets.items():
+            loader = loader_of(dataset, len(dataset), 10)
+            runs[name] = partial(drain, loader)
+            targets[name] = target
+    times = interleaved(runs, rounds)
+    return [Row(name, rate(times[name], 10 * BATCH), target=targets[name]) for name in runs]
 
 
 def opening_rows(folder: Path, rounds: int) -> list[Row]:
@@ -537,6 +617,7 @@ def table(quick: bool, parent: str | None = None) -> str:
         folder = Path(name) / "10k"
         folder.mkdir()
         rows = reader_rows(folder, 10_000, rounds, ram_target="5x", only_ram=False)
+        rows += field_rows(folder, rounds)
         rows += trainer_rows(folder, rounds, 60 if quick else 120)
         rows += opening_rows(folder, rounds)
         if not quick:

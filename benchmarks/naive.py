@@ -4,7 +4,8 @@ for A*.
 The yardstick of benchmarks/labels.py. It gives the same paths, iterations and matrices as
 `mapdata.label`, cell by
 cell, and is neither tuned nor slowed down: the route is searched segment by segment, the BFS matrix
-takes one search from each seed, the A* matrix one for each pair of seeds.
+takes one search from each seed, the A* matrix one for each pair of seeds. `careful_label` gives
+the same with the care of who knows what Python is slow at.
 """
 
 from __future__ import annotations
@@ -191,6 +192,92 @@ def trace(parents: dict[Cell, Cell], goal: Cell) -> list[Cell]:
     while parents[path[-1]] != path[-1]:
         path.append(parents[path[-1]])
     return path[::-1]
+
+
+# --- the same with care -------------------------------------------------------------------------
+
+
+def careful_label(grid: Grid, seed_points: list[Cell]) -> Labels:
+    """Return what `label` does, as who knows Python's costs writes it.
+
+    Cells are numbers in a flat list with a wall around it, so that no step makes a tuple, indexes a
+    numpy array or checks a bound; one search from each seed gives its row of the matrix, its
+    segment and the iterations; the matrix of A* is that of BFS, since both are optimal.
+    """
+    stride = grid.shape[1] + 2
+    walls = np.pad(grid, 1, constant_values=1).reshape(-1).tolist()
+    cells = [(row + 1) * stride + column + 1 for row, column in seed_points]
+    n = len(cells)
+    matrix = np.zeros((n, n))
+    bfs_segments = []
+    for i in range(n - 1):
+        order, parents, moves = careful_bfs(walls, stride, cells[i])
+        for j in range(i + 1, n):
+            matrix[i, j] = matrix[j, i] = moves[cells[j]]
+        goal = cells[i + 1]
+        found = moves[goal] >= 0
+        path = careful_trace(parents, goal, stride) if found else []
+        bfs_segments.append(Found(path, order.index(goal) + 1 if found else len(order)))
+    astar_segments = [careful_astar(walls, stride, *ends) for ends in pairwise(cells)]
+    return Labels(bfs_segments, matrix, astar_segments, matrix.copy())
+
+
+def careful_bfs(
+    walls: list[int], stride: int, start: int
+) -> tuple[list[int], list[int], list[int]]:
+    """Return the cells in the order of their expansion, and every cell's parent and moves."""
+    moves = [-1] * len(walls)
+    parents = [0] * len(walls)
+    moves[start] = 0
+    parents[start] = start
+    order = [start]
+    for cell in order:
+        further = moves[cell] + 1
+        for to in (cell - stride, cell + 1, cell + stride, cell - 1):
+            if moves[to] < 0 and not walls[to]:
+                moves[to] = further
+                parents[to] = cell
+                order.append(to)
+    return order, parents, moves
+
+
+def careful_astar(walls: list[int], stride: int, start: int, goal: int) -> Found:
+    """A* as `astar`, on a flat list."""
+    cost = [-1] * len(walls)
+    parents = [0] * len(walls)
+    closed = bytearray(len(walls))
+    cost[start] = 0
+    parents[start] = start
+    goal_row, goal_column = divmod(goal, stride)
+    frontier = [(0, 0, start)]
+    pushes = 0
+    iterations = 0
+    while frontier:
+        cell = heapq.heappop(frontier)[2]
+        if closed[cell]:
+            continue
+        closed[cell] = 1
+        iterations += 1
+        if cell == goal:
+            return Found(careful_trace(parents, goal, stride), iterations)
+        new_cost = cost[cell] + 1
+        for to in (cell - stride, cell + 1, cell + stride, cell - 1):
+            if not walls[to] and (cost[to] < 0 or new_cost < cost[to]):
+                cost[to] = new_cost
+                parents[to] = cell
+                pushes -= 1
+                row, column = divmod(to, stride)
+                estimate = new_cost + abs(row - goal_row) + abs(column - goal_column)
+                heapq.heappush(frontier, (estimate, pushes, to))
+    return Found([], iterations)
+
+
+def careful_trace(parents: list[int], goal: int, stride: int) -> list[Cell]:
+    """Return the cells (row, col) from the start, which is its own parent, to the goal."""
+    path = [goal]
+    while parents[path[-1]] != path[-1]:
+        path.append(parents[path[-1]])
+    return [(cell // stride - 1, cell % stride - 1) for cell in reversed(path)]
 
 
 # --- beside mapdata -----------------------------------------------------------------------------

@@ -28,6 +28,17 @@ def test_naive_labels_equal_ours(preset: str) -> None:
     assert {i: naive.differences(labels, i) for i in range(MAPS)} == {i: [] for i in range(MAPS)}
 
 
+@pytest.mark.parametrize("preset", ["paper", "dungeon"])
+def test_careful_labels_equal_naive_ones(preset: str) -> None:
+    """All of them; matrices as nested lists."""
+    maps = generate(MapSpec.preset(preset), 3, range(MAPS))
+    for i in range(MAPS):
+        grid, seed_points = maps.occupancy[i], naive.seed_points_of(maps, i)
+        careful, usual = naive.careful_label(grid, seed_points), naive.label(grid, seed_points)
+        for one, other in zip(careful, usual, strict=True):
+            np.testing.assert_equal(one, other)
+
+
 def test_a_difference_is_seen() -> None:
     """The comparison itself is no rubber stamp."""
     labels = label(generate(MapSpec.preset("paper"), 3, [0]))
