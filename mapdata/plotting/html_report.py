@@ -53,16 +53,13 @@ def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
     first, *others = sections(of)
     count = min(maps, len(of))
     places = np.arange(count) * len(of) // max(count, 1)
-    sampled = f"{count:,} of {len(of):,} maps, evenly spaced."
-    if count == len(of):
-        sampled = f"All {count:,} maps."
     charts = [_chart(name, column) for name, column in of.distributions().items() if len(column)]
     template = files("mapdata.plotting").joinpath("report.html").read_text(encoding="utf-8")
     values = {
         "POLICY": _policy(template),
         "TITLE": escape(title(of)),
         "INTRODUCTION": f"<p>{escape(first.text)}</p>",
-        "SAMPLED": sampled,
+        "SAMPLED": f"{count:,} of {len(of):,} maps, evenly spaced.",
         "CHARTS": "".join(charts),
         "CARD": "".join(map(_html, others)),
         "DATA": base64.b64encode(_pack(of, places)).decode(),
