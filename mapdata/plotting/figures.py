@@ -111,12 +111,10 @@ def plot_distributions(of: DatasetStatistics, axes: Sequence[Axes] | None = None
 
 def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
     """Draw one of `DatasetStatistics.distributions`: its histogram, the mean as a dashed line."""
-    from matplotlib.ticker import MaxNLocator
-
     edges = bin_edges(values).tolist()
     ax.hist(values, edges, color=COLOURS["astar"], edgecolor="white", linewidth=0.5)
     if (values == np.rint(values)).all():
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        ax.locator_params(axis="x", integer=True, min_n_ticks=1)
     counted = "segments" if "segment" in name else "maps"
     if name.startswith("hardness"):  # a peak and a long tail
         ax.set_yscale("log")

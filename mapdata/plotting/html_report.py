@@ -29,6 +29,7 @@ from mapdata.shards.dataset_card import Section, sections, title
 from mapdata.shards.root import Places
 from mapdata.shards.shard import SEARCHES
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
+from mapdata.spec import check_count
 
 MAPS = 500
 """Maps in the browser of a report."""
@@ -47,8 +48,7 @@ def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
         ShardError: a shard is missing or damaged.
         ValueError: ``maps`` is less than one.
     """
-    if maps < 1:
-        raise ValueError(f"maps: got {maps}, expected at least 1")
+    check_count("maps", maps)
     of = dataset_statistics(root, repeats=True, progress=progress)
     first, *others = sections(of)
     count = min(maps, len(of))
