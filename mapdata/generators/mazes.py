@@ -68,10 +68,12 @@ def _carve(grid: Bytes, seed: np.uint64, index: np.uint64, widths: Range, reopen
     tall = (grid.shape[0] - wall) // (corridor + wall)
     wide = (grid.shape[1] - wall) // (corridor + wall)
     seen = np.zeros((tall, wide), np.uint8)
-    moves = np.zeros(tall * wide, np.int64)  # that led from the first cell to this one: the stack
+    stack = np.zeros(tall * wide, np.int64)  # cells on the way from the first one to this one
     unseen = np.empty(4, np.int64)
-    row = column = depth = number = 0
+    depth = 0
+    number = 0
     while depth >= 0:
+        row, column = divmod(stack[depth], wide)
         seen[row, column] = 1
         _free(grid, row, column, 0, 0, widths)
         count = 0
@@ -81,20 +83,16 @@ def _carve(grid: Bytes, seed: np.uint64, index: np.uint64, widths: Range, reopen
             if 0 <= r < tall and 0 <= c < wide and seen[r, c] == 0:
                 unseen[count] = move
                 count += 1
-        if count:  # go to a random unseen neighbour, through the wall between
-            word, _, _, _ = block(seed, index, 0, MAP, number)
-            number += 1
-            moves[depth] = unseen[bounded(word, 0, count - 1)]
-            down = STEPS[moves[depth], 0]
-            right = STEPS[moves[depth], 1]
-            depth += 1
-            _free(grid, row + min(down, 0), column + min(right, 0), abs(down), abs(right), widths)
-        else:  # a dead end: one step back; at the first cell there is none, and the loop ends
+        if count == 0:  # a dead end: one step back; at the first cell there is none
             depth -= 1
-            down = -STEPS[moves[depth], 0]
-            right = -STEPS[moves[depth], 1]
-        row += down
-        column += right
+            continue
+        # go to a random unseen neighbour, through the wall between
+        word, _, _, _ = block(seed, index, 0, MAP, number)
+        number += 1
+        down, right = STEPS[unseen[bounded(word, 0, count - 1)]]
+        depth += 1
+        stack[depth] = (row + down) * wide + column + right
+        _free(grid, row + min(down, 0), column + min(right, 0), abs(down), abs(right), widths)
     # Each wall once, open already or not: that to the right of a cell, then that below it.
     for k in range(2 * tall * wide if reopen else 0):
         row, column = divmod(k // 2, wide)

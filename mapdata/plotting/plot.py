@@ -224,12 +224,13 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
-    from matplotlib.transforms import ScaledTranslation
+    from matplotlib.transforms import offset_copy
 
     # Down and to the right, so that horizontal and vertical stretches part alike.
-    shift = _LANE * lane / 72
-    aside = ScaledTranslation(shift, -shift, axes.figure.dpi_scale_trans)
-    look: dict[str, Any] = {"color": colour, "transform": axes.transData + aside}
+    shift = _LANE * lane
+    figure: Any = axes.figure  # the stubs know of no part of a figure here
+    aside = offset_copy(axes.transData, figure, shift, -shift, "points")
+    look: dict[str, Any] = {"color": colour, "transform": aside}
     rows, columns = path.T
     axes.plot(columns, rows, linestyle=style, linewidth=2.2, label=label, **look)
     # not on the first and last cells, which bear marks
@@ -257,20 +258,12 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
     """Put ``text`` on a cell of ``axes``: on a disc, the goal G on a square."""
-    marker = "s" if text == "G" else "o"
-    axes.scatter(
-        column,
-        row,
-        s=110,
-        marker=marker,
-        clip_on=False,
-        color=COLOURS["seed"],
-        edgecolor="white",
-        zorder=4,
-    )
-    axes.text(
-        column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5
-    )
+    disc = {
+        "boxstyle": "square" if text == "G" else "circle",
+        "facecolor": COLOURS["seed"],
+        "edgecolor": "white",
+    }
+    axes.text(column, row, text, color="white", ha="center", va="center", fontsize=7, bbox=disc)
 
 
 def head(axes: Axes, title: str) -> None:
