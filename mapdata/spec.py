@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Collection, Iterable
@@ -75,6 +76,11 @@ def canonical_json(values: object) -> str:
     return json.dumps(
         values, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
     )
+
+
+def hash_of(values: object) -> str:
+    """Return the SHA-256 of the canonical JSON of ``values``, as hex."""
+    return hashlib.sha256(canonical_json(values).encode()).hexdigest()
 
 
 def check_seed(seed: int) -> int:

@@ -22,11 +22,13 @@ class DisagreeError(Exception):
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     """Return the short summary of a dataset, one fact to a line."""
+    from mapdata.shards.dataset_card import counted
+
     done = manifest.done
     size = sum(entry.bytes for entry in manifest.shards)
     segments = max(manifest.total("segments"), 1)
     rows, columns = manifest.map_size
-    shards = "1 shard" if len(manifest.shards) == 1 else f"{len(manifest.shards)} shards"
+    shards = counted(len(manifest.shards), "shard")
     unfinished = "" if manifest.complete else f" (of {manifest.maps:,}: not finished)"
     drawn = manifest.total("drawn")  # none where maps have no rooms: mazes, imports
     shown = min(7, max(done - 1, 0))

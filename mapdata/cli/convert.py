@@ -50,12 +50,12 @@ def import_command(
     from mapdata.formats.registry import functions
     from mapdata.options import options_of
     from mapdata.shards.root import is_url
+    from mapdata.spec import check_count
 
     if is_url(src):
         raise ValueError(f"{src}: a URL, expected a file or folder; download it first")
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
-    if max_pixels < 1:
-        raise ValueError(f"--max-pixels: got {max_pixels}, expected at least 1")
+    check_count("--max-pixels", max_pixels)
     name = options.pop("format") or recognise(src)
     of_import = {key: options.pop(key) for key in _OF_IMPORTS}
     of_format = _own_options(name, options)

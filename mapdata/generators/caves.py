@@ -6,7 +6,7 @@ PCG 2010.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
@@ -18,7 +18,7 @@ from mapdata.generators.maps import Maps
 from mapdata.generators.points import check_seed_points, with_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block
-from mapdata.spec import Movement, Range, check_count, check_probability
+from mapdata.spec import check_count, check_probability
 
 _MAJORITY = 5
 """Of a cell and its eight neighbours; cells beyond the border count as occupied."""
@@ -40,13 +40,9 @@ class Cave(Generator):
 
     name: ClassVar[str] = "cave"
     description: ClassVar[str] = "caves made by a cellular automaton"
-    map_size: Range = (64, 64)
     occupied: float = 0.45
     steps: int = 4
     seed_points: int = 5
-    resolution: float = 0.1
-    movement: Movement = field(default_factory=Movement)
-    splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""

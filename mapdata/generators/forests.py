@@ -8,7 +8,7 @@ CoRL 2017, https://arxiv.org/abs/1707.03034, section 5.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from mapdata.generators.maps import Maps
 from mapdata.generators.points import check_seed_points, with_seed_points
 from mapdata.jit import kernel
 from mapdata.rng import MAP, block, bounded
-from mapdata.spec import Movement, Range, check_integers, check_number, check_range
+from mapdata.spec import Range, check_integers, check_number, check_range
 
 _MOST_COVER = 0.5
 """At most half of a map is covered: beyond it no way leads anywhere, and draws run out."""
@@ -38,13 +38,9 @@ class Forest(Generator):
 
     name: ClassVar[str] = "forest"
     description: ClassVar[str] = "discs and boxes at random places"
-    map_size: Range = (64, 64)
     cover: tuple[float, float] = (0.1, 0.4)
     sizes: Range = (2, 9)
     seed_points: int = 5
-    resolution: float = 0.1
-    movement: Movement = field(default_factory=Movement)
-    splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, dataclass, field
+from inspect import isabstract
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from mapdata.spec import (
     check_integers,
     check_number,
     check_seed,
+    hash_of,
     known_values,
     least_version,
 )
@@ -34,6 +35,7 @@ _FIRST = "rooms"
 """The generator that version 1 of the format knows: its specs say no name."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class Generator(ABC):
     """A distribution of maps: a frozen dataclass of plain values that can be written as JSON.
 
@@ -53,10 +55,10 @@ class Generator(ABC):
     name: ClassVar[str]
     description: ClassVar[str]
     citation: ClassVar[str] = "The labels are those that this paper computes:"
-    map_size: Range
-    resolution: float
-    movement: Movement
-    splits: tuple[float, float, float]
+    map_size: Range = field(default=(64, 64), kw_only=False)
+    resolution: float = 0.1
+    movement: Movement = field(default_factory=Movement)
+    splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     def __post_init__(self) -> None:
         """Check what all families share, and make equal specs have equal JSON.
@@ -101,7 +103,9 @@ class Generator(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the spec as plain values for JSON."""
-        values: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
+        values = asdict(self)
+        for name in ("resolution", "movement", "splits"):
+            values[name] = values.pop(name)  # behind those of the family
         return values if self.name == _FIRST else {"generator": self.name, **values}
 
     def to_json(self) -> str:
@@ -172,7 +176,8 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
     Raises:
         ValueError: it is no frozen dataclass, or a name is taken.
     """
-    if not (is_dataclass(family) and family.__dataclass_params__.frozen):
+    # a class that is not decorated has the fields of the one above it only
+    if "__dataclass_fields__" not in vars(family) or isabstract(family):
         raise ValueError(f"{family.__name__}: expected a frozen dataclass")
     # The same class once more is fine: a notebook runs its cells again.
     taken = GENERATORS.setdefault(family.name, family)
@@ -218,4 +223,4 @@ def identity(spec: Generator, seed: int) -> str:
         "spec": spec.to_dict(),
         "seed": check_seed(seed),
     }
-    return hashlib.sha256(canonical_json(recipe).encode()).hexdigest()
+    return hash_of(recipe)

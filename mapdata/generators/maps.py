@@ -14,8 +14,6 @@ from mapdata.spec import Movement
 WORD = 64
 """Columns of a map in one packed word."""
 
-_EIGHT = np.uint64(8)
-
 
 @dataclass(frozen=True)
 class Maps:
@@ -116,24 +114,14 @@ def unpack(words: Words, first: Int, grid: Bytes) -> None:
     words_a_row = (columns + WORD - 1) // WORD
     # Bit k of a little-endian word is bit k % 8 of its byte k // 8.
     packed = words.view(np.uint8)
-    out = grid.reshape(-1)
-    # Rows that fill their words follow one another without a gap: then the map is one long row.
-    lines = rows
-    cells = np.uint64(columns)
-    if columns % WORD == 0:
-        lines = 1
-        cells = np.uint64(rows * columns)
-    for line in range(lines):
-        byte = np.uint64(8 * (first + line * words_a_row))
-        cell = np.uint64(line * columns)
-        for k in range(cells >> np.uint64(3)):
-            value = packed[byte + np.uint64(k)]
+    for row in range(rows):
+        octets = packed[8 * (first + row * words_a_row) :]
+        cells = grid[row]
+        for k in range(columns // 8):
             for bit in range(8):  # becomes vector instructions
-                occupied = (value >> np.uint8(bit)) & np.uint8(1)
-                out[cell + _EIGHT * np.uint64(k) + np.uint64(bit)] = occupied
-        for k in range(cells & ~np.uint64(7), cells):  # the last byte, if it is not full
-            value = packed[byte + (np.uint64(k) >> np.uint64(3))]
-            out[cell + np.uint64(k)] = (value >> np.uint8(k & 7)) & np.uint8(1)
+                cells[8 * k + bit] = (octets[k] >> np.uint8(bit)) & np.uint8(1)
+        for k in range(columns // 8 * 8, columns):  # the last byte, if it is not full
+            cells[k] = (octets[k // 8] >> np.uint8(k % 8)) & np.uint8(1)
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
@@ -11,10 +11,10 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import Maps
-from mapdata.generators.points import check_seed_points, with_seed_points
+from mapdata.generators.points import STEPS, check_seed_points, with_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block, bounded, threshold
-from mapdata.spec import MAX_ROOMS, Movement, Range, check_count, check_probability
+from mapdata.spec import MAX_ROOMS, Range, check_count, check_probability
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,10 @@ class Maze(Generator):
 
     name: ClassVar[str] = "maze"
     description: ClassVar[str] = "mazes made by a random depth-first search"
-    map_size: Range = (64, 64)
     corridor: int = 1
     wall: int = 1
     reopened: float = 0.0
     seed_points: int = 5
-    resolution: float = 0.1
-    movement: Movement = field(default_factory=Movement)
-    splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""
@@ -63,7 +59,6 @@ class Maze(Generator):
 
 
 PRESETS: dict[str, Generator] = {"maze": Maze()}
-_STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])  # (row, col) of the moves N, E, S, W
 
 
 @kernel
@@ -73,33 +68,31 @@ def _carve(grid: Bytes, seed: np.uint64, index: np.uint64, widths: Range, reopen
     tall = (grid.shape[0] - wall) // (corridor + wall)
     wide = (grid.shape[1] - wall) // (corridor + wall)
     seen = np.zeros((tall, wide), np.uint8)
-    moves = np.zeros(tall * wide, np.int64)  # that led from the first cell to this one: the stack
+    stack = np.zeros(tall * wide, np.int64)  # cells on the way from the first one to this one
     unseen = np.empty(4, np.int64)
-    row = column = depth = number = 0
+    depth = 0
+    number = 0
     while depth >= 0:
+        row, column = divmod(stack[depth], wide)
         seen[row, column] = 1
         _free(grid, row, column, 0, 0, widths)
         count = 0
         for move in range(4):
-            r = row + _STEPS[move, 0]
-            c = column + _STEPS[move, 1]
+            r = row + STEPS[move, 0]
+            c = column + STEPS[move, 1]
             if 0 <= r < tall and 0 <= c < wide and seen[r, c] == 0:
                 unseen[count] = move
                 count += 1
-        if count:  # go to a random unseen neighbour, through the wall between
-            word, _, _, _ = block(seed, index, 0, MAP, number)
-            number += 1
-            moves[depth] = unseen[bounded(word, 0, count - 1)]
-            down = _STEPS[moves[depth], 0]
-            right = _STEPS[moves[depth], 1]
-            depth += 1
-            _free(grid, row + min(down, 0), column + min(right, 0), abs(down), abs(right), widths)
-        else:  # a dead end: one step back; at the first cell there is none, and the loop ends
+        if count == 0:  # a dead end: one step back; at the first cell there is none
             depth -= 1
-            down = -_STEPS[moves[depth], 0]
-            right = -_STEPS[moves[depth], 1]
-        row += down
-        column += right
+            continue
+        # go to a random unseen neighbour, through the wall between
+        word, _, _, _ = block(seed, index, 0, MAP, number)
+        number += 1
+        down, right = STEPS[unseen[bounded(word, 0, count - 1)]]
+        depth += 1
+        stack[depth] = (row + down) * wide + column + right
+        _free(grid, row + min(down, 0), column + min(right, 0), abs(down), abs(right), widths)
     # Each wall once, open already or not: that to the right of a cell, then that below it.
     for k in range(2 * tall * wide if reopen else 0):
         row, column = divmod(k // 2, wide)

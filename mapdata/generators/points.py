@@ -12,8 +12,8 @@ from mapdata.jit import Int, kernel
 from mapdata.rng import POINTS, block, bounded
 from mapdata.spec import MAX_ROOMS, check_count
 
-_EARLIER = np.array([(0, -1), (-1, 0), (-1, -1), (-1, 1)])
-"""Neighbours W, N, NW, NE of a cell as (row, col): those that come before it."""
+STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)])
+"""(row, col) of the moves N, E, S, W, NE, SE, SW, NW."""
 
 _CANDIDATES = 8
 """Cells that are drawn for each seed point, of which the one farthest from the others is taken."""
@@ -55,45 +55,37 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
     beside two free cells join nothing that straight ones do not.
     """
     rows, columns = grid.shape
-    # Union-find: of a free cell an earlier one of its component; the first one has itself.
-    owner = np.empty(rows * columns, np.int64)
-    earlier = 4 if diagonals == 2 else 2  # 2: diagonal moves without a corner rule
-    for row in range(rows):
-        for column in range(columns):
-            if grid[row, column] != 0:
-                continue
-            cell = row * columns + column
-            owner[cell] = cell
-            for down, right in _EARLIER[:earlier]:
+    steps = STEPS if diagonals == 2 else STEPS[:4]  # 2: diagonal moves without a corner rule
+    # 0 free and 1 occupied; then the number of each component, from 2 on.
+    marks = grid.astype(np.int64)
+    flat = marks.reshape(-1)
+    queue = np.empty(rows * columns, np.int64)
+    number = 1
+    best = 0  # no cell has this number afterwards
+    most = 0
+    for first in range(rows * columns):
+        if flat[first] != 0:
+            continue
+        # Breadth-first search from the first cell of a component: the queue comes to hold all.
+        number += 1
+        flat[first] = number
+        queue[0] = first
+        found = 1
+        done = 0
+        while done < found:
+            row, column = divmod(queue[done], columns)
+            done += 1
+            for down, right in steps:
                 r = row + down
                 c = column + right
-                if r >= 0 and 0 <= c < columns and grid[r, c] == 0:
-                    _join(owner, cell, r * columns + c)
-    sizes = np.zeros(rows * columns, np.int64)
-    for cell in range(rows * columns):
-        if grid[cell // columns, cell % columns] == 0:
-            # Its owner comes earlier and therefore has the first cell as its own already.
-            owner[cell] = owner[owner[cell]]
-            sizes[owner[cell]] += 1
-    best = np.argmax(sizes)  # the first of equal ones
-    cells = np.empty(sizes[best], np.int64)
-    k = 0
-    for cell in range(rows * columns):
-        if grid[cell // columns, cell % columns] == 0 and owner[cell] == best:
-            cells[k] = cell
-            k += 1
-    return cells
-
-
-@kernel
-def _join(owner: Ints, one: Int, other: Int) -> None:
-    """Make two components one, whose owner is the earlier of their first cells."""
-    while owner[one] != one:
-        one = owner[one]
-    while owner[other] != other:
-        owner[other] = owner[owner[other]]  # halves the way for those who come after
-        other = owner[other]
-    owner[max(one, other)] = min(one, other)
+                if 0 <= r < rows and 0 <= c < columns and marks[r, c] == 0:
+                    marks[r, c] = number
+                    queue[found] = r * columns + c
+                    found += 1
+        if found > most:
+            best = number
+            most = found
+    return np.flatnonzero(flat == best)
 
 
 @kernel

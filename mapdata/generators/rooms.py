@@ -9,7 +9,7 @@ draw.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -20,7 +20,7 @@ from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import kernel
 from mapdata.rng import MAP, block, bounded, threshold
-from mapdata.spec import MAX_ROOMS, Movement, Range, check_integers, check_probability, check_range
+from mapdata.spec import MAX_ROOMS, Range, check_integers, check_probability, check_range
 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -50,15 +50,11 @@ class MapSpec(Generator):
     description: ClassVar[str] = "maps drawn by Algorithm 1 of arXiv 2110.13242"
     citation: ClassVar[str] = "Please cite the paper whose maps these are:"
 
-    map_size: Range = (64, 64)
     rooms: Range = (2, 9)
     room_rows: Range = (14, 33)
     room_columns: Range = (14, 33)
     passage_width: Range = (7, 15)
     skip_probability: float = 0.1
-    resolution: float = 0.1
-    movement: Movement = field(default_factory=Movement)
-    splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -18,6 +18,7 @@ from mapdata.plotting.plot import (
     plot_path,
     same_matrices,
 )
+from mapdata.shards.dataset_card import counted
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import SEARCHES
 from mapdata.shards.statistics import DatasetStatistics, bin_edges, dataset_statistics
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mapdata.search.labels import Labels
-
-_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
 def pick_examples(of: DatasetStatistics) -> dict[str, int]:
@@ -43,6 +42,7 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     go from easy to hard instead.
     """
     examples: dict[str, int] = {}
+    noun = "room" if of.rooms_known else "seed point"
 
     def add(caption: str, which: Flags) -> None:
         """Take the first map of a kind that is not shown yet."""
@@ -53,10 +53,10 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     *fewer, most = np.unique(of.rooms).tolist() or [0]
     if fewer:
         for n in np.quantile(fewer, np.linspace(0, 1, 4), method="nearest").tolist():
-            add(_in_words(int(n), of.rooms_known), of.all_connected & (of.rooms == n))
+            add(counted(int(n), noun), of.all_connected & (of.rooms == n))
     add("not connected", ~of.all_connected)
     add("redundant", of.redundant)
-    add(_in_words(most, of.rooms_known), of.rooms == most)
+    add(counted(most, noun), of.rooms == most)
     if len(of) and not fewer:
         marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest")
         for mark in marks.tolist():
@@ -111,12 +111,10 @@ def plot_distributions(of: DatasetStatistics, axes: Sequence[Axes] | None = None
 
 def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
     """Draw one of `DatasetStatistics.distributions`: its histogram, the mean as a dashed line."""
-    from matplotlib.ticker import MaxNLocator
-
     edges = bin_edges(values).tolist()
     ax.hist(values, edges, color=COLOURS["astar"], edgecolor="white", linewidth=0.5)
     if (values == np.rint(values)).all():
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        ax.locator_params(axis="x", integer=True, min_n_ticks=1)
     counted = "segments" if "segment" in name else "maps"
     if name.startswith("hardness"):  # a peak and a long tail
         ax.set_yscale("log")
@@ -163,11 +161,9 @@ def plot_figure(
 
 def _plot_one_map(kind: str, labels: Labels, i: int, paper_colours: bool) -> list[Axes]:
     if kind == "map":
-        axes = new_axes(size=(6, _height(labels, 5.4) + 1.1))
-        plot_map(labels, i, axes[0], paper_colours=paper_colours)
+        axes = [plot_map(labels, i, paper_colours=paper_colours)]
     elif kind == "path":
-        legend = 0.13 * min(int(labels.maps.rooms[i]), 16)
-        axes = new_axes(1, 2, (11, _height(labels, 4.8) + 1.1 + legend))
+        axes = new_axes(1, 2, (11, 8))
         for search, ax in zip(SEARCHES, axes, strict=True):
             plot_path(labels, i, search, ax, paper_colours=paper_colours)
     else:
@@ -188,12 +184,6 @@ WITH_GRID = ("map", "path", "gallery")
 """Those of `FIGURES` that show a grid, which ``--paper-colours`` turns over."""
 
 
-def _height(labels: Labels, width: float) -> float:
-    """Return the height of a picture of a map of this width, in inches."""
-    rows, columns = labels.maps.occupancy.shape[1:]
-    return float(np.clip(width * rows / columns, 1.2, 3 * width))
-
-
 def figure_of(axes: Axes) -> Figure:
     """Return the figure that axes are part of."""
     from matplotlib.figure import Figure
@@ -201,9 +191,3 @@ def figure_of(axes: Axes) -> Figure:
     figure = axes.figure
     assert isinstance(figure, Figure)
     return figure
-
-
-def _in_words(number: int, rooms: bool) -> str:
-    word = _NUMBERS[number] if number < len(_NUMBERS) else str(number)
-    noun = "room" if rooms else "seed point"
-    return f"{word} {noun}" if number == 1 else f"{word} {noun}s"

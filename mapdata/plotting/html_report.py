@@ -29,6 +29,7 @@ from mapdata.shards.dataset_card import Section, sections, title
 from mapdata.shards.root import Places
 from mapdata.shards.shard import SEARCHES
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
+from mapdata.spec import check_count
 
 MAPS = 500
 """Maps in the browser of a report."""
@@ -47,22 +48,18 @@ def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
         ShardError: a shard is missing or damaged.
         ValueError: ``maps`` is less than one.
     """
-    if maps < 1:
-        raise ValueError(f"maps: got {maps}, expected at least 1")
+    check_count("maps", maps)
     of = dataset_statistics(root, repeats=True, progress=progress)
     first, *others = sections(of)
     count = min(maps, len(of))
     places = np.arange(count) * len(of) // max(count, 1)
-    sampled = f"{count:,} of {len(of):,} maps, evenly spaced."
-    if count == len(of):
-        sampled = f"All {count:,} maps."
     charts = [_chart(name, column) for name, column in of.distributions().items() if len(column)]
     template = files("mapdata.plotting").joinpath("report.html").read_text(encoding="utf-8")
     values = {
         "POLICY": _policy(template),
         "TITLE": escape(title(of)),
         "INTRODUCTION": f"<p>{escape(first.text)}</p>",
-        "SAMPLED": sampled,
+        "SAMPLED": f"{count:,} of {len(of):,} maps, evenly spaced.",
         "CHARTS": "".join(charts),
         "CARD": "".join(map(_html, others)),
         "DATA": base64.b64encode(_pack(of, places)).decode(),

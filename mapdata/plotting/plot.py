@@ -37,8 +37,14 @@ STYLE: dict[Any, str] = {
 """rcParams of the figures that are made here."""
 
 _LISTED = 16
+"""Most segments that a legend names."""
+
 _NUMBERED = 16
-_ARROW_EVERY = 24
+"""Most rooms of a connection matrix whose costs are written into it."""
+
+_ARROW_EVERY = 16
+"""Cells from one arrow head of a path to the next."""
+
 _LANE = 1.6
 """Points between paths that are drawn side by side; a cell has about 6 in a figure of one map."""
 
@@ -96,7 +102,7 @@ def plot_path(
 ) -> Axes:
     """Draw the route of one search on map ``i`` of a batch: the paper's Figure 3.
 
-    Each segment is labelled with its moves and iterations.
+    The legend names the moves and iterations of the first 16 segments.
 
     Args:
         labels: labelled maps.
@@ -112,10 +118,6 @@ def plot_path(
     for q, (path, count) in enumerate(zip(route, iterations.tolist(), strict=True)):
         moves = f"{len(path) - 1} moves" if len(path) else "no path"
         label = f"{q + 1} to {q + 2}: {moves}, {count:,} iterations"
-        if q == _LISTED - 1 and len(route) > _LISTED:
-            label = f"... and {len(route) - q} more"
-        if q >= _LISTED:
-            label = "_"
         # Neighbouring segments often share cells, so they take three lanes in turn.
         plot_cells(axes, path, PALETTE[q % 6], label, styles[q // 6 % len(styles)], q % 3 - 1)
     _plot_seed_points(axes, labels, i)
@@ -123,7 +125,7 @@ def plot_path(
         f"map{labels.maps.index[i]}, {NAMES[search]}: {iterations.sum():,} iterations in all"
     )
     if route:
-        _legend_below(axes, ncols=1 if len(route) <= 5 else 2)
+        _legend_below(axes, axes.lines[:_LISTED], ncols=1 if len(route) <= 5 else 2)
     return axes
 
 
@@ -138,36 +140,30 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
         search: "astar" or "bfs"; the title names both where their matrices are equal.
         axes: where to draw; a new figure without.
     """
-    from matplotlib.patches import Rectangle
-
     axes = axes or new_axes()[0]
     matrix = labels.matrix(search, i)
     n = len(matrix)
     top = max(float(matrix.max()), 1.0)
-    image = axes.imshow(np.ma.masked_less(matrix, 0), cmap="cividis", vmin=0, vmax=top)
+    costs = np.ma.masked_less(matrix, 0)
+    numbers = (0.5, n + 0.5, n + 0.5, 0.5)  # of rooms, the first of which is 1
+    image = axes.imshow(costs, cmap="cividis", vmin=0, vmax=top, extent=numbers)
+    axes.locator_params(integer=True, min_n_ticks=1)
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
     look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9 if n <= 10 else 6}
     for (row, column), value in np.ndenumerate(matrix):
-        if value < 0:
-            square = Rectangle((column - 0.5, row - 0.5), 1, 1, label="no connection")
-            square.set(facecolor="white", edgecolor="0.6", hatch="////", linewidth=0.0)
-            axes.add_patch(square)
-        elif n <= _NUMBERED:
+        if value >= 0 and n <= _NUMBERED:
             ink = "black" if value > 0.55 * top else "white"
-            axes.text(column, row, f"{value:.4g}", color=ink, **look)
-    step = 1 if n <= 20 else -(-n // 12)
-    places = np.arange(0, n, step)
-    names = [str(k + 1) for k in places]
+            axes.text(column + 1, row + 1, f"{value:.4g}", color=ink, **look)
     word = _points(labels, i).removesuffix("s")
     axes.set(xlabel=word, ylabel=word)
-    axes.set_xticks(places, names)
-    axes.set_yticks(places, names)
     name = "BFS and A*" if same_matrices(labels, i) else NAMES[search]
     axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {name}")
-    if axes.patches:
-        _legend_below(axes, axes.patches[:1])  # one stands for all
+    if (matrix < 0).any():
+        # masked pairs let the background of the axes through
+        axes.patch.set(edgecolor="0.6", hatch="////", label="no connection")
+        _legend_below(axes, [axes.patch])
     return axes
 
 
@@ -228,19 +224,17 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
-    from matplotlib.transforms import ScaledTranslation
+    from matplotlib.transforms import offset_copy
 
     # Down and to the right, so that horizontal and vertical stretches part alike.
-    shift = _LANE * lane / 72
-    aside = ScaledTranslation(shift, -shift, axes.figure.dpi_scale_trans)
-    look: dict[str, Any] = {"color": colour, "transform": axes.transData + aside}
+    shift = _LANE * lane
+    figure: Any = axes.figure  # the stubs know of no part of a figure here
+    aside = offset_copy(axes.transData, figure, shift, -shift, "points")
+    look: dict[str, Any] = {"color": colour, "transform": aside}
     rows, columns = path.T
     axes.plot(columns, rows, linestyle=style, linewidth=2.2, label=label, **look)
-    if len(path) < 6:  # an arrow head would hide it
-        return
-    arrows = -(-len(path) // _ARROW_EVERY)
-    for k in range(arrows):
-        middle = (2 * k + 1) * len(path) // (2 * arrows)
+    # not on the first and last cells, which bear marks
+    for middle in range(_ARROW_EVERY // 2, len(path) - 2, _ARROW_EVERY):
         down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
         angle = np.degrees(np.arctan2(-down, right)) - 90  # a triangle points up by itself
         axes.scatter(
@@ -264,20 +258,12 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
     """Put ``text`` on a cell of ``axes``: on a disc, the goal G on a square."""
-    marker = "s" if text == "G" else "o"
-    axes.scatter(
-        column,
-        row,
-        s=110,
-        marker=marker,
-        clip_on=False,
-        color=COLOURS["seed"],
-        edgecolor="white",
-        zorder=4,
-    )
-    axes.text(
-        column, row, text, color="white", ha="center", va="center_baseline", fontsize=7, zorder=5
-    )
+    disc = {
+        "boxstyle": "square" if text == "G" else "circle",
+        "facecolor": COLOURS["seed"],
+        "edgecolor": "white",
+    }
+    axes.text(column, row, text, color="white", ha="center", va="center", fontsize=7, bbox=disc)
 
 
 def head(axes: Axes, title: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Generator, Sequence, Set
+from collections.abc import Callable, Generator, Sequence, Set
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing, nullcontext
 from dataclasses import fields, replace
@@ -35,7 +35,7 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import open_shard
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
-from mapdata.shards.workers import CORES, Advance, bar, finished, no_bar, threads
+from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
 from mapdata.spec import check_count, check_seed
 
 _MERGE_EVERY = 2.0
@@ -54,9 +54,6 @@ _LEAST_AT_ONCE = 8
 
 _UNDER_WAY = 10_000
 """Most shards that an executor is given at once: enough to keep a large cluster busy."""
-
-_FEW = 4 * CORES
-"""Most that threads of this process are given: what is not begun costs nothing to cancel."""
 
 
 def build(
@@ -113,8 +110,10 @@ def build(
         movement=spec.movement,
         resolution=spec.resolution,
     )
-    _check_part(part)
-    mine = headers(wanted)[part[0] :: part[1]]
+    k, n = part if len(part) == 2 else (0, 0)
+    if not (isinstance(k, int) and isinstance(n, int) and 0 <= k < n):
+        raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
+    mine = headers(wanted)[k::n]
     have, damaged = _prepare(root, wanted, {header.limits for header in mine}, progress)
     present = replace(wanted, shards=tuple(have.values()))
     todo = [header for header in mine if header.limits not in have]
@@ -131,45 +130,42 @@ def build(
     wait = True
     total = sum(header.maps for header in mine)
     left = sum(header.maps for header in todo)
-    most = _FEW if executor is None else _UNDER_WAY
     with (
         bar(progress, total, total - left) as advance,
         threads(workers) if executor is None else nullcontext(executor) as pool,
-        # Threads move the bar themselves, within a shard; processes cannot reach it.
-        closing(
-            _made(pool, root.absolute(), todo, damaged, most, no_bar if executor else advance)
-        ) as made,
     ):
-        due = time.monotonic() + _MERGE_EVERY
-        try:
-            for entry in made:
-                if executor is not None:
-                    if _size(root / entry.name) != entry.bytes:
-                        raise OSError(
-                            f"root: a worker wrote {entry.name} elsewhere: it must share the "
-                            f"folder {root}"
-                        )
-                    advance(entry.maps)
-                shards.append(entry)
-                began = time.monotonic()
-                if began > due:
-                    # without waiting: another builder merges, and the entries stay for next time
-                    merge(root, replace(wanted, shards=tuple(shards)), wait=False)
-                    ended = time.monotonic()
-                    due = ended + max(_MERGE_EVERY, _MERGE_SHARE * (ended - began))
-        except KeyboardInterrupt:
-            wait = False  # the next build adopts the shards that the manifest does not list
-            raise
-        finally:
-            manifest = merge(root, replace(wanted, shards=tuple(shards)), wait=wait)
+        make = partial(
+            make_shard,
+            root.absolute(),
+            damaged=damaged,
+            # Threads move the bar themselves, within a shard; processes cannot reach it.
+            advance=no_bar if executor else advance,
+        )
+        most = FEW if executor is None else _UNDER_WAY
+        with closing(_made(pool, make, todo, most)) as made:
+            due = time.monotonic() + _MERGE_EVERY
+            try:
+                for entry in made:
+                    if executor is not None:
+                        if _size(root / entry.name) != entry.bytes:
+                            raise OSError(
+                                f"root: a worker wrote {entry.name} elsewhere: it must share the "
+                                f"folder {root}"
+                            )
+                        advance(entry.maps)
+                    shards.append(entry)
+                    began = time.monotonic()
+                    if began > due:
+                        # without waiting for another builder: the entries stay for next time
+                        merge(root, replace(wanted, shards=tuple(shards)), wait=False)
+                        ended = time.monotonic()
+                        due = ended + max(_MERGE_EVERY, _MERGE_SHARE * (ended - began))
+            except KeyboardInterrupt:
+                wait = False  # the next build adopts the shards that the manifest does not list
+                raise
+            finally:
+                manifest = merge(root, replace(wanted, shards=tuple(shards)), wait=wait)
     return manifest
-
-
-def _check_part(part: tuple[int, int]) -> None:
-    """Refuse a part that is not (k, n) with 0 <= k < n."""
-    whole = len(part) == 2 and all(isinstance(number, int) for number in part)
-    if not (whole and 0 <= part[0] < part[1]):
-        raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
 
 
 def headers(manifest: Manifest) -> list[Header]:
@@ -225,15 +221,9 @@ def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
 
 
 def _made(
-    pool: Executor,
-    root: Path,
-    todo: Sequence[Header],
-    damaged: Set[Span],
-    most: int,
-    advance: Advance,
+    pool: Executor, make: Callable[[Header], Entry], todo: Sequence[Header], most: int
 ) -> Generator[Entry, None, None]:
     """Yield the entry of each shard when it is finished."""
-    make = partial(make_shard, root, damaged=damaged, advance=advance)
     left = dict.fromkeys(todo)
     try:
         for header, entry in finished(pool, make, todo, most):
@@ -244,7 +234,7 @@ def _made(
             f"executor: {error} Threads of this process make the other shards.", stacklevel=3
         )
         with threads() as spare:
-            for _, entry in finished(spare, make, left, _FEW):
+            for _, entry in finished(spare, make, left):
                 yield entry
 
 

@@ -17,7 +17,9 @@ from mapdata.jit import kernel
 from mapdata.search.labels import Labels, SearchLabels
 
 _Arrays = tuple[Bytes, Ints, Ints, Ints]
-"""Moves, their offsets, iterations and costs of one search: kernels take no dataclass."""
+"""Of one search the moves, their offsets, length and iterations of each segment, and costs: kernels
+take no dataclass.
+"""
 
 
 def content_hash(labels: Labels) -> str:
@@ -89,7 +91,9 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
 
 
 def _arrays(search: SearchLabels) -> _Arrays:
-    return search.moves, search.offsets, search.iterations, search.costs
+    lengths = np.diff(search.offsets)
+    segments = np.stack((lengths, search.iterations), axis=1)
+    return search.moves, search.offsets, segments, search.costs
 
 
 @kernel
@@ -125,8 +129,8 @@ def _write(
         at = _copy_pairs(words, at, seed_points[m], 0, rooms)
         at = _copy_pairs(words, at, room_sizes[m], 0, rooms)
         at = _copy_pairs(words, at, directions[m], 0, rooms - 1)
-        for _, begins, iterations, costs in searches:
-            at = _copy_segments(words, at, begins, iterations, segment, next_segment)
+        for _, _, counts, costs in searches:
+            at = _copy_pairs(words, at, counts, segment, next_segment)
             at = _copy_pairs(words, at, costs, pair, next_pair)
         # from here on ``at`` counts bytes
         at *= 4
@@ -141,18 +145,6 @@ def _copy_pairs(words: Int32s, at: int, rows: Ints, first: int, last: int) -> in
     for k in range(first, last):
         words[at] = rows[k, 0]
         words[at + 1] = rows[k, 1]
-        at += 2
-    return at
-
-
-@kernel
-def _copy_segments(
-    words: Int32s, at: int, offsets: Ints, iterations: Ints, first: int, last: int
-) -> int:
-    """Copy the number of moves and the iterations of each segment; return where to go on."""
-    for s in range(first, last):
-        words[at] = offsets[s + 1] - offsets[s]
-        words[at + 1] = iterations[s]
         at += 2
     return at
 

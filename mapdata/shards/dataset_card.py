@@ -155,7 +155,7 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
     rows, columns = manifest.map_size
     maps = manifest.done
     facts = {
-        "maps": f"{maps:,} in {_count(len(manifest.shards), 'shard')}",
+        "maps": f"{maps:,} in {counted(len(manifest.shards), 'shard')}",
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
         "cells": "(row, col), origin upper left",
         "polarity": "1 occupied, 0 free",
@@ -163,7 +163,7 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
     }
     if not copied:
         size = sum(entry.bytes for entry in manifest.shards)
-        facts["size on disk"] = f"{size / 1e6:,.1f} MB" if size >= 1e6 else f"{size / 1e3:,.0f} kB"
+        facts["size on disk"] = f"{size / 1e6:,.2f} MB"
         facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
     return facts | {
         "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
@@ -194,7 +194,7 @@ def _origin(place: str, rooms_known: bool) -> Section:
         return Section(
             "Where it comes from", "Imported; there is no record of the source beside the data."
         )
-    text = f"Imported from {_count(len(sources), 'source')}. "
+    text = f"Imported from {counted(len(sources), 'source')}, all named in {PROVENANCE}. "
     if not rooms_known:
         count = values.get("seeds", "?")
         seed = values.get("seed", "?")
@@ -204,8 +204,6 @@ def _origin(place: str, rooms_known: bool) -> Section:
     )
     rows = [("map", "source")]
     rows += [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
-    if len(sources) > _SOURCES_SHOWN:
-        rows.append(("...", f"and {len(sources) - _SOURCES_SHOWN:,} more in {PROVENANCE}"))
     return Section("Where it comes from", text, table=rows)
 
 
@@ -332,7 +330,8 @@ def _names(of: DatasetStatistics) -> list[str]:
     return names
 
 
-def _count(number: int, what: str) -> str:
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words, as "1 shard" or "2,000 shards"."""
     return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ import numpy as np
 if sys.platform != "win32":
     import fcntl
 
-from mapdata._version import __version__
 from mapdata.generators.generator import Generator
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
@@ -41,11 +40,11 @@ from mapdata.shards.shard import (
 from mapdata.spec import (
     SPLITS,
     Movement,
-    canonical_json,
     check_count,
     check_integers,
     check_number,
     check_seed,
+    hash_of,
 )
 
 MANIFEST = "manifest.json"
@@ -183,22 +182,9 @@ class Manifest(Origin):
 
     def to_json(self) -> str:
         """Return the text of ``manifest.json``."""
-        values = {
-            "format": "mapdata",
-            "format_version": self.format_version,
-            "library_version": __version__,
-            "identity": self.identity,
-            "content_hash": self.content_hash,
-            "spec": self.spec.to_dict() if self.spec else None,
-            "seed": self.seed,
-            "maps": self.maps,
-            "shard_size": self.shard_size,
-            "map_size": self.map_size,
-            "movement": asdict(self.movement),
-            "resolution": self.resolution,
-            "shards": [vars(entry) for entry in self.shards],
-        }
-        values["manifest_hash"] = _hash(values)
+        values = self.stated(self.content_hash, maps=self.maps, shard_size=self.shard_size)
+        values["shards"] = [vars(entry) for entry in self.shards]
+        values["manifest_hash"] = hash_of(values)
         return json.dumps(values, indent=1) + "\n"
 
     def recipe(self) -> str:
@@ -307,7 +293,7 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
         if values["format"] != "mapdata":
             raise ShardError(f"{path}: not a manifest of mapdata")
         check_version(values["format_version"], f"{path}: ")
-        if values.pop("manifest_hash") != _hash(values):
+        if values.pop("manifest_hash") != hash_of(values):
             raise ShardError(f"{path}: damaged (its hash does not fit)")
         spec = values["spec"]
         entries = tuple(_entry(entry, path) for entry in values["shards"])
@@ -468,10 +454,6 @@ def load_shard(root: Path, header: Header) -> Entry | None:
     return entry_of(header, shard.content_hash, labels, path.read_bytes())
 
 
-def _hash(values: dict[str, Any]) -> str:
-    return hashlib.sha256(canonical_json(values).encode()).hexdigest()
-
-
 def counts_of(labels: Labels) -> dict[str, Any]:
     """Return what the manifest counts in a shard.
 
@@ -481,11 +463,9 @@ def counts_of(labels: Labels) -> dict[str, Any]:
     """
     maps = labels.maps
     passages = maps.rooms - 1
-    # arrays are padded to the most rooms of the shard: which rows are passages
-    used = np.arange(maps.directions.shape[1]) < passages[:, None]
     counts: dict[str, Any] = {
         "segments": int(passages.sum()),
-        "drawn": int((maps.connected & used).sum()),
+        "drawn": int(maps.connected.sum()),  # False where arrays are padded
         "reachable": int(labels.reachable.sum()),
         "all_connected": int(labels.all_connected.sum()),
         "most_rooms": int(maps.rooms.max(initial=0)),
@@ -509,5 +489,4 @@ def counts_of(labels: Labels) -> dict[str, Any]:
 
 def provenance_text(origin: dict[str, Any]) -> str:
     """Return the text of ``import.json``, with a hash of what it says."""
-    stated = hashlib.sha256(canonical_json(origin).encode()).hexdigest()
-    return json.dumps({**origin, "hash": stated}, indent=1) + "\n"
+    return json.dumps({**origin, "hash": hash_of(origin)}, indent=1) + "\n"

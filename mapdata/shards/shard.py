@@ -18,7 +18,6 @@ from uuid import uuid4
 import h5py
 import numpy as np
 import numpy.typing as npt
-from h5py import h5a, h5s, h5t
 
 if sys.platform != "win32":
     import fcntl
@@ -140,6 +139,25 @@ class Origin:
     def format_version(self) -> int:
         """The version of the format that the dataset is written in."""
         return least_version(self.map_size) if self.spec is None else self.spec.format_version
+
+    def stated(self, content: str, **own: int) -> dict[str, Any]:
+        """Return what a manifest states, and in other words the root attributes of a shard.
+
+        ``content`` is the content hash, ``own`` what only one of the two has.
+        """
+        return {
+            "format": "mapdata",
+            "format_version": self.format_version,
+            "library_version": __version__,
+            "identity": self.identity,
+            "content_hash": content,
+            "spec": self.spec.to_dict() if self.spec else None,
+            "seed": self.seed,
+            **own,
+            "map_size": self.map_size,
+            "movement": asdict(self.movement),
+            "resolution": self.resolution,
+        }
 
     def origin(self) -> dict[str, Any]:
         """Return these values by name, without those that a subclass adds."""
@@ -411,21 +429,14 @@ def sync_folder(folder: Path) -> None:
 
 
 def _attributes(header: Header, content: str) -> dict[str, Any]:
-    """Return the root attributes of a shard."""
-    return {
-        "format": "mapdata",
-        "format_version": header.format_version,
-        "library_version": __version__,
-        "identity": header.identity or "",
-        "content_hash": content,
-        "spec": header.spec.to_json() if header.spec else "",
-        "seed": "" if header.seed is None else str(header.seed),
-        "start": header.start,
-        "stop": header.stop,
-        "map_size": header.map_size,
-        "movement": canonical_json(asdict(header.movement)),
-        "resolution": header.resolution,
-    }
+    """Return the root attributes of a shard: HDF5 has neither objects nor unsigned seeds."""
+    values = header.stated(content, start=header.start, stop=header.stop)
+    for name in ("spec", "movement"):
+        if values[name] is not None:
+            values[name] = canonical_json(values[name])
+    if header.seed is not None:
+        values["seed"] = str(header.seed)
+    return {name: "" if value is None else value for name, value in values.items()}
 
 
 def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) -> None:
@@ -440,6 +451,4 @@ def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) 
         return
     data = value.encode()
     size = max(len(data), 1)  # HDF5 has no strings of length 0
-    kind = h5t.py_create(h5py.string_dtype("utf-8", size), logical=True)
-    attribute = h5a.create(owner.id, name.encode(), kind, h5s.create(h5s.SCALAR))
-    attribute.write(np.array(data, f"S{size}"), mtype=kind)
+    owner.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", size))

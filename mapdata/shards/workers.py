@@ -16,6 +16,9 @@ from tqdm.auto import tqdm
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 """How many cores this process may use: in a batch job often fewer than the machine has."""
 
+FEW = 4 * CORES
+"""Tasks that threads of this process are given: what is not begun costs nothing to cancel."""
+
 THREADS = "mapdata"
 """What the names of our threads begin with."""
 
@@ -69,24 +72,26 @@ def threads(workers: int | None = None) -> Iterator[Executor]:
 
 
 def finished(
-    pool: Executor, function: Callable[[_Task], _Result], tasks: Iterable[_Task], most: int
+    pool: Executor, function: Callable[[_Task], _Result], tasks: Iterable[_Task], most: int = FEW
 ) -> Iterator[tuple[_Task, _Result]]:
     """Yield each task with its result as it is finished, in any order.
 
     At most ``most`` tasks are submitted at a time; those left are cancelled when the caller stops.
     """
     done: SimpleQueue[Future[_Result]] = SimpleQueue()
+    left = iter(tasks)
     under_way: dict[Future[_Result], _Task] = {}
     try:
-        for task in tasks:
-            future = pool.submit(function, task)
-            under_way[future] = task
-            future.add_done_callback(done.put)
-            # results are taken while others run, so that few are held
-            while len(under_way) >= most or not done.empty():
-                future = done.get()
-                yield under_way.pop(future), future.result()
-        while under_way:
+        while True:
+            for task in left:
+                future = pool.submit(function, task)
+                under_way[future] = task
+                future.add_done_callback(done.put)
+                # results are taken while others run, so that few are held
+                if len(under_way) >= most or not done.empty():
+                    break
+            if not under_way:
+                return
             future = done.get()
             yield under_way.pop(future), future.result()
     finally:

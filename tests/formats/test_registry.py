@@ -203,7 +203,10 @@ def test_a_format_of_ones_own(
             ["stack.npy", "out", "--images.size", "0x5"],
         ),
         ("size: got 5000x5, expected 1 to 4096", ["stack.npy", "out", "--images.size", "5000x5"]),
-        ("--max-pixels: got 0, expected at least 1", ["stack.npy", "out", "--max-pixels", "0"]),
+        (
+            "--max-pixels: got 0, expected an integer of at least 1",
+            ["stack.npy", "out", "--max-pixels", "0"],
+        ),
         ("has 6 x 6 pixels, expected at most 35", ["stack.npy", "out", "--max-pixels", "35"]),
         ("fit: does nothing without size", ["stack.npy", "out", "--images.fit", "crop"]),
         ("--images.fit: invalid choice: 'scale'", ["stack.npy", "out", "--images.fit", "scale"]),

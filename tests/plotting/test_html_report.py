@@ -307,7 +307,7 @@ def test_command_refuses_no_maps(root: Path, capsys: pytest.CaptureFixture[str])
     with pytest.raises(SystemExit) as ended:
         main(["report", str(root), "--maps", "0"])
     assert ended.value.code == 2
-    assert "maps: got 0, expected at least 1" in capsys.readouterr().err
+    assert "maps: got 0, expected an integer of at least 1" in capsys.readouterr().err
 
 
 def test_charts_say_in_words_what_they_show(root: Path) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -16,7 +17,6 @@ from helpers.samples import SPEC, WIDE, build_small
 from matplotlib.collections import PathCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from mapdata import Labels, MapSpec, generate, label
 from mapdata.plotting import (
@@ -118,8 +118,7 @@ def test_path_of_many_rooms_lists_some() -> None:
     legend = plot_path(labels, 0).get_legend()
     assert legend is not None
     texts = [text.get_text() for text in legend.get_texts()]
-    assert len(texts) == 16
-    assert texts[-1] == "... and 24 more"
+    assert [text.partition(":")[0] for text in texts] == [f"{q} to {q + 1}" for q in range(1, 17)]
 
 
 def test_routes_lie_side_by_side_and_show_their_direction() -> None:
@@ -153,7 +152,8 @@ def test_start_and_goal_have_different_shapes() -> None:
     axes = plot_grid(np.zeros((9, 9)))
     for text in ("S", "G", "1"):
         mark(axes, text, 4, 4)
-    start, goal, room = (len(np.asarray(one.get_paths()[0].vertices)) for one in axes.collections)
+    discs: list[Any] = [text.get_bbox_patch() for text in axes.texts]
+    start, goal, room = (type(disc.get_boxstyle()) for disc in discs)
     assert start == room != goal
 
 
@@ -180,16 +180,14 @@ def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) 
             for text in axes.texts
         }
         assert texts == {
-            (r, c): f"{matrix[r, c]:.4g}" for r, c in np.argwhere(matrix >= 0).tolist()
+            (r + 1, c + 1): f"{matrix[r, c]:.4g}" for r, c in np.argwhere(matrix >= 0).tolist()
         }
-        hatched = [
-            patch.get_xy()
-            for patch in axes.patches
-            if isinstance(patch, Rectangle) and patch.get_hatch()
-        ]
-        assert {(round(y + 0.5), round(x + 0.5)) for x, y in hatched} == set(
-            map(tuple, np.argwhere(matrix < 0).tolist())
-        )
+        # what the image leaves out shows the hatched background
+        (image,) = axes.get_images()
+        values: Any = image.get_array()
+        np.testing.assert_array_equal(values.mask, matrix < 0)
+        np.testing.assert_array_equal(values.compressed(), matrix[matrix >= 0])
+        assert axes.patch.get_hatch()
         legend = axes.get_legend()
         assert legend is not None
         assert [text.get_text() for text in legend.get_texts()] == ["no connection"]
