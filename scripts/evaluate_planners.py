@@ -32,27 +32,31 @@ def evaluate_command(
     connectivity: Literal[4, 8] = 8,
     corner_cutting: bool = False,
     diagonal_cost: float = math.sqrt(2),
+    baseline: str | None = None,
     save: str | None = None,
     csv: str | None = None,
     json: str | None = None,
     figure: str | None = None,
     weights: str | None = None,
 ) -> None:
-    """Compare planners on one problem a map: of new maps, or of the test split of a dataset.
+    """Compare planners on one problem a map, or on problems that others made.
 
     Examples:
       python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77
       python scripts/evaluate_planners.py data/maps --csv planners.csv
+      python scripts/evaluate_planners.py arena.map.scen
 
     Args:
-        root: datasets or a saved set of problems, in place of --preset and --seed
+        root: in place of --preset: datasets, of which the test split is taken; or a file, which is
+            a MovingAI .scen, an .npz of planning-datasets, or one of --save
         preset: paper, narrow, dungeon, dungeon128 or maze (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77)
-        maps: how many maps (default: 600; of a dataset, all)
+        seed: 64-bit seed of maps and problems (default: 77), or of planning-datasets' starts
+        maps: how many maps (default: 600; of a dataset or file, all), or problems of a .scen
         until_hard: stop at the map with this many hard problems
         connectivity: moves
         corner_cutting: diagonal moves beside occupied cells too
         diagonal_cost: of diagonal moves: 1 or sqrt 2
+        baseline: name of the row whose expansions count as 1 (default: mapdata's A*)
         save: write the problems to an .npz, which takes the place of a dataset another time
         csv: write the table to a file
         json: write the table as a list of rows
@@ -69,7 +73,7 @@ def evaluate_command(
         *classical(problems.movement),
         *learned_planners(weights, problems.movement),
     ]
-    table = evaluate(rows, problems)
+    table = evaluate(rows, problems, baseline=baseline)
     print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
     print(to_text(table))
     write_table(table, csv, json)
