@@ -13,7 +13,7 @@ from typing import Literal
 from matplotlib.figure import Figure
 
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
-from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
+from mapdata.evaluation import Planner, classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
 from models.learned_planners import planners
@@ -69,10 +69,14 @@ def evaluate_command(
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
-    rows: list[Planner] = [
-        *classical(problems.movement),
-        *learned_planners(weights, problems.movement),
-    ]
+    model = PathPredictor.load(weights or WEIGHTS)
+    rows: list[Planner] = classical(problems.movement)
+    if model.movement == problems.movement:
+        rows += planners(model)
+    elif weights is not None:
+        raise ValueError(
+            f"weights: {weights} are for {model.movement}, the problems for {problems.movement}"
+        )
     table = evaluate(rows, problems, baseline=baseline)
     print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
     print(to_text(table))
@@ -81,18 +85,6 @@ def evaluate_command(
         canvas = Figure(figsize=(7, 6), layout="constrained")
         plot_planners(table, canvas.add_subplot(), subset="hard" if problems.hard.any() else "all")
         canvas.savefig(figure, dpi=150)
-
-
-def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlanner]:
-    """Return the rows of the path predictor; none if the weights that ship move otherwise."""
-    model = PathPredictor.load(weights or WEIGHTS)
-    if model.movement == movement:
-        return planners(model)
-    if weights is not None:
-        raise ValueError(
-            f"weights: {weights} are for {model.movement}, the problems for {movement}"
-        )
-    return []
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -1,8 +1,10 @@
 """Train the path predictor: python scripts/train_path_predictor.py fit --weights FILE.
 
 All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
-Checkpoints, metrics.csv and figures of predictions each epoch lie under runs/path_predictor. More
-flags after fit:
+Checkpoints, metrics.csv and figures of predictions lie under runs/path_predictor: one of each for
+every validation, and a checkpoint every three minutes, so that an interrupted run goes on. The bar
+is of all steps; it shows val_opt and val_hmean, what the search reaches on the validation problems.
+More flags after fit:
 
     --ckpt_path FILE             go on from a checkpoint
     --trainer.accelerator gpu    the same on a GPU
@@ -13,7 +15,7 @@ flags after fit:
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from matplotlib.figure import Figure
 from pytorch_lightning import Callback, LightningDataModule, LightningModule, Trainer
 from pytorch_lightning.cli import ArgsType
 
-from mapdata import Movement, astar
+from mapdata import astar
 from mapdata.datasets import Sample, row
 from mapdata.plotting import plot_prediction
 from models.path_predictor import PathPredictor
@@ -67,22 +69,16 @@ def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
 class Cli(TrainingCli):
     """Its flags; the data moves as the model does."""
 
-    def before_instantiate_classes(self) -> None:
+    def instantiate_classes(self) -> None:
         """Let the data move as the model does, and refuse data that was told otherwise."""
-        super().before_instantiate_classes()
-        config = self.config[self.subcommand]
-        model, data = config.model, config.data.init_args
-        movement = Movement(model.connectivity, model.corner_cutting, model.diagonal_cost)
-        parts = [each.init_args for each in data.parts] if "parts" in data else [data]
-        for part in parts:
-            given = part.movement
-            if isinstance(given, (list, tuple)):
-                given = Movement(*given)
-            elif given is not None:  # what jsonargparse makes of a Movement's names and values
-                given = Movement(**given.as_dict())
+        super().instantiate_classes()
+        movement = self.model.movement
+        for part in getattr(self.datamodule, "parts", [self.datamodule]):
+            given = part.serving.movement
             if given not in (None, movement):
                 raise SystemExit(f"movement: got {given} for the data, {movement} for the model")
-            part.movement = list(astuple(movement))
+            part.serving = replace(part.serving, movement=movement)
+            part.hparams["movement"] = astuple(movement)
 
 
 def main(arguments: ArgsType = None) -> None:

@@ -100,8 +100,6 @@ class VanillaAstar:
         heap = [(0.0, start)]
         while heap and goal not in expanded:
             _, cell = heapq.heappop(heap)
-            if cell in expanded:
-                continue
             expanded.add(cell)
             for row, column in STEPS.tolist():
                 to = (cell[0] + row, cell[1] + column)

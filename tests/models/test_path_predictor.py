@@ -29,12 +29,14 @@ from mapdata import (
     Movement,
     OnlineMapDataset,
     Problems,
+    Random,
+    Route,
     astar,
     check_path,
     evaluate,
 )
 from mapdata.evaluation import Planner, classical
-from mapdata.search import STEPS, heuristics
+from mapdata.search import STEPS, heuristics, search_batch
 from models.common import heuristic, legal_moves
 from models.learned_planners import planners
 from models.path_predictor import FIELDS, PathPredictor, targets_on_path
@@ -477,9 +479,11 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[st
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None:
+def test_the_script(
+    script: Callable[[list[str]], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Its file of arguments works; it leaves checkpoints, a CSV log, a figure an epoch, and
-    weights.
+    weights; its bar counts the steps of both epochs, and shows what the search reaches.
     """
     short = {
         "max_epochs": 2,
@@ -492,9 +496,61 @@ def test_the_script(script: Callable[[list[str]], None], tmp_path: Path) -> None
     script(["fit", *flags, "--model.widths=[8,8,8]", "--model.passes=1", "--weights=weights.pt"])
     (logs,) = (tmp_path / "runs" / "path_predictor").glob("version_0")
     assert len(list(logs.glob("predictions-*.png"))) == 2
-    assert {"train_loss", "val_accuracy/dataloader_idx_1"} <= set(pd.read_csv(logs / "metrics.csv"))
+    metrics = pd.read_csv(logs / "metrics.csv")
+    assert {"train_loss", "val_accuracy/dataloader_idx_1", "val_opt", "val_hmean"} <= set(metrics)
+    assert metrics["val_opt"].dropna().between(0, 1).all()
+    bar = capsys.readouterr().out
+    assert "| 4/4 [" in bar
+    assert "val_hmean=" in bar
+    assert "train_time_interval: 0:03:00" in (logs / "config.yaml").read_text()
     assert (logs / "checkpoints" / "last.ckpt").exists()
     assert PathPredictor.load("weights.pt").hparams["passes"] == 1
+
+
+@pytest.mark.parametrize("unsolvable", [False, True])
+def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None:
+    """They are those of the table of planners, over all batches; without a path none is asked."""
+    problems_of = Route(unsolvable=True) if unsolvable else Random()
+    spec = MapSpec(
+        (40, 40), rooms=(2, 3), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 1)
+    )
+    recipe = json.dumps({"spec": spec.to_dict(), "seed": 5, "maps": 120})
+    data = MapDataModule(
+        None, build=recipe, batch_size=5, problems=problems_of, movement=Movement(8)
+    )
+    model = confused()
+    (logged,) = trainer(tmp_path).validate(model, data, verbose=False)
+    batch = data.datasets["val"][:]
+    assert len(batch.map) == 12  # batches of 5, 5 and 2
+    grids, starts, goals = (each.numpy() for each in (batch.map[:, 0], batch.start, batch.goal))
+    cost = search_batch("astar", grids, starts, goals, Movement(8)).cost
+    assert (cost == -1).any() == unsolvable
+    asked = Problems(grids[cost > 0], starts[cost > 0], goals[cost > 0], Movement(8))
+    table = evaluate(planners(model)[1:], asked, bootstrap=1)
+    assert logged["val_opt"] == pytest.approx(table["opt"][0], abs=0.02)
+    assert logged["val_hmean"] == pytest.approx(table["hmean"][0], abs=0.02)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_one_validation_batch_is_one(script: Callable[[list[str]], None], tmp_path: Path) -> None:
+    """Not all of them: a flag's 1 arrives as 1.0."""
+    recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 5, "maps": 200})
+    flags = {
+        "data": "mapdata.MapDataModule",
+        "data.root": "null",
+        "data.build": recipe,
+        "data.batch_size": 2,
+        "trainer.max_epochs": 1,
+        "trainer.limit_train_batches": 1,
+        "trainer.limit_val_batches": 1,
+        "model.widths": "[8,8,8]",
+        "model.passes": 1,
+    }
+    validated: list[int] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PathPredictor, "validation_step", lambda *_: validated.append(1))
+        script(["fit", *(f"--{name}={value}" for name, value in flags.items())])
+    assert len(validated) == 1
 
 
 @pytest.mark.filterwarnings("ignore")
