@@ -364,7 +364,7 @@ def fields() -> Figure:
 
 def predictions() -> Figure:
     """Show what the path predictor answers to hard problems."""
-    figure, axes = new_figure(1, 3, (11.5, 4.6))
+    figure, axes = new_figure(1, 3, (11.5, 4.2))
     samples = hard_problems(("map", "start", "goal", "path"))
     for ax, k in zip(axes, (0, 3, 6), strict=True):
         prediction(ax, samples[k])
@@ -392,6 +392,9 @@ def planners() -> Figure:
     for line in (*ax.lines, *legend.get_lines()):
         if line.get_color() == "#000000":  # not seen on dark pages
             line.set_color(mpl.rcParams["text.color"])
+    for bars in ax.collections:
+        if mpl.colors.to_hex(bars.get_edgecolor()[0]) == "#000000":
+            bars.set_color(mpl.rcParams["text.color"])
     return figure
 
 

@@ -23,8 +23,8 @@ scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`:
 maps, 20 minutes of one core. `torch.export.export(model, (map, goal))` and ONNX take it as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
-prediction. It needs models/common.py alone, which has the layers, the moves on a map, the
-optimizer, the files of weights. models/learned_planners.py searches with predictions.
+prediction. models/common.py has the layers, the moves on a map, the optimizer, the files of
+weights; models/learned_planners.py searches with predictions.
 """
 
 from __future__ import annotations
@@ -36,11 +36,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from mapdata import Movement, Sample
+from mapdata import Movement, Problems, Sample, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.search import STEPS
+from mapdata.search import STEPS, search_batch
 from models import common
 from models.common import Tensors, Trunk, heuristic, legal_moves, offsets
+from models.learned_planners import GuidedSearch
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The richer fields, which teach more than ``map, start, goal, path``."""
@@ -156,6 +157,8 @@ class PathPredictor(common.Model):
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.network = Trunk(8, connectivity + 1, widths, passes)
         nn.init.zeros_(self.network.head.weight)
+        # number of problems, Opt and Exp of each validation batch
+        self.validated: list[tuple[int, float, float]] = []
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W) in [0, 1].
@@ -213,9 +216,28 @@ class PathPredictor(common.Model):
         return values["loss"]
 
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Log the losses."""
+        """Log the losses, and search: `on_validation_epoch_end` logs what comes of it."""
         values = {f"val_{name}": value for name, value in self.losses(batch).items()}
         self.log_dict(values, batch_size=len(batch.map))
+        grids = batch.map[:, 0].byte().cpu().numpy()
+        starts = batch.start.cpu().numpy()
+        goals = batch.goal.cpu().numpy()
+        cost = search_batch("astar", grids, starts, goals, self.movement).cost
+        asked = cost > 0  # there is a path, of more than one cell
+        if asked.any():
+            problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
+            row = evaluate([GuidedSearch("search", self)], problems, bootstrap=1).iloc[0]
+            self.validated.append((len(problems), row["opt"], row["p_exp"]))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log Opt and Hmean of `GuidedSearch` on all validation problems, for the progress bar."""
+        if self.validated:
+            counts, opts, saved = np.array(self.validated).T
+            opt = np.average(opts, weights=counts)
+            exp = np.average(saved, weights=counts)
+            hmean = 2 * opt * exp / max(opt + exp, 1e-9)
+            self.log_dict({"val_opt": opt, "val_hmean": hmean}, prog_bar=True)
+            self.validated.clear()
 
     # --- prediction -----------------------------------------------------------------------------
 
@@ -234,9 +256,11 @@ class PathPredictor(common.Model):
         return scores.cpu().contiguous().numpy(), ratios.cpu().numpy()
 
     def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
-        """Return the predicted path, (k, 2) cells; (0, 2) where the moves do not lead to the goal.
+        """Return the predicted path, (k, 2) cells; (0, 2) where there is none.
 
-        From the start on, the most probable legal move to a cell that is not on the path yet.
+        From the start on, the most probable legal move to a cell that the walk has not been to;
+        where it is stuck it goes on from the cell before. The path is the shortest way that the
+        walk has seen.
 
         Args:
             map: (H, W) or (1, H, W), 0 free and 1 occupied.
@@ -246,18 +270,6 @@ class PathPredictor(common.Model):
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell.
         """
-        grids, starts, goals = common.check_problems(map, start, goal)  # a batch of one
-        scores, _ = self.predict(grids, goals)  # (1, moves, H, W)
-        legal = legal_moves(torch.from_numpy(grids)[:, None], self.movement)  # (1, moves, H, W)
-        path = [tuple(starts[0].tolist())]
-        while path[-1] != tuple(goals[0].tolist()):
-            row, column = path[-1]
-            options = []
-            for move, (down, right) in enumerate(STEPS[: self.movement.connectivity].tolist()):
-                cell = (row + down, column + right)
-                if legal[0, move, row, column] and cell not in path:
-                    options.append((scores[0, move, row, column], cell))
-            if not options:
-                return np.empty((0, 2), np.int64)
-            path.append(max(options)[1])
-        return np.array(path)
+        walk = GuidedSearch("walk", self, trust=math.inf)
+        plan = walk.plan_batch(np.asarray(map), np.asarray(start), np.asarray(goal))[0]
+        return plan.path.astype(np.int64)

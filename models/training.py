@@ -1,10 +1,12 @@
-"""What the training scripts share: a command line that writes weights, and mixed batches."""
+"""What the training scripts share: a command line that writes weights, a bar, mixed batches."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytorch_lightning as pl
+from pytorch_lightning.callbacks import TQDMProgressBar
 from pytorch_lightning.cli import LightningArgumentParser, LightningCLI
 from pytorch_lightning.utilities import CombinedLoader
 from torch.utils.data import DataLoader
@@ -30,11 +32,33 @@ class TrainingCli(LightningCLI):
         if file is not None and not Path(file).parent.is_dir():
             raise SystemExit(f"weights: there is no folder {Path(file).parent}")
 
+    def before_fit(self) -> None:
+        """Let ``--trainer.limit_val_batches 1`` be one batch.
+
+        It arrives as 1.0, which means all batches: of maps made online, 10,000 of them.
+        """
+        if self.config["fit"]["trainer"]["limit_val_batches"] == 1:
+            self.trainer.limit_val_batches = 1
+
     def after_fit(self) -> None:
         """Write the weights."""
         file = self.config["fit"]["weights"]
         if file is not None and self.trainer.is_global_zero:
             self.model.save(file)
+
+
+class RunBar(TQDMProgressBar):
+    """One bar for all steps of a run; Lightning's own begins anew each epoch."""
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, *_: Any) -> None:
+        """Say how many steps there are."""
+        self.train_progress_bar.total = trainer.estimated_stepping_batches
+
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, module: pl.LightningModule, outputs: Any, batch: Any, _: int
+    ) -> None:
+        """Count the steps of all epochs."""
+        super().on_train_batch_end(trainer, module, outputs, batch, trainer.global_step - 1)
 
 
 class MixedBatches(pl.LightningDataModule):

@@ -13,7 +13,7 @@ from typing import Literal
 from matplotlib.figure import Figure
 
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
-from mapdata.evaluation import BatchPlanner, Planner, classical, evaluate, to_text
+from mapdata.evaluation import Planner, classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
 from models.learned_planners import planners
@@ -32,27 +32,31 @@ def evaluate_command(
     connectivity: Literal[4, 8] = 8,
     corner_cutting: bool = False,
     diagonal_cost: float = math.sqrt(2),
+    baseline: str | None = None,
     save: str | None = None,
     csv: str | None = None,
     json: str | None = None,
     figure: str | None = None,
     weights: str | None = None,
 ) -> None:
-    """Compare planners on one problem a map: of new maps, or of the test split of a dataset.
+    """Compare planners on one problem a map, or on problems that others made.
 
     Examples:
       python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77
       python scripts/evaluate_planners.py data/maps --csv planners.csv
+      python scripts/evaluate_planners.py arena.map.scen
 
     Args:
-        root: datasets or a saved set of problems, in place of --preset and --seed
+        root: in place of --preset: datasets, of which the test split is taken; or a file, which is
+            a MovingAI .scen, an .npz of planning-datasets, or one of --save
         preset: paper, narrow, dungeon, dungeon128 or maze (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77)
-        maps: how many maps (default: 600; of a dataset, all)
+        seed: 64-bit seed of maps and problems (default: 77), or of planning-datasets' starts
+        maps: how many maps (default: 600; of a dataset or file, all), or problems of a .scen
         until_hard: stop at the map with this many hard problems
         connectivity: moves
         corner_cutting: diagonal moves beside occupied cells too
         diagonal_cost: of diagonal moves: 1 or sqrt 2
+        baseline: name of the row whose expansions count as 1 (default: mapdata's A*)
         save: write the problems to an .npz, which takes the place of a dataset another time
         csv: write the table to a file
         json: write the table as a list of rows
@@ -65,11 +69,15 @@ def evaluate_command(
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
-    rows: list[Planner] = [
-        *classical(problems.movement),
-        *learned_planners(weights, problems.movement),
-    ]
-    table = evaluate(rows, problems)
+    model = PathPredictor.load(weights or WEIGHTS)
+    rows: list[Planner] = classical(problems.movement)
+    if model.movement == problems.movement:
+        rows += planners(model)
+    elif weights is not None:
+        raise ValueError(
+            f"weights: {weights} are for {model.movement}, the problems for {problems.movement}"
+        )
+    table = evaluate(rows, problems, baseline=baseline)
     print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
     print(to_text(table))
     write_table(table, csv, json)
@@ -77,18 +85,6 @@ def evaluate_command(
         canvas = Figure(figsize=(7, 6), layout="constrained")
         plot_planners(table, canvas.add_subplot(), subset="hard" if problems.hard.any() else "all")
         canvas.savefig(figure, dpi=150)
-
-
-def learned_planners(weights: str | None, movement: Movement) -> list[BatchPlanner]:
-    """Return the rows of the path predictor; none if the weights that ship move otherwise."""
-    model = PathPredictor.load(weights or WEIGHTS)
-    if model.movement == movement:
-        return planners(model)
-    if weights is not None:
-        raise ValueError(
-            f"weights: {weights} are for {model.movement}, the problems for {movement}"
-        )
-    return []
 
 
 def main(arguments: list[str] | None = None) -> None:

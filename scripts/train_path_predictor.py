@@ -1,31 +1,34 @@
 """Train the path predictor: python scripts/train_path_predictor.py fit --weights FILE.
 
 All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
-Checkpoints, metrics.csv and figures of predictions each epoch lie under runs/path_predictor. More
-flags after fit:
+Checkpoints, metrics.csv and figures of predictions lie under runs/path_predictor: one of each for
+every validation, and a checkpoint every three minutes, so that an interrupted run goes on. The bar
+is of all steps; it shows val_opt and val_hmean, what the search reaches on the validation problems.
+More flags after fit:
 
     --ckpt_path FILE             go on from a checkpoint
     --trainer.accelerator gpu    the same on a GPU
+    --model.connectivity 4       the moves; the data follows
     --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps;
         its fields are map, start, goal, path, unless --data.fields asks for richer ones
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pytorch_lightning import Callback, LightningDataModule, LightningModule, Trainer
-from pytorch_lightning.cli import ArgsType, LightningArgumentParser
+from pytorch_lightning.cli import ArgsType
 
-from mapdata import Movement, astar
+from mapdata import astar
 from mapdata.datasets import Sample, row
 from mapdata.plotting import plot_prediction
 from models.path_predictor import PathPredictor
-from models.training import TrainingCli
+from models.training import RunBar, TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
 
@@ -42,11 +45,11 @@ class Figures(Callback):
         if not isinstance(loaders, list):
             loaders = [loaders]
         batches = [next(iter(loader)) for loader in loaders]
-        canvas = Figure(figsize=(16, 5 * len(batches)), layout="constrained")
-        axes = canvas.subplots(len(batches), 4, squeeze=False)
-        for batch, line in zip(batches, axes, strict=True):
-            for k in range(min(len(batch.map), len(line))):
-                draw(pl_module, row(batch, k), line[k])
+        samples = [row(batch, k) for batch in batches for k in range(len(batch.map))[:2]]
+        canvas = Figure(figsize=(5 * len(samples), 5), layout="constrained")
+        places = canvas.subplots(1, len(samples), squeeze=False)[0]
+        for axes, sample in zip(places, samples, strict=True):
+            draw(pl_module, sample, axes)
         folder = Path(trainer.log_dir)
         folder.mkdir(parents=True, exist_ok=True)
         canvas.savefig(folder / f"predictions-{trainer.global_step:06d}.png", dpi=80)
@@ -64,33 +67,18 @@ def draw(model: PathPredictor, sample: Sample, axes: Axes) -> None:
 
 
 class Cli(TrainingCli):
-    """Its flags, and --connectivity; the data moves as the model does."""
+    """Its flags; the data moves as the model does."""
 
-    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Add the flags."""
-        super().add_arguments_to_parser(parser)
-        parser.add_argument(
-            "--connectivity", type=int | None, default=None, help="short for --model.connectivity"
-        )
-
-    def before_instantiate_classes(self) -> None:
+    def instantiate_classes(self) -> None:
         """Let the data move as the model does, and refuse data that was told otherwise."""
-        super().before_instantiate_classes()
-        config = self.config[self.subcommand]
-        model, data = config.model, config.data.init_args
-        if config.connectivity is not None:
-            model.connectivity = config.connectivity
-        movement = Movement(model.connectivity, model.corner_cutting, model.diagonal_cost)
-        parts = [each.init_args for each in data.parts] if "parts" in data else [data]
-        for part in parts:
-            given = part.movement
-            if isinstance(given, (list, tuple)):
-                given = Movement(*given)
-            elif given is not None:  # what jsonargparse makes of a Movement's names and values
-                given = Movement(**given.as_dict())
+        super().instantiate_classes()
+        movement = self.model.movement
+        for part in getattr(self.datamodule, "parts", [self.datamodule]):
+            given = part.serving.movement
             if given not in (None, movement):
                 raise SystemExit(f"movement: got {given} for the data, {movement} for the model")
-            part.movement = list(astuple(movement))
+            part.serving = replace(part.serving, movement=movement)
+            part.hparams["movement"] = astuple(movement)
 
 
 def main(arguments: ArgsType = None) -> None:
@@ -100,7 +88,7 @@ def main(arguments: ArgsType = None) -> None:
         LightningDataModule,
         subclass_mode_data=True,
         parser_kwargs={"fit": {"default_config_files": [str(CONFIG)]}},
-        trainer_defaults={"callbacks": [Figures()]},
+        trainer_defaults={"callbacks": [Figures(), RunBar()]},
         save_config_kwargs={"overwrite": True},
         args=arguments,
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mapdata.spec import Movement
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -18,13 +20,16 @@ def given_problems(
     maps: int | None,
     **how: Any,
 ) -> Problems:
-    """Return one problem a map, of new maps or of the test split of a dataset, or a saved set.
+    """Return one problem a map, of new maps or of the test split of a dataset, or those of a file.
+
+    Of a file, ``maps`` takes as many problems of a .scen, and maps of planning-datasets.
 
     Raises:
-        ValueError: a preset or seed beside a root; what `Problems.sample` and `Problems.read`
-            refuse.
+        ValueError: what would do nothing beside a root or a file; what `Problems.sample`,
+            `Problems.read` and `read_problems` refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
+    from mapdata.formats import read_problems
     from mapdata.generators import Generator
     from mapdata.problems import Problems
 
@@ -32,13 +37,17 @@ def given_problems(
         return Problems.sample(
             Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how
         )
-    if preset is not None or seed is not None:
+    is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npz", ".scen")
+    if preset is not None or (seed is not None and not is_file):
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
-    if len(root) == 1 and root[0].endswith(".npz"):
-        if maps is not None or how.get("until_hard") is not None:
-            raise ValueError("maps, until_hard: would do nothing beside a saved set of problems")
-        return Problems.load(root[0])
-    return Problems.read(root, maps, **how)
+    if not is_file:
+        return Problems.read(root, maps, **how)
+    given = {"count": maps, "seed": seed, "until_hard": how.get("until_hard")}
+    options = {name: value for name, value in given.items() if value is not None}
+    problems = read_problems(root[0], **options)
+    if how.get("movement") not in (None, Movement(8), problems.movement):
+        raise ValueError(f"{root[0]}: its problems are for {problems.movement}")
+    return problems
 
 
 def check_outputs(*files: str | None) -> None:

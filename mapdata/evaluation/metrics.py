@@ -17,6 +17,7 @@ import pandas as pd
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.search.api import check_path
+from mapdata.spec import check_choice
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
@@ -62,14 +63,19 @@ class BatchPlanner(Planner, Protocol):
 
 
 def evaluate(
-    planners: Sequence[Planner], problems: Problems, *, bootstrap: int = 1000, seed: int = 0
+    planners: Sequence[Planner],
+    problems: Problems,
+    *,
+    baseline: str | None = None,
+    bootstrap: int = 1000,
+    seed: int = 0,
 ) -> pd.DataFrame:
     """Return the table of ``planners`` on ``problems``.
 
     Two rows a planner: all problems, and the hard ones. L is the cost of a path, E the number of
     expansions, L* and E* are those of mapdata's A* (docs/format.md fixes its order) under the same
-    movement. A planner succeeds where its path starts and ends as asked and `check_path` accepts
-    it. Columns:
+    movement; with ``baseline``, E* is that of another row. A planner succeeds where its path starts
+    and ends as asked and `check_path` accepts it. Columns:
 
     - ``planner``; ``subset``, "all" or "hard" (hardness at least ``HARD``); ``n``, the number of
       problems in it.
@@ -91,12 +97,13 @@ def evaluate(
     Args:
         planners: what to compare; `mapdata.evaluation.planners.classical` gives the usual rows.
         problems: on what.
+        baseline: name of the planner whose expansions are E*.
         bootstrap: number of resamples.
         seed: of the resamples.
 
     Raises:
-        ValueError: no planner, two of one name, no problem, no resample, or a ``plan_batch`` with
-            too few plans.
+        ValueError: no planner, two of one name, none of the name ``baseline``, no problem, no
+            resample, or a ``plan_batch`` with too few plans.
         Exception: whatever a planner raises.
     """
     names = [planner.name for planner in planners]
@@ -106,8 +113,13 @@ def evaluate(
         raise ValueError(
             f"got {len(problems)} problems and {bootstrap} resamples, expected at least one of each"
         )
+    if baseline is not None:
+        check_choice("baseline", baseline, names)
     runs = [_run(planner, problems) for planner in planners]
-    outcomes = np.stack([run.outcomes for run in runs], axis=1)
+    reference = (
+        problems.optimal.iterations if baseline is None else runs[names.index(baseline)].expansions
+    )
+    outcomes = np.stack([_outcomes(run, problems, reference) for run in runs], axis=1)
     rows: list[dict[str, object]] = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         values, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
@@ -173,20 +185,22 @@ class _Run(NamedTuple):
     """What a planner achieved.
 
     Attributes:
-        outcomes: (N, 5), of each problem: success and opt, 0 or 1; L / L*, 0 in a failure; E / E*;
-            max(0, 1 - E / E*).
-        ms: (N,) milliseconds for each problem.
+        costs: (N,) L of each problem, NaN in a failure.
+        expansions: (N,) E.
+        ms: (N,) milliseconds.
         ms_batched: milliseconds a problem in batches, NaN without `plan_batch`.
     """
 
-    outcomes: Floats
+    costs: Floats
+    expansions: Floats
     ms: Floats
     ms_batched: float
 
 
 def _run(planner: Planner, problems: Problems) -> _Run:
     """Plan and check every problem."""
-    outcomes = np.empty((len(problems), 5))
+    costs = np.empty(len(problems))
+    expansions = np.empty(len(problems))
     ms = np.empty(len(problems))
     for k in (0, *range(len(problems))):  # the first twice: kernels compile and caches fill
         start_row, start_column = problems.starts[k].tolist()
@@ -195,21 +209,22 @@ def _run(planner: Planner, problems: Problems) -> _Run:
         began = time.perf_counter()
         plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
         ms[k] = 1000 * (time.perf_counter() - began)
-        outcomes[k] = _outcomes(plan, problems, k)
+        costs[k] = _cost(plan, problems, k)
+        expansions[k] = plan.expansions
     ms_batched = _batched(planner, problems) if isinstance(planner, BatchPlanner) else np.nan
-    return _Run(outcomes, ms, ms_batched)
+    return _Run(costs, expansions, ms, ms_batched)
 
 
-def _outcomes(plan: Plan, problems: Problems, k: int) -> tuple[float, ...]:
-    """Return the outcomes of `_Run` for problem k."""
-    iterations = problems.optimal.iterations[k]
-    ratio = int(plan.expansions) / iterations
-    saved = max(0.0, (iterations - int(plan.expansions)) / iterations)
-    cost = _cost(plan, problems, k)
-    if cost is None:
-        return 0, 0, 0, ratio, saved
-    optimal = problems.optimal.cost[k]
-    return 1, 1 if cost == optimal else 0, cost / optimal, ratio, saved
+def _outcomes(run: _Run, problems: Problems, reference: Floats | Ints) -> Floats:
+    """Return what is averaged of each problem, (N, 5), with ``reference`` (N,) for E*.
+
+    Success and opt, 0 or 1; L / L*, 0 in a failure; E / E*; max(0, 1 - E / E*).
+    """
+    optimal = problems.optimal.cost
+    ratio = run.expansions / reference
+    cost_ratio = np.nan_to_num(run.costs / optimal)
+    saved = np.maximum(0, 1 - ratio)
+    return np.stack([cost_ratio > 0, run.costs == optimal, cost_ratio, ratio, saved], axis=1)
 
 
 def _batched(planner: BatchPlanner, problems: Problems) -> float:
@@ -230,15 +245,15 @@ def _batched(planner: BatchPlanner, problems: Problems) -> float:
     return 1000 * sum(seconds[1:]) / len(problems)  # without the first call, as in `_run`
 
 
-def _cost(plan: Plan, problems: Problems, k: int) -> float | None:
-    """Return the cost of a plan's path, None if it does not solve problem k."""
+def _cost(plan: Plan, problems: Problems, k: int) -> float:
+    """Return the cost of a plan's path, NaN if it does not solve problem k."""
     path = np.asarray(plan.path)
     try:
         cost = check_path(problems.grids[k], path, problems.movement)
     except ValueError:
-        return None
+        return np.nan
     ends = np.array([problems.starts[k], problems.goals[k]])
-    return cost if np.array_equal(path[[0, -1]], ends) else None
+    return cost if np.array_equal(path[[0, -1]], ends) else np.nan
 
 
 def _metrics(means: Floats) -> Floats:

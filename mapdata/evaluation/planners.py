@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
+import heapq
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.evaluation.metrics import BatchPlanner, Cell, Plan
-from mapdata.search.api import BatchResult, search_batch, solve_batch
+from mapdata.evaluation.metrics import BatchPlanner, Cell, Plan, Planner
+from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
+from mapdata.search.lattice import STEPS
 from mapdata.spec import Movement
 
 MAX_ESTIMATE = 2**20
 """Largest ``weight * (H + W)`` of `BestFirst`: f fits into 64 bits."""
 
 
-def classical(movement: Movement = Movement(8)) -> list[BatchPlanner]:
+NEURAL_ASTAR = Movement(8, corner_cutting=True, diagonal_cost=1)
+"""How Neural A* moves."""
+
+
+def classical(movement: Movement = Movement(8)) -> list[Planner]:
     """Return the planners that every comparison should show, for one movement.
 
     "limit" expands only the cells of an optimal path: no planner that walks from start to goal can
-    do with less.
+    do with less. Where one moves as Neural A* does, the A* that it is compared with is there, too.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
      'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'limit']
     """
-    return [
+    planners: list[Planner] = [
         Search("BFS", movement, "bfs"),
         BestFirst("Dijkstra", movement, weight=0),
         Search("A*", movement, "astar"),
@@ -34,6 +41,9 @@ def classical(movement: Movement = Movement(8)) -> list[BatchPlanner]:
         BestFirst("greedy best-first", movement, weight=1, counts_way=False),
         Limit("limit", movement),
     ]
+    if movement == NEURAL_ASTAR:
+        planners.append(VanillaAstar())
+    return planners
 
 
 class Batched:
@@ -68,6 +78,39 @@ class Limit(Batched):
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
         found = search_batch("astar", grids, starts, goals, self.movement)
         return _plans(found._replace(iterations=np.diff(found.offsets)))
+
+
+@dataclass(frozen=True)
+class VanillaAstar:
+    """The A* whose expansions Neural A* counts as 1; it moves as ``NEURAL_ASTAR`` says.
+
+    It expands the cell of the least g + h, where h is the Chebyshev distance and a thousandth of
+    the Euclidean one; among equals the first in reading order.
+
+    Source: VanillaAstar of https://github.com/omron-sinicx/neural-astar, in floats of 64 bits.
+    """
+
+    name: str = "A* of Neural A*"
+
+    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
+        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
+        free = set(map(tuple, np.argwhere(np.asarray(grid) == 0).tolist()))
+        way = {start: 0}
+        expanded = set[Cell]()
+        heap = [(0.0, start)]
+        while heap and goal not in expanded:
+            _, cell = heapq.heappop(heap)
+            expanded.add(cell)
+            for row, column in STEPS.tolist():
+                to = (cell[0] + row, cell[1] + column)
+                g = way[cell] + 1
+                if to in free and g < way.get(to, math.inf):
+                    way[to] = g
+                    down = abs(to[0] - goal[0])
+                    right = abs(to[1] - goal[1])
+                    f = g + max(down, right) + 0.001 * math.hypot(down, right)
+                    heapq.heappush(heap, (f, to))
+        return Plan(astar(grid, start, goal, NEURAL_ASTAR).path, len(expanded))
 
 
 @dataclass(frozen=True)

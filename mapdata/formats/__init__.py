@@ -8,7 +8,15 @@ from mapdata.formats import huggingface, images, movingai, paper, planning, ros
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import FormatError, Limits
 from mapdata.formats.importing import import_maps
-from mapdata.formats.registry import FORMATS, Format, export, read_any, recognise, register
+from mapdata.formats.registry import (
+    FORMATS,
+    Format,
+    export,
+    read_any,
+    read_problems,
+    recognise,
+    register,
+)
 
 # images first: of formats that know a file, the last one has it, and these know some images better
 for _module in (images, paper, movingai, ros, planning, huggingface):
@@ -24,6 +32,7 @@ __all__ = [
     "export",
     "import_maps",
     "read_any",
+    "read_problems",
     "recognise",
     "register",
 ]

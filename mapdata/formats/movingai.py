@@ -39,10 +39,11 @@ from mapdata.formats.files import (
     split_of,
 )
 from mapdata.formats.registry import Format
+from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-from mapdata.spec import MAX_ROOMS, Movement
+from mapdata.spec import MAX_ROOMS, Movement, check_count
 
 Cell: TypeAlias = tuple[int, int]
 
@@ -214,11 +215,13 @@ class ScenReport:
         path: the file.
         total: number of problems.
         disagreements: a line for each length that our A* does not reproduce as exactly as printed.
+        solved: the problems that have a path, each with its grid.
     """
 
     path: Path
     total: int
     disagreements: list[str] = field(default_factory=list)
+    solved: list[tuple[Bytes, Problem]] = field(default_factory=list)
 
     @property
     def agreed(self) -> int:
@@ -270,6 +273,8 @@ def check_scen(
                 part = problems[first : first + _AT_A_TIME]
                 ends = np.array([(problem.start, problem.goal) for problem in part])
                 for problem, found in zip(part, _lengths(grid, ends), strict=True):
+                    if found > 0:
+                        report.solved.append((grid, problem))
                     if not agrees(problem, found):
                         ours = "no path" if found < 0 else f"{found:.8f}"
                         report.disagreements.append(
@@ -278,6 +283,31 @@ def check_scen(
                         )
                 advance(len(part))
     return report
+
+
+def problems(
+    source: Path, limits: Limits = LIMITS, *, count: int = 1000, maps: Path | None = None
+) -> Problems:
+    """Return the problems of a .scen, to compare planners on; those without a path are left out.
+
+    Args:
+        source: the .scen file.
+        limits: of what is read.
+        count: how many problems at most, evenly spread over the file; each has a grid of its own.
+        maps: folder of the maps; default beside the .scen.
+
+    Raises:
+        FormatError: what `check_scen` refuses; a length that our A* does not reproduce.
+        ValueError: no problem has a path; maps of several sizes.
+    """
+    report = check_scen(source, maps, limits)
+    if report.disagreements:
+        raise FormatError(report.disagreements[0])
+    chosen = report.solved[:: -(-report.total // check_count("count", count))]
+    grids = np.stack([grid for grid, _ in chosen])
+    ends = np.array([(one.start, one.goal) for _, one in chosen])
+    text = f"{len(chosen)} problems of {source}, whose lengths are ours"
+    return Problems(grids, ends[:, 0], ends[:, 1], MOVEMENT, text)
 
 
 def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
@@ -449,4 +479,4 @@ def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     return "\n".join(lines) + "\n"
 
 
-FORMAT = Format("movingai", (".map", ".scen"), read, write)
+FORMAT = Format("movingai", (".map", ".scen"), read, write, problems)

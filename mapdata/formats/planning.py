@@ -30,10 +30,12 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s
+from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, Array, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.registry import Format
+from mapdata.problems.problem_set import Problems
+from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
 from mapdata.spec import SPLITS, Movement
@@ -129,14 +131,49 @@ def policy(values: Float32s) -> Bytes:
     return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
 
 
-def has_starts(values: Float32s) -> bool:
-    """Return whether neural-astar's loader can draw a start in each of its three intervals."""
+def starts_of(values: Float32s) -> list[Ints]:
+    """Return the cells (n, 2) that neural-astar's loader draws from in each of its intervals."""
     cells = values[values > values.min()]  # the least value stands for no path
     if len(cells) < 2:
-        return False  # only the goal itself
+        return [np.empty((0, 2), np.int64)]  # only the goal itself
     # values are negative distances, so far cells have low percentiles
     bounds = np.percentile(cells, 100.0 * (1 - np.array(PERCENTILES)))
-    return all(bool(((low <= cells) & (cells <= high)).any()) for high, low in pairwise(bounds))
+    return [np.argwhere((low <= values) & (values <= high)) for high, low in pairwise(bounds)]
+
+
+def has_starts(values: Float32s) -> bool:
+    """Return whether neural-astar's loader can draw a start in each of its three intervals."""
+    return all(len(cells) > 0 for cells in starts_of(values))
+
+
+def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problems:
+    """Return the problems of the test split, to compare planners on.
+
+    The goals are the file's. The loader draws a start in one of its three intervals; here a map has
+    a problem for each of the three, which comes to the same in the mean.
+
+    Args:
+        source: the .npz file.
+        limits: of what is read.
+        seed: of the starts.
+
+    Raises:
+        FormatError: no such file, or no problem in it.
+    """
+    grids = []
+    starts = []
+    goals: list[Ints] = []
+    for k, (one, values) in enumerate(_problems(source, limits, Collection())):
+        if one.split == SPLITS.index("test") and has_starts(values):
+            words = block(np.uint64(seed), np.uint64(k), 0, PROBLEM, 0)
+            for cells, word in zip(starts_of(values), words, strict=False):  # three of four words
+                grids.append(one.grid)
+                starts.append(cells[bounded(word, 0, len(cells) - 1)])
+                goals.append(one.seed_points[0])
+    if not grids:
+        raise FormatError(f"{source}: has no map of a test split with a problem")
+    text = f"{len(starts)} problems of {source}, starts by seed {seed}"
+    return Problems(np.array(grids), np.array(starts), np.array(goals), MOVEMENT, text)
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -199,5 +236,5 @@ def _arrays(grid: Bytes, goal: Array) -> tuple[Array, ...]:
 
 
 FORMAT = Format(
-    "planning-datasets", (".npz",), read, write, is_mine=is_planning, target_ending=".npz"
+    "planning-datasets", (".npz",), read, write, problems, is_planning, target_ending=".npz"
 )

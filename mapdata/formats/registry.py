@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, files_of
 from mapdata.options import options_of
+from mapdata.problems.problem_set import Problems
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
 from mapdata.spec import check_choice
@@ -28,6 +29,7 @@ class Format:
             written.
         write: called with a target, a `Root` and whether to show a progress bar, returns notes for
             the user; None if it can only be read.
+        problems: called with a path, returns the `Problems` of a file; None if it has none.
         is_mine: whether a file with one of the endings is of this format.
         beside: endings of files that belong to it where they lie beside its own: the pictures of a
             ROS map.
@@ -38,6 +40,7 @@ class Format:
     endings: tuple[str, ...] = ()
     read: Callable[..., Collection] | None = None
     write: Callable[..., list[str]] | None = None
+    problems: Callable[..., Problems] | None = None
     is_mine: Callable[[Path], bool] = Path.is_file
     beside: tuple[str, ...] = ()
     target_ending: str = ""
@@ -57,8 +60,8 @@ def register(one: Format) -> None:
         raise ValueError(f"{one.name!r} is the name of another format")
 
 
-def functions(what: Literal["read", "write"]) -> dict[str, Callable[..., Any]]:
-    """Return what reads, or what writes, by the name of the format."""
+def functions(what: Literal["read", "write", "problems"]) -> dict[str, Callable[..., Any]]:
+    """Return what reads, what writes, or what gives problems, by the name of the format."""
     return {name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what)}
 
 
@@ -113,6 +116,29 @@ def read_any(
     return found
 
 
+def read_problems(source: StrPath, **options: object) -> Problems:
+    """Read the problems of a file, to compare planners on.
+
+    That is a MovingAI .scen, an .npz of planning-datasets, or one that `Problems.save` wrote.
+
+    Args:
+        source: the file.
+        options: those of the format's ``problems``, such as ``count``.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: no problems, or bad ones; the message names the file.
+    """
+    path = Path(source)
+    for one in FORMATS.values():
+        if one.problems and path.suffix.lower() in one.endings and one.is_mine(path):
+            found: Problems = _checked("problems", one.name, options)(path, **options)
+            return found
+    if options:
+        raise ValueError(f"{', '.join(options)}: would do nothing beside a saved set of problems")
+    return Problems.load(path)
+
+
 def export(
     root: Places,
     target: StrPath,
@@ -159,7 +185,7 @@ def export(
 
 
 def _checked(
-    what: Literal["read", "write"], name: str, options: dict[str, object]
+    what: Literal["read", "write", "problems"], name: str, options: dict[str, object]
 ) -> Callable[..., Any]:
     """Return what reads or writes a format, after checking the name and the options.
 

@@ -107,6 +107,21 @@ def test_the_metrics_by_hand() -> None:
     assert {name: hard[name] for name in expected} == expected
 
 
+def test_another_row_may_be_the_baseline() -> None:
+    """Expansions are over those of the row that is named, problem by problem."""
+    problems = three()
+    halves = Scripted([([], 5), ([], 6), ([], 8)], "halves")
+    ones = Scripted([([], 5), ([], 3), ([], 16)], "ones")
+    table = evaluate([halves, ones], problems, baseline="halves")
+    assert row(table, "halves", "all")["expansion_ratio"] == 1
+    found = row(table, "ones", "all")
+    assert found["expansion_ratio"] == pytest.approx((1 + 0.5 + 2) / 3)
+    assert found["p_exp"] == pytest.approx(0.5 / 3)
+    assert found["hmean"] == 0
+    with pytest.raises(ValueError, match="baseline: got 'half', expected one of halves, ones"):
+        evaluate([halves, ones], problems, baseline="half")
+
+
 CHEATS: dict[str, list[tuple[float, float]]] = {
     "through a wall": [(0, 0), (0, 1), (0, 2)],
     "a jump": [(0, 0), (0, 2)],
@@ -342,6 +357,27 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "connectivity=4" in capsys.readouterr().out
 
 
+def test_the_script_takes_files_of_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A .scen and a saved set, each with its own movement; flags that would do nothing do not."""
+    text = "type octile\nheight 2\nwidth 9\nmap\n.........\n.........\n"
+    (tmp_path / "a.map").write_text(text)
+    scen = tmp_path / "a.scen"
+    scen.write_text("version 1\n" + 2 * "0\ta.map\t9\t2\t0\t0\t7\t0\t7\n")
+    saved = tmp_path / "set.npz"
+    run(str(scen), "--maps", "1", "--save", str(saved), "--json", str(tmp_path / "out.json"))
+    assert json.loads((tmp_path / "out.json").read_text())[0]["n"] == 1
+    run(str(saved))
+    lines = capsys.readouterr().out.splitlines()
+    headings = [line for line in lines if line.startswith("1 problems of")]
+    assert len(headings) == 2
+    assert headings[0] == headings[1]
+    for flags in (["--maps", "1"], ["--seed", "1"], ["--connectivity", "4"]):
+        with pytest.raises(SystemExit):
+            run(str(saved), *flags)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -354,6 +390,9 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
         ["--seed", "-1"],
         ["--maps", "2", "--json", "no/such/folder/out.json"],
         ["--until-hard", "5", "--maps", "1"],
+        ["--maps", "2", "--baseline", "B*"],
+        ["no/such/file.scen"],
+        ["no/such/file.npz", "--until-hard", "5"],
     ],
     ids=" ".join,
 )

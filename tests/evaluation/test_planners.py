@@ -15,8 +15,8 @@ from helpers import reference
 from helpers.grids import scipy_distances
 from helpers.reference import Cell
 
-from mapdata import MapSpec, Plan, Problems, astar, bfs, check_path
-from mapdata.evaluation import BestFirst, Limit, Search, classical
+from mapdata import MapSpec, Maze, Plan, Problems, astar, bfs, check_path, evaluate
+from mapdata.evaluation import BatchPlanner, BestFirst, Limit, Search, classical
 from mapdata.spec import Movement
 
 MOVEMENTS = [
@@ -165,6 +165,7 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
         "limit",
     ]
     for planner in rows.values():
+        assert isinstance(planner, BatchPlanner)
         batch = planner.plan_batch(problems.grids, problems.starts, problems.goals)
         for grid, (start, goal), expected in zip(problems.grids, ends, batch, strict=True):
             assert_same(planner.plan(grid, start, goal), expected)
@@ -226,3 +227,20 @@ def test_bad_problems_are_refused(grid: npt.ArrayLike, start: Cell, goal: Cell, 
     for planner in classical():
         with pytest.raises(ValueError, match=why if isinstance(planner, BestFirst) else None):
             planner.plan(np.array(grid, np.uint8), start, goal)
+
+
+def test_the_astar_of_neural_astar() -> None:
+    """It expands as many cells as VanillaAstar of neural-astar 473edbb counts on the same mazes."""
+    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    (planner,) = (one for one in classical(movement) if one.name == "A* of Neural A*")
+    counted = [380, 259, 43, 329, 258, 335, 18, 205, 115, 227, 281, 97]
+    drawn = Problems.sample(Maze((32, 32)), 3, len(counted), movement=movement)
+    table = evaluate([planner], drawn, bootstrap=1)
+    assert table["opt"].tolist() == [1, 1]
+    mean = np.mean(counted / drawn.optimal.iterations)
+    assert table["expansion_ratio"][0] == pytest.approx(mean, rel=1e-12)
+    plans = []
+    for k, grid in enumerate(drawn.grids):
+        (row, column), (goal_row, goal_column) = drawn.starts[k].tolist(), drawn.goals[k].tolist()
+        plans.append(planner.plan(grid, (row, column), (goal_row, goal_column)))
+    assert [plan.expansions for plan in plans] == counted

@@ -14,9 +14,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import read_shard
-from mapdata.formats import FormatError, Limits
-from mapdata.formats.movingai import Problem, agrees, check_scen, read_scen, read_terrain, world
+from mapdata.evaluation import classical, evaluate
+from mapdata.formats import FormatError, Limits, read_problems
+from mapdata.formats.movingai import (
+    Problem,
+    agrees,
+    check_scen,
+    read_scen,
+    read_terrain,
+    world,
+)
 from mapdata.shards import read_manifest
+from mapdata.spec import Movement
 
 MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
 LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]
@@ -202,6 +211,44 @@ def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
 
 
 ISLANDS = "type octile\nheight 4\nwidth 7\nmap\nTTT....\n.TT.W..\nTT@.WW.\n..T.W.T\n"
+
+
+def test_problems_to_compare_planners_on(tmp_path: Path) -> None:
+    """Those with a path, each on its own world; the published lengths are those of our A*."""
+    path = files(tmp_path)
+    found = read_problems(path)
+    assert found.grids.tolist() == [LAND, LAND, LAND, LAND, WATER]
+    assert found.starts.tolist() == [[0, 0], [1, 1], [1, 0], [0, 0], [0, 4]]
+    assert found.goals.tolist() == [[3, 0], [3, 3], [3, 1], [3, 5], [2, 5]]
+    np.testing.assert_allclose(found.optimal.cost, [3, 3.41421, 3, 6.82842712, 2.41421], rtol=1e-5)
+    assert found.movement == Movement(8)
+    table = evaluate(classical(), found, bootstrap=1)
+    assert table[table["planner"] == "A*"]["opt"].tolist() == [1, 1]
+    assert read_problems(path, count=2).starts.tolist() == [[0, 0], [0, 0]]  # evenly spread
+    elsewhere = tmp_path / "scens"
+    elsewhere.mkdir()
+    path.rename(elsewhere / "x.scen")
+    moved = read_problems(elsewhere / "x.scen", maps=tmp_path)
+    assert moved.content_hash == found.content_hash
+
+
+@pytest.mark.parametrize(
+    ("scen", "options", "says"),
+    [
+        (SCEN.replace("3.41421\n", "3.41422\n"), {}, "line 3: .*: says 3.41422, found 3.41421356"),
+        (SCEN.replace("0\t0\t4\t0\t0\n", "0\t0\t4\t0\t4\n"), {}, "says 4, found no path"),
+        ("version 1\n", {}, "holds no problems"),
+        (SCEN, {"count": 0}, "count: got 0"),
+        (SCEN, {"seed": 1}, "seed: does nothing for format movingai"),
+        (SCEN.replace("cave", "none"), {}, "is missing"),
+    ],
+)
+def test_problems_that_are_refused(
+    scen: str, options: dict[str, object], says: str, tmp_path: Path
+) -> None:
+    """A length that is not ours, an end in a wall, no problem, options of others."""
+    with pytest.raises(ValueError, match=says):
+        read_problems(files(tmp_path, scen), **options)
 
 
 def test_trees_are_a_world_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from mapdata import MapDataModule, Problems, Random, read_shard
 from mapdata.evaluation import classical, evaluate
-from mapdata.formats import FormatError, Limits, export, import_maps, recognise
+from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
 from mapdata.formats.files import Npz
 from mapdata.formats.planning import MOVEMENT, has_starts, hops, policy, read
 from mapdata.shards import read_manifest
@@ -104,6 +104,39 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         for one in zip(m.split, m.seed_points[:, 0], m.occupancy, strict=True)
     ]
     assert sorted(map(key, after.split, after.seed_points[:, 0], after.occupancy)) == sorted(before)
+
+
+def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
+    """Of each map of the test split one from each interval of the loader, to the file's goal."""
+    path = tmp_path / "maps.npz"
+    export(root, path, "planning-datasets")
+    loader = Loader(path, "test")
+    found = read_problems(path, seed=1)
+    assert found.movement == MOVEMENT
+    assert len(found) == 3 * len(loader.maps) > 3
+    for n in range(len(found)):
+        k, interval = divmod(n, 3)
+        assert np.array_equal(found.grids[n], 1 - loader.maps[k])
+        assert loader.goals[k][0][tuple(found.goals[n])] == 1
+        values = loader.distances[k].ravel()
+        inside = values[values > values.min()]
+        bounds = np.percentile(inside, 100.0 * (1 - np.array([0.55, 0.70, 0.85, 1.0])))
+        value = loader.distances[k][0][tuple(found.starts[n])]
+        assert bounds[interval + 1] <= value <= bounds[interval]
+        assert found.optimal.cost[n] == -value
+    assert read_problems(path, seed=1).content_hash == found.content_hash
+    assert read_problems(path).content_hash != found.content_hash
+    with pytest.raises(ValueError, match="count: does nothing for format planning-datasets"):
+        read_problems(path, count=1)
+
+
+def test_every_start_of_an_interval_comes(tmp_path: Path) -> None:
+    """Uniformly: on a free map, over 300 seeds, each of the cells of the farthest interval."""
+    np.savez(tmp_path / "maps.npz", **sound(1, 8, 8))  # type: ignore[arg-type]
+    starts = [read_problems(tmp_path / "maps.npz", seed=seed).starts[2] for seed in range(300)]
+    cells, times = np.unique(starts, axis=0, return_counts=True)
+    assert len(cells) == 13  # a distance of 6: the loader takes the least value, -7, for no path
+    assert times.min() > 5
 
 
 @SETTINGS

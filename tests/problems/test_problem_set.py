@@ -4,6 +4,7 @@ answer is refused.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.pages import DOCS
 
 from mapdata import MapSpec, Problems, Random, astar, build
+from mapdata.generators import Generator
 from mapdata.problems import HARD
 from mapdata.spec import Movement
 
@@ -236,3 +239,27 @@ def test_what_is_no_saved_set_is_refused(tmp_path: Path) -> None:
         Problems.load(path)
     with pytest.raises(FileNotFoundError):
         Problems.load(tmp_path / "none.npz")
+
+
+def sets() -> list[tuple[str, str, str]]:
+    """Return name, flags and hash of each set in the table of docs/planners.md."""
+    page = (DOCS / "planners.md").read_text(encoding="utf-8")
+    return re.findall(r"^\| ([\w-]+) \| `(--preset [^`]+)` \|.*\| `([0-9a-f]{12})` \|$", page, re.M)
+
+
+def test_the_page_names_its_sets() -> None:
+    """The table is found."""
+    assert {"dungeon-hard-1000", "paper-hard-1000"} <= {name for name, _, _ in sets()}
+
+
+@pytest.mark.parametrize(("name", "flags", "digits"), sets())
+def test_the_sets_behind_the_tables_are_what_their_recipes_give(
+    name: str, flags: str, digits: str
+) -> None:
+    """Each has the hash that stands beside it, and as many hard problems as its name says."""
+    words = flags.split()
+    movement = Movement(4 if "--connectivity" in words else 8, "--corner-cutting" in words)
+    hard = int(words[words.index("--until-hard") + 1])
+    found = Problems.sample(Generator.preset(words[1]), seed=77, until_hard=hard, movement=movement)
+    assert name.endswith(f"-hard-{found.hard.sum()}")
+    assert found.content_hash.startswith(digits)
