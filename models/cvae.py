@@ -4,8 +4,8 @@ Kumar, Mandalika, Choudhury, Srinivasa, "LEGO: Leveraging Experience in Roadmap 
 Sampling-Based Planning", IROS 2019.
 
 - `CVAE`: as published. A latent of 2 numbers and a condition become a point; the condition is here
-  a convolutional code of map, start and goal, of any map size, where the original has 10 x 10
-  cells.
+  a convolutional code of map, start and goal, of any map size, where the original has the 10 x 10
+  cells of a coarse map.
 - `LocalCVAE`: the same with a condition that stays where it is: latent and code become a query that
   the features of the cells answer, so that its points lie in cells instead of between them.
 
@@ -77,9 +77,11 @@ class Autoencoder(Sampler):
 class CVAE(Autoencoder):
     """LEGO's conditional variational autoencoder: a point from a latent and a condition.
 
-    Published: two hidden layers of 512 with ReLU and dropout 0.5 on both sides, a latent of 2,
-    squared error plus 2e-4 of the divergence, Adam with 1e-4 for up to 600,000 steps of 256 points;
-    the learning rate here is higher, since the steps are far fewer.
+    Published, by Model-LEGO.ipynb of https://github.com/personalrobotics/lego: two hidden layers of
+    512 with ReLU on both sides, with a dropout of 0.5 that is never switched on; a latent of 2;
+    squared error plus 2e-4 of exp(v) + m^2 - 1 - v, summed over latents of mean m and log variance
+    v, which is twice the divergence, so that it has weight 4e-4 here; Adam with 1e-4 for 600,000
+    steps of 256 points. The learning rate here is higher, since the steps are far fewer.
 
     Args:
         targets: one of ``TARGETS``.
@@ -98,8 +100,8 @@ class CVAE(Autoencoder):
         latent: int = 2,
         width: int = 512,
         code: int = 128,
-        dropout: float = 0.5,
-        divergence_weight: float = 2e-4,
+        dropout: float = 0.0,
+        divergence_weight: float = 4e-4,
         learning_rate: float = 1e-3,
         experience: str = "runs/experience",
     ) -> None:
@@ -119,8 +121,8 @@ class CVAE(Autoencoder):
         """Return the condition of each problem, (B, code + 4): its code and its ends in [0, 1]."""
         seen = encode(padded(occupied), starts, goals)
         code = self.condition(F.pixel_unshuffle(seen, 2)).float()  # (B, code)
-        ends = [to_unit(cells, occupied) for cells in (starts, goals)]  # (B, 2) each
-        return torch.cat([code, *ends], dim=1)
+        ends = to_unit(torch.stack([starts, goals], dim=1), occupied)  # (B, 2, 2)
+        return torch.cat([code, ends.flatten(1)], dim=1)
 
     def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
         """Return the squared error and the divergence."""
@@ -242,6 +244,6 @@ class LocalCVAE(Autoencoder):
         scores = scores.masked_fill(occupied.flatten(2) != 0, -torch.inf)
         # the greatest of log likelihood + Gumbel noise is a draw from their softmax
         noisy = scores.cpu().numpy() + source.gumbel(size=scores.shape)
-        row, column = np.divmod(noisy.argmax(axis=2), grids.shape[2])  # (B, n) both
-        corners = np.stack([row, column], axis=2)  # (B, n, 2)
+        cells = np.divmod(noisy.argmax(axis=2), grids.shape[2])  # (B, n) rows and columns
+        corners = np.stack(cells, axis=2)  # (B, n, 2)
         return corners + source.random(corners.shape)
