@@ -96,8 +96,8 @@ class Trunk(nn.Module):
         self.head = nn.Conv2d(shallow, 4 * outputs, 1)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Return features (B, outputs, H, W) and a summary of the map (B, deep).
+    def forward(self, seen: Tensor) -> Tensor:
+        """Return features (B, outputs, H, W).
 
         Args:
             seen: (B, inputs, H, W), H and W multiples of ``STRIDE``.
@@ -110,8 +110,7 @@ class Trunk(nn.Module):
         up = self.up(F.relu(self.end(fine)))  # (B, 4 shallow, H/4, W/4)
         up = F.pixel_shuffle(F.relu(up), 2)  # (B, shallow, H/2, W/2)
         joined = F.relu(self.join(torch.cat([up, skip], dim=1)))  # (B, shallow, H/2, W/2)
-        cells = F.pixel_shuffle(self.head(joined), 2)  # (B, outputs, H, W)
-        return cells, coarse.amax(dim=(2, 3))
+        return F.pixel_shuffle(self.head(joined), 2)  # (B, outputs, H, W)
 
 
 def padded(occupied: Tensor) -> Tensor:

@@ -2,9 +2,11 @@
 
 Two kinds of targets. "shortest_path" (Ichter, Harrison, Pavone, ICRA 2018): the vertices of the
 shortest path on a dense roadmap. "lego" (Kumar, Mandalika, Choudhury, Srinivasa, IROS 2019): of
-those, the bottlenecks, which a sparse roadmap cannot do without even when edges to them cost ten
-times their length; and likewise of further near-optimal paths, which are left when an adversary
-closes a stretch of the ones found.
+those, the bottlenecks, which a sparse roadmap cannot do without even when edges to them are so dear
+that the cheapest way costs ten times the path; and likewise of further near-optimal paths, which
+are left when an adversary closes a stretch of the ones found.
+
+Of the original, the sparse roadmap is one of 200 vertices, whatever the size of those to come.
 
     from models.experience import FixedProblems
 
@@ -29,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from torch.utils.data import DataLoader, Dataset, Subset
 from tqdm.auto import tqdm
 
@@ -41,7 +44,7 @@ from models.roadmap import between, build_roadmap, halton, radius
 KINDS = ("lego", "shortest_path")
 """Targets."""
 
-VERSION = 1
+VERSION = 2
 """Goes up whenever the same mining would give other points."""
 
 
@@ -53,7 +56,7 @@ class Mining:
         dense: vertices of the roadmap that knows the way.
         sizes: vertices of the roadmaps that the sampler is for; half of them are there already, by
             Halton.
-        price: what an edge to a vertex of the path costs, in lengths.
+        price: what the cheapest way must cost in the end, in lengths of the path.
         paths: most paths a problem.
         slack: longest path that is near-optimal, in lengths of the shortest.
         closed: radius of the stretch that the adversary closes, in cells.
@@ -77,7 +80,7 @@ class Mining:
 def mine(
     grid: Bytes, start: Ints, goal: Ints, mining: Mining = Mining(), seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Return the targets of one problem, (k, 2) points each: "lego" and "shortest_path".
+    """Return the targets of one problem, (k, 2) points each, in the order of `KINDS`.
 
     Both are empty without a path. A bottleneck of several sparse roadmaps or paths is there as
     often.
@@ -132,12 +135,13 @@ def near_optimal_paths(
 
 
 def bottlenecks(grid: Bytes, path: Floats, sparse: Floats, size: int, price: float) -> Floats:
-    """Return the inner points of ``path`` that are worth ``price`` times the length of their edges.
+    """Return the inner points of ``path`` that the cheapest way uses however dear they are.
 
-    Those that the cheapest way still uses, on the roadmap of ``sparse`` and the path together,
-    which reaches as ``size`` vertices do. The original raises the prices step by step until the
-    path gives its vertices up. The length that a cheapest way keeps on the path never grows with
-    the price, so that the last step alone decides.
+    On the roadmap of ``sparse`` and the path together, which reaches as ``size`` vertices do. As in
+    the authors' code (Bottleneck_Node/extract_bottleneck.py of
+    https://github.com/personalrobotics/lego), all edges of the path's points are dear, those of
+    start and goal too, and grow by a fifth until the cheapest way costs ``price`` paths; that one
+    decides. The last factor differs from problem to problem, and is never below ``price``.
 
     Args:
         grid: (H, W), 0 free and 1 occupied.
@@ -148,10 +152,15 @@ def bottlenecks(grid: Bytes, path: Floats, sparse: Floats, size: int, price: flo
     """
     points = np.concatenate([path[[0, -1]], path[1:-1], sparse])
     roadmap = build_roadmap(grid, points, radius(size, grid.shape))
-    prices = np.ones(len(points))
-    prices[2 : len(path)] = price
-    _, way = roadmap.priced_path(prices)
-    return points[way[(way >= 2) & (way < len(path))]]
+    on_path = np.arange(len(points)) < len(path)  # start and goal, 0 and 1, included
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    # below ``price`` the path itself is too cheap
+    prices = np.where(on_path, price, 1.0)
+    cost, way = roadmap.priced_path(prices)
+    while cost < price * length:
+        prices[on_path] *= 1.2
+        cost, way = roadmap.priced_path(prices)
+    return points[way[(way >= 2) & on_path[way]]]
 
 
 # --- the bank -----------------------------------------------------------------------------------
@@ -250,9 +259,8 @@ class Bank:
         if kind not in KINDS:
             raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
         numbers = np.asarray(problems, np.int64)
-        all_numbers = self.arrays["problem"]
-        rows = np.searchsorted(all_numbers, numbers).clip(max=len(all_numbers) - 1)
-        known = all_numbers[rows] == numbers
+        rows = pd.Index(self.arrays["problem"]).get_indexer(numbers)  # -1: not there
+        known = rows >= 0
         if ends is not None:
             known &= (self.arrays["ends"][rows] == np.asarray(ends)).all(axis=1)
         if not known.all():

@@ -192,7 +192,7 @@ class Heatmap(Sampler):
         """
         rows, columns = occupied.shape[2:]
         seen = encode(common.padded(occupied), starts, goals)  # (B, 14, H, W), up to 7 cells more
-        scores: Tensor = self.trunk(seen)[0]
+        scores: Tensor = self.trunk(seen)
         return scores[..., :rows, :columns].float()
 
     def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:

@@ -169,7 +169,7 @@ class PathPredictor(common.Model):
         """
         rows, columns = occupied.shape[2:]
         seen, detour = encode(common.padded(occupied), goals, self.movement)
-        out, _ = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
+        out = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
         out = out[..., :rows, :columns].float()
         # before it has learned anything, the most probable moves lead straight to the goal
         scores = out[:, :-1] - PRIOR * detour[..., :rows, :columns]

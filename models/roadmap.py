@@ -24,7 +24,7 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import distance_transform_edt, laplace, map_coordinates
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -50,17 +50,13 @@ class Roadmap:
     Attributes:
         points: (n, 2) float64; of a roadmap between two cells, vertex 0 is the start and vertex 1
             the goal.
-        graph: (n, n), the lengths of edges in cells, each once: at (i, j) with i below j.
+        edges: (m, 2), the vertices that each edge joins, each once.
+        lengths: (m,) float64, of the edges, in cells.
     """
 
     points: Floats
-    graph: csr_matrix
-
-    @property
-    def edges(self) -> Ints:
-        """(m, 2) integers, the vertices that each edge joins."""
-        edges = self.graph.tocoo()
-        return np.stack([edges.row, edges.col], axis=1)
+    edges: Ints
+    lengths: Floats
 
     def shortest_path(self) -> tuple[float, Ints]:
         """Return the length of the shortest path from vertex 0 to 1, and its vertices (k,).
@@ -76,9 +72,9 @@ class Roadmap:
             prices: (n,), positive; that of an edge is the greater one of its ends. inf closes a
                 vertex.
         """
-        i, j = self.edges.T
-        graph = self.graph.copy()
-        graph.data *= np.maximum(prices[i], prices[j])  # (m,)
+        i, j = self.edges.T  # (m,) both
+        costs = self.lengths * np.maximum(prices[i], prices[j])
+        graph = csr_matrix((costs, (i, j)), (len(prices), len(prices)))
         found, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
         path = []
         vertex = 1 if found[1] < np.inf else -1
@@ -122,7 +118,7 @@ def build_roadmap(grid: npt.ArrayLike, points: npt.ArrayLike, reach: float) -> R
     pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")  # (p, 2)
     edges = pairs[_all_see(cells, places[pairs[:, 0]], places[pairs[:, 1]])]  # (m, 2)
     lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)  # (m,)
-    return Roadmap(places, csr_matrix((lengths, edges.T), (len(places), len(places))))
+    return Roadmap(places, edges, lengths)
 
 
 def between(
@@ -257,16 +253,14 @@ def uniform(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
 
 
 def gaussian(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
-    """Return (n, 2) points near obstacles: free ones of pairs of which the other is not free.
+    """Return (n, 2) points near obstacles: free ones beside which a random point is not free.
 
-    Boor, Overmars, van der Stappen, ICRA 1999. The standard deviation of a pair is 3 cells; the
-    border of the map is an obstacle. What 100 rounds do not find is uniform.
+    Boor, Overmars, van der Stappen, ICRA 1999. The other point is as far as a normal distribution
+    says, of 3 cells; the border of the map is an obstacle. What 100 rounds do not find is uniform.
     """
 
     def choose(cells: Bytes, first: Floats, second: Floats) -> Floats:
-        first_free = free_at(cells, first)
-        chosen = first_free != free_at(cells, second)
-        return np.asarray(np.where(first_free[:, None], first, second)[chosen])
+        return first[free_at(cells, first) & ~free_at(cells, second)]
 
     return _rounds(grid, n, seed, 3.0, choose)
 
@@ -285,13 +279,57 @@ def bridge(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     return _rounds(grid, n, seed, 6.0, choose)
 
 
+def corners(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+    """Return (n, 2) points where shortest paths turn: in free cells at obstacles' convex corners.
+
+    The vertices of a visibility graph (Lozano-Perez, Wesley, CACM 1979), in farthest-point order:
+    each next cell is the one farthest from those before it.
+    """
+    cells = _free(grid, n)
+    places = np.argwhere(cells == 0)
+    at_corner = np.zeros(len(places), bool)
+    for diagonal in np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
+        sides = [free_at(cells, places + diagonal * axis) for axis in np.eye(2)]
+        at_corner |= sides[0] & sides[1] & ~free_at(cells, places + diagonal)
+    return _farthest_first(cells, places[at_corner], n, seed)
+
+
+def medial_axis(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+    """Return (n, 2) points on the ridges of the distance to obstacles, in farthest-point order.
+
+    The places to which MAPRM moves its samples (Wilmarth, Amato, Stiller, ICRA 1999).
+    """
+    cells = _free(grid, n)
+    clearance = distance_transform_edt(np.pad(cells == 0, 1))  # the border is an obstacle
+    # where it rises or falls evenly its Laplacian is near 0, on a ridge -1 or less
+    on_ridge = laplace(clearance)[1:-1, 1:-1] < -0.5
+    return _farthest_first(cells, np.argwhere(on_ridge), n, seed)
+
+
 SAMPLERS: dict[str, Points] = {
     "halton": halton,
     "uniform": uniform,
     "gaussian": gaussian,
     "bridge": bridge,
+    "corners": corners,
+    "medial_axis": medial_axis,
 }
 """Samplers that learn nothing, by name."""
+
+
+def _farthest_first(grid: Bytes, cells: Ints, n: int, seed: int) -> Floats:
+    """Return (n, 2) points in some of the cells (k, 2), the first at random, the next far from it.
+
+    Where there are fewer cells, Halton's points follow, of another shift than the seed's.
+    """
+    source = np.random.default_rng(seed)
+    taken = []
+    distance = 1e9 + source.random(len(cells))  # from each cell to the nearest one taken
+    for _ in cells[:n]:
+        taken.append(distance.argmax())
+        distance = np.minimum(distance, np.linalg.norm(cells - cells[taken[-1]], axis=1))
+    points = cells[taken] + source.random((len(taken), 2))
+    return np.concatenate([points, halton(grid, n, seed + 1)])[:n]
 
 
 def _rounds(

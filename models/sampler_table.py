@@ -22,7 +22,7 @@ from pytorch_lightning import Callback, LightningModule, Trainer
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals
-from mapdata.plotting import MARKERS, PALETTE, plot_roadmap
+from mapdata.plotting import PALETTE, plot_roadmap
 from mapdata.problems import HARD, Problems
 from models.lego_sampler import Sampler
 from models.roadmap import SAMPLERS, Points, between, halton, path_lengths, uniform
@@ -51,40 +51,41 @@ points in free cells."""
 def contenders(learned: Mapping[str, Sampler]) -> dict[str, Contender]:
     """Return the rows of the table: the samplers that learn nothing, then the learned ones.
 
-    All but Halton's and uniform points come with as many of Halton's.
+    Each but Halton's and uniform points has two: under its name together with as many of Halton's,
+    as in LEGO, and as ``<name>_alone``.
     """
     sources: dict[str, Sampler | Points] = {**SAMPLERS, **learned}
-    return {name: partial(_vertices, source) for name, source in sources.items()}
+    rows: dict[str, Contender] = {}
+    for name, source in sources.items():
+        if source in (halton, uniform):
+            rows[name] = partial(alone, source)
+        else:
+            rows[name] = partial(half_halton, source)
+            rows[f"{name}_alone"] = partial(alone, source)
+    return rows
 
 
-def _vertices(
-    source: Sampler | Points,
-    grids: Bytes,
-    starts: Ints,
-    goals: Ints,
-    n: int,
-    seeds: Sequence[int],
+def alone(
+    source: Sampler | Points, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
 ) -> Floats:
-    """Return what a `Contender` does: the points of one source, and of Halton's what lacks."""
-    own = n if source in (halton, uniform) else n // 2
+    """Return what a `Contender` does: the points of one sampler."""
     if isinstance(source, Sampler):
-        points = source.sample_batch(grids, starts, goals, own, seeds[0])
-    else:
-        points = _each(source, grids, own, seeds)
-    if own == n:
-        return points
-    return np.concatenate([_each(halton, grids, n - own, seeds), points], axis=1)
+        return source.sample_batch(grids, starts, goals, n, seeds[0])
+    return np.stack([source(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
 
 
-def _each(sampler: Points, grids: Bytes, n: int, seeds: Sequence[int]) -> Floats:
-    """Return (B, n, 2) points of a sampler that sees the map alone."""
-    return np.stack([sampler(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
+def half_halton(
+    source: Sampler | Points, grids: Bytes, starts: Ints, goals: Ints, n: int, seeds: Sequence[int]
+) -> Floats:
+    """Return what a `Contender` does: half of the points are Halton's, in front."""
+    spread = alone(halton, grids, starts, goals, n - n // 2, seeds)
+    return np.concatenate([spread, alone(source, grids, starts, goals, n // 2, seeds)], axis=1)
 
 
 class RoadmapSuccess(Callback):
     """Logs ``val_success``: the share of problems that roadmaps of 50 vertices solve.
 
-    As in `contenders`, half of the vertices are Halton's.
+    The roadmaps are those of the table, by `half_halton`.
     """
 
     def on_validation_batch_end(
@@ -92,10 +93,9 @@ class RoadmapSuccess(Callback):
     ) -> None:
         """Build the roadmaps of one batch."""
         assert isinstance(pl_module, Sampler)
-        grids = batch.map[:, 0].cpu().numpy().astype(np.uint8)
-        starts = batch.start.cpu().numpy()
-        goals = batch.goal.cpu().numpy()
-        points = _vertices(pl_module, grids, starts, goals, 50, range(len(grids)))
+        fields = (batch.map[:, 0], batch.start, batch.goal)
+        grids, starts, goals = (field.cpu().numpy() for field in fields)
+        points = half_halton(pl_module, grids, starts, goals, 50, range(len(grids)))
         solved = np.isfinite(path_lengths(grids, starts, goals, points))
         pl_module.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
 
@@ -136,7 +136,7 @@ def compare(
             "expected at least one sampler, problem and resample, and sizes of 2 or more"
         )
     # seeds of their own: no sampler is compared with a roadmap that holds its points
-    dense, _ = _lengths(partial(_vertices, halton), problems, DENSE, 10_000_019)
+    dense, _ = _lengths(partial(alone, halton), problems, DENSE, 10_000_019)
     subsets = {"all": np.ones(len(problems), bool), "hard": problems.hard}
     entries = []
     outcomes: list[Floats] = []
@@ -160,14 +160,12 @@ def _lengths(
     """Return path lengths (N,), inf without a path, and the milliseconds a problem to sample."""
     found = []
     seconds = 0.0
+    seeds = range(first_seed, first_seed + len(problems))
     for k in range(0, len(problems), BATCH):
         part = slice(k, k + BATCH)
         given = problems.grids[part], problems.starts[part], problems.goals[part]
-        seeds = range(first_seed + k, first_seed + k + len(given[0]))
-        if k == 0:
-            contender(*given, n, seeds)  # kernels compile in the first call
         began = time.perf_counter()
-        points = contender(*given, n, seeds)
+        points = contender(*given, n, seeds[part])
         seconds += time.perf_counter() - began
         found.append(path_lengths(*given, points))
     return np.concatenate(found), 1000 * seconds / len(problems)
@@ -192,15 +190,14 @@ def to_text(table: pd.DataFrame) -> str:
     """Return the table for a terminal: a block a subset, a line a sampler."""
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
-        text = pd.DataFrame(index=pd.Index(rows["sampler"].unique(), name="sampler"))
-        for n, part in rows.groupby("n", sort=False):
-            of = part.set_index("sampler")
-            for metric in METRICS:
-                half = (of[f"{metric}_high"] - of[f"{metric}_low"]) / 2
-                value = of[metric].map("{:.3f}".format)
-                text[f"{metric} n={n}"] = value + half.map(" ±{:.3f}".format)
+        text = {}
+        for metric in METRICS:
+            half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
+            text[metric] = rows[metric].map("{:.3f}".format) + half.map(" ±{:.3f}".format)
+        shown = rows.assign(**text).pivot(index="sampler", columns="n", values=[*METRICS])
+        lines = shown.loc[rows["sampler"].unique()].to_string()
         which = f", hardness at least {HARD}" if subset == "hard" else ""
-        blocks.append(f"{subset}: {rows['problems'].iloc[0]} problems{which}\n{text.to_string()}")
+        blocks.append(f"{subset}: {rows['problems'].iloc[0]} problems{which}\n{lines}")
     return "\n\n".join(blocks)
 
 
@@ -209,23 +206,20 @@ def to_text(table: pd.DataFrame) -> str:
 
 def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
     """Draw success against the number of vertices, a line a sampler, with its interval."""
-    rows = table[table["subset"] == subset]
-    for k, (name, part) in enumerate(rows.groupby("sampler", sort=False)):
-        style = "-" if k >= len(SAMPLERS) else ":"
-        colour = PALETTE[k % len(PALETTE)]
-        marker = MARKERS[k % len(MARKERS)]
-        n = part["n"]
-        axes.plot(n, part["success"], style, marker=marker, color=colour, label=str(name))
-        low = part["success_low"]
-        axes.fill_between(n, low, part["success_high"], color=colour, alpha=0.12, linewidth=0)
-    axes.set(xlabel="vertices of the roadmap", ylabel="problems solved", title=f"{subset} problems")
-    axes.set_ylim(None, 1.01)
-    axes.set_xscale("log", base=2)
-    sizes = sorted(rows["n"].unique())
-    axes.set_xticks(sizes, [str(n) for n in sizes])
-    axes.minorticks_off()
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+    names = table["sampler"].unique()
+    rows = table[table["subset"] == subset].pivot(index="n", columns="sampler")
+    half = (rows["success_high"] - rows["success_low"]) / 2
+    rows["success"][names].plot(
+        ax=axes,
+        yerr=half[names],
+        color=[*PALETTE],
+        marker="o",
+        xlabel="vertices of the roadmap",
+        ylabel="problems solved",
+        title=f"{subset} problems",
+        xticks=[*rows.index],
+        grid=True,
+    )
     return axes
 
 
@@ -233,7 +227,7 @@ def plot_roadmaps(
     rows: Mapping[str, Contender], problems: Problems, n: int, figure: Figure, maps: int = 3
 ) -> None:
     """Draw every sampler's roadmaps and paths on the first hard problems, a line a problem."""
-    chosen = [*np.flatnonzero(problems.hard), *np.flatnonzero(~problems.hard)][:maps]
+    chosen = np.argsort(~problems.hard, kind="stable")[:maps]  # the hard ones come first
     grid_of_axes = figure.subplots(len(chosen), len(rows), squeeze=False)
     for line, k in zip(grid_of_axes, chosen, strict=True):
         grid = problems.grids[k]

@@ -9,13 +9,12 @@ The weights that ship, in models/weights, were made by these commands:
         --trainer.max_steps 3000
     python $S fit --weights shortest_path_cvae.pt --model CVAE --model.targets shortest_path \
         --model.learning_rate 1e-3 --trainer.max_steps 3000
-    python $S fit --weights lego_cvae_local.pt --model LocalCVAE --trainer.max_steps 1500
 
 All arguments are in scripts/train_lego_sampler.yaml, and each is a flag too (fit --help). A change
 of the model keeps the arguments that both have: say the learning rate. The first command mines the
 bank of experience into runs/experience, the others read it. Checkpoints and metrics.csv lie under
 runs/lego_sampler. A step of a heat map takes 0.14 s of one core, so that 7,000 steps are 16
-minutes, or 10 of two; of a CVAE 0.06 s, of the local one 0.15 s. Without a bank, from paths alone:
+minutes, or 10 of two; of a CVAE 0.06 s. Without a bank, from paths alone:
 
     python $S fit --model.targets path --data.fields "[map,start,goal,path]"
 """

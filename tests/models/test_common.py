@@ -67,13 +67,12 @@ def test_the_rate_rises_and_falls(steps: int) -> None:
 
 
 def test_a_trunk_takes_any_multiple_of_its_stride() -> None:
-    """It gives as many cells as it gets, and a code of its coarsest width."""
+    """It gives as many cells as it gets."""
     trunk = Trunk(3, 5, (4, 6, 8), passes=1)
     for rows, columns in ((1, 1), (8, 16), (9, 23)):
         maps = padded(torch.zeros(2, 1, rows, columns, dtype=torch.uint8))
         high, wide = maps.shape[2:]
         assert (high % STRIDE, wide % STRIDE) == (0, 0)
         assert maps.sum() == 2 * (high * wide - rows * columns)
-        cells, code = trunk(maps.float().expand(-1, 3, -1, -1))
+        cells = trunk(maps.float().expand(-1, 3, -1, -1))
         assert cells.shape == (2, 5, high, wide)
-        assert code.shape == (2, 8)

@@ -22,9 +22,11 @@ from models.roadmap import (
     between,
     bridge,
     build_roadmap,
+    corners,
     free_at,
     gaussian,
     halton,
+    medial_axis,
     path_lengths,
     radius,
     sees,
@@ -116,10 +118,10 @@ def test_edges_are_those_of_all_pairs(shape: tuple[int, int], reach: float) -> N
         )
         assert found <= plain
         assert len(plain - found) <= 2 + 0.01 * len(plain)
-        assert roadmap.graph.nnz == len(found)
+        assert len(roadmap.edges) == len(found)
         first, second = roadmap.edges.T
         far = np.linalg.norm(roadmap.points[first] - roadmap.points[second], axis=1)
-        np.testing.assert_allclose(roadmap.graph[first, second], far[None])
+        np.testing.assert_allclose(roadmap.lengths, far)
 
 
 def test_shortest_paths_are_those_of_scipy() -> None:
@@ -229,6 +231,32 @@ def test_gaussian_and_bridge_go_where_they_should() -> None:
     plain = uniform(grid, 2000, 0)
     assert in_passage(bridge(grid, 2000, 0)) > 5 * in_passage(plain)
     assert near_wall(gaussian(grid, 2000, 0)) > 1.5 * near_wall(plain)
+
+
+def test_corners_are_those_of_the_obstacles() -> None:
+    """All four of a box in the middle, then those of an edge; on an empty map, Halton's points."""
+    grid = np.zeros((20, 30), np.uint8)
+    grid[8:12, 10:20] = 1
+    grid[0:3, 25:30] = 1  # one convex corner: the others are at the border
+    expected = {(7, 9), (7, 20), (12, 9), (12, 20), (3, 24)}
+    for seed in range(5):
+        found = corners(grid, 5, seed)
+        assert set(map(tuple, np.floor(found).astype(int).tolist())) == expected
+        two = np.floor(corners(grid, 2, seed))  # farthest first: never on the same side of the box
+        assert np.linalg.norm(two[0] - two[1]) > 10
+        assert len(np.unique(corners(grid, 9, seed), axis=0)) == 9
+    empty = np.zeros((9, 9))
+    assert np.array_equal(corners(empty, 4, 2), halton(empty, 4, 3))
+
+
+def test_the_medial_axis_runs_in_the_middle() -> None:
+    """Of a corridor of 7 cells; no cell of it beside the walls."""
+    grid = np.ones((21, 60), np.uint8)
+    grid[7:14, 5:55] = 0
+    found = np.floor(medial_axis(grid, 40, 1)).astype(int)
+    inside = found[(found[:, 1] >= 10) & (found[:, 1] < 50)]
+    assert len(inside) > 20
+    assert (inside[:, 0] == 10).all()
 
 
 def test_the_radius() -> None:
