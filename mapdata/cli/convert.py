@@ -49,10 +49,7 @@ def import_command(
     from mapdata.formats import Limits, import_maps, read_any, recognise
     from mapdata.formats.registry import functions
     from mapdata.options import options_of
-    from mapdata.shards.root import is_url
 
-    if is_url(src):
-        raise ValueError(f"{src}: a URL, expected a file or folder; download it first")
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     if max_pixels < 1:
         raise ValueError(f"--max-pixels: got {max_pixels}, expected at least 1")
@@ -147,7 +144,7 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     for name in file:
         try:
             report = check_scen(name, maps, Limits(progress=True))
-        except FormatError as error:
+        except ValueError as error:
             unread.append(str(error))
             continue
         print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")
