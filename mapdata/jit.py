@@ -98,7 +98,8 @@ if _CACHED:
 elif _is_main():
     warnings.warn(
         f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process; set "
-        "NUMBA_CACHE_DIR to a folder that is",
+        "NUMBA_CACHE_DIR to a folder that is "
+        f"(now: {os.environ.get('NUMBA_CACHE_DIR', 'not set')})",
         stacklevel=2,
     )
 

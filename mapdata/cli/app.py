@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Literal
 
 from mapdata._version import __version__
@@ -109,7 +108,7 @@ def info_command(
     """
     from mapdata.shards import Root, write_file
     from mapdata.shards import card as card_of
-    from mapdata.shards.root import folder_of
+    from mapdata.shards.root import folder_of, local_path
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
@@ -120,7 +119,7 @@ def info_command(
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    path = folder_of(root[0]) / "README.md" if card is True else Path(card)
+    path = folder_of(root[0]) / "README.md" if card is True else local_path(card)
     write_file(path, card_of(root, progress=True).encode())
     print(f"wrote {path}")
 
@@ -188,7 +187,9 @@ def show_command(
         figure: what to draw
     """
     from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
+    from mapdata.shards.root import local_path
 
+    path = local_path(output)  # refused before the work
     if index is not None and figure not in OF_ONE_MAP:
         raise ValueError(
             f"--index: does nothing with --figure {figure}, which shows the whole dataset"
@@ -198,8 +199,8 @@ def show_command(
             f"--paper-colours: does nothing with --figure {figure}, which shows no map"
         )
     drawn = plot_figure(root, figure, index=index or 0, paper_colours=paper_colours, progress=True)
-    kind = Path(output).suffix[1:] or "png"  # else matplotlib adds an ending to the name
-    drawn.savefig(output, format=kind, dpi=150, bbox_inches="tight")
+    kind = path.suffix[1:] or "png"  # else matplotlib adds an ending to the name
+    drawn.savefig(path, format=kind, dpi=150, bbox_inches="tight")
     print(f"wrote {output}")
 
 
@@ -216,9 +217,11 @@ def report_command(root: list[str], *, output: str = "report.html", maps: int = 
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_file
+    from mapdata.shards.root import local_path
 
+    path = local_path(output)
     text = report(root, maps, progress=True).encode()
-    write_file(Path(output), text)
+    write_file(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 

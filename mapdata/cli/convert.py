@@ -49,11 +49,8 @@ def import_command(
     from mapdata.formats import Limits, import_maps, read_any, recognise
     from mapdata.formats.registry import functions
     from mapdata.options import options_of
-    from mapdata.shards.root import is_url
     from mapdata.spec import check_count
 
-    if is_url(src):
-        raise ValueError(f"{src}: a URL, expected a file or folder; download it first")
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     check_count("--max-pixels", max_pixels)
     name = options.pop("format") or recognise(src)
@@ -147,7 +144,7 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     for name in file:
         try:
             report = check_scen(name, maps, Limits(progress=True))
-        except FormatError as error:
+        except ValueError as error:
             unread.append(str(error))
             continue
         print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")

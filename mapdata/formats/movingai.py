@@ -41,7 +41,7 @@ from mapdata.formats.files import (
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch
-from mapdata.shards.root import Root
+from mapdata.shards.root import Root, local_path
 from mapdata.shards.workers import bar
 from mapdata.spec import MAX_ROOMS, Movement, check_count
 
@@ -249,7 +249,7 @@ def check_scen(
         FormatError: a file that cannot be read, a map that is missing or has another size than the
             .scen says.
     """
-    path = Path(path)
+    path = local_path(path)
     terrains: dict[str, Bytes] = {}
     # problems of one map and one world are solved together
     groups: dict[tuple[str, str], list[Problem]] = {}

@@ -13,7 +13,7 @@ from mapdata.formats.collection import Collection
 from mapdata.formats.files import FormatError, Limits, files_of
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
-from mapdata.shards.root import Places, Root
+from mapdata.shards.root import Places, Root, local_path
 from mapdata.shards.shard import StrPath
 from mapdata.spec import check_choice
 
@@ -71,8 +71,9 @@ def recognise(source: StrPath) -> str:
     Raises:
         FormatError: nothing there, or no known format, or files of more than one; the message says
             what was found.
+        ValueError: a URL.
     """
-    source = Path(source)
+    source = local_path(source)
     endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
     owners: dict[Path, Format] = {}
     for path in files_of(source, endings, Limits(), []):
@@ -106,9 +107,9 @@ def read_any(
 
     Raises:
         FormatError: what cannot be read.
-        ValueError: an unknown format, or an option that the format does not have.
+        ValueError: a URL, an unknown format, or an option that the format does not have.
     """
-    source = Path(source)
+    source = local_path(source)
     name = kind or recognise(source)
     found: Collection = _checked("read", name, options)(source, limits, **options)
     if not found.maps and not found.left_out:
@@ -162,10 +163,11 @@ def export(
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: it is damaged.
-        ValueError: an unknown format or option, or what the format cannot hold.
+        ValueError: a target that is a URL, an unknown format or option, or what the format cannot
+            hold.
         OSError: the disk is full or may not be written to.
     """
-    target = Path(target)
+    target = local_path(target)
     write = _checked("write", kind, options)
     ending = FORMATS[kind].target_ending
     if not target.name.endswith(ending):

@@ -37,6 +37,9 @@ from mapdata.spec import Movement
 MOST_SILENCE = 20.0
 """Seconds without a byte after which a try to read from a URL is given up."""
 
+MOST_SECONDS = 300.0
+"""Seconds that a try may take in all, however steadily the bytes drip in."""
+
 PAUSES = (1.0, 4.0)
 """Seconds before each further try."""
 
@@ -207,6 +210,17 @@ def is_url(place: str) -> bool:
     return "://" in place
 
 
+def local_path(place: StrPath) -> Path:
+    """Return a place as a path: without this, a URL would name a folder ``http:``.
+
+    Raises:
+        ValueError: it is a URL.
+    """
+    if is_url(os.fspath(place)):
+        raise ValueError(f"{place}: a URL, expected a file or folder of this machine")
+    return Path(place)
+
+
 def folder_of(place: StrPath) -> Path:
     """Return a place to write to as a path; there may be nothing yet.
 
@@ -287,9 +301,19 @@ def _cache(place: str) -> Path:
 
 
 def _keep(path: Path, data: bytes) -> None:
-    """Write a file of the cache."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, data)
+    """Write a file of the cache.
+
+    Raises:
+        OSError: it may not be written to, or the disk is full.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, data)
+    except OSError as error:
+        raise OSError(
+            f"{path}: cannot keep what was fetched ({error.strerror}); set NUMBA_CACHE_DIR to a "
+            "folder that is writable and has room"
+        ) from None
 
 
 def file_hash(path: Path) -> str:
@@ -329,15 +353,16 @@ def _fetch_once(place: str, name: str, most: int) -> bytes:
     except FileNotFoundError as error:
         raise DatasetNotFoundError(place, f"{url} was not found") from error
     except Exception as error:
-        # a timeout of fsspec says nothing; that of the package below it does
-        why = " ".join((str(error) or str(error.__cause__)).split())
+        # A timeout of fsspec says nothing. That of the package below it does, unless it is the
+        # one in all, which has a name at least.
+        why = " ".join((str(error) or str(error.__cause__) or repr(error)).split())
     else:
         return bytes(data)
     # Not from within the handler: the error of HTTP holds what cannot be pickled, and Dask pickles
     # an error with its causes.
     raise ConnectionError(
         f"{url} could not be read: {why} ({len(PAUSES) + 1} tries, each given up after "
-        f"{MOST_SILENCE:g} s without a byte)"
+        f"{MOST_SILENCE:g} s without a byte or {MOST_SECONDS:g} s in all)"
     )
 
 
@@ -350,7 +375,9 @@ def _open_url(url: str) -> Any:
     import aiohttp
 
     client = {
-        "timeout": aiohttp.ClientTimeout(sock_connect=MOST_SILENCE, sock_read=MOST_SILENCE),
+        "timeout": aiohttp.ClientTimeout(
+            total=MOST_SECONDS, sock_connect=MOST_SILENCE, sock_read=MOST_SILENCE
+        ),
         # what a server packs could be a bomb
         "headers": {"Accept-Encoding": "identity"},
         "auto_decompress": False,

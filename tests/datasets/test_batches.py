@@ -17,16 +17,21 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO
 
+import h5py
 import numpy as np
 import pytest
 import torch
 from helpers import samples
 from helpers.builds import publish
+from helpers.imported import collection
 from torch.utils.data import DataLoader
 
-from mapdata import MapDataset, MapSpec, ShardError, build
+from mapdata import MapDataset, MapSpec, Route, ShardError, build
 from mapdata._version import __version__
-from mapdata.shards import MANIFEST, open_shard, read_manifest, write_file
+from mapdata.datasets.batches import ARRAYS, BatchReader
+from mapdata.formats import import_maps
+from mapdata.shards import MANIFEST, Root, open_shard, read_manifest, write_file
+from mapdata.shards.shard import Shard
 
 FIELDS = ("map", "start", "goal", "length", "iterations", "connection_matrix")
 TINY = MapSpec((8, 8), (2, 4), (2, 5), (2, 5), passage_width=(1, 2), skip_probability=0.3)
@@ -103,6 +108,25 @@ def test_threads_that_open_at_once(root: Path) -> None:
         found = list(pool.map(lambda _: dataset[:], range(8)))
     for batch in found[1:]:
         samples.assert_same(batch, found[0])
+
+
+def test_of_two_threads_the_first_ones_mapping_stays(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another thread opens a shard while this one does: its addresses may be in use already."""
+    reader = BatchReader(root, None, Route())
+    opened: list[Shard] = []
+    open_of_root = Root.open_shard
+
+    def meanwhile(self: Root, k: int) -> Shard:
+        monkeypatch.setattr(Root, "open_shard", open_of_root)
+        opened.append(reader.open(k))
+        return open_of_root(self, k)
+
+    monkeypatch.setattr(Root, "open_shard", meanwhile)
+    assert reader.open(0) is opened[0] is reader.open(0)
+    addresses = [opened[0].arrays[name].__array_interface__["data"][0] for name in ARRAYS]
+    assert reader._table[0].tolist() == addresses
 
 
 # --- replaced while somebody reads --------------------------------------------------------------
@@ -277,3 +301,26 @@ def test_a_seed_in_a_wall_is_named(tmp_path: Path) -> None:
         ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"
     ):
         MapDataset(root, problems="pairs")[0]
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["below", "right"])
+def test_a_path_one_cell_beyond_the_map_is_refused(turned: bool, tmp_path: Path) -> None:
+    """It goes round the wall by the wrong side, and arrives."""
+    grid = np.array([[0, 0, 0], [0, 0, 0], [0, 1, 0]], np.uint8)
+    seed_points = np.array([(2, 0), (2, 2)])
+    # N E E S and S E E N, two bits each, the first in the lowest
+    moves, wrong = 0b10_01_01_00, 0b00_01_01_10
+    if turned:  # W S S E and E S S W
+        grid, seed_points = grid.T.copy(), seed_points[:, ::-1].copy()
+        moves, wrong = 0b01_10_10_11, 0b11_10_10_01
+    root = tmp_path / "maps"
+    import_maps(root, collection(grid, seed_points=seed_points, rooms_known=True))
+    path = next(root.glob("*.h5"))
+    image = bytearray(path.read_bytes())
+    assert open_shard(path).arrays["bfs_moves"].tolist() == [moves]
+    assert len(MapDataset(root, fields=("path",), search="bfs")[0].path) == 5
+    with h5py.File(path) as file:
+        image[file["bfs_moves"].id.get_offset()] = wrong
+    publish(root, path.name, bytes(image))
+    with pytest.raises(ShardError, match="a stored path of map 0 is damaged"):
+        MapDataset(root, fields=("path",), search="bfs")[0]

@@ -647,6 +647,25 @@ def test_a_stopped_build_continues(
     assert {name: stamp for name, stamp in stamps(root).items() if name in before} == before
 
 
+@pytest.mark.parametrize(
+    ("error", "waits"), [(KeyboardInterrupt(), False), (OSError(28, "No space left"), True)]
+)
+def test_ctrl_c_does_not_wait_for_another_builder(
+    error: BaseException, waits: bool, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that holds the lock of the manifest; what is not listed is adopted by the next build."""
+    asked: list[bool] = []
+
+    def locked_by_another(_: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
+        asked.append(wait)
+        return mine
+
+    monkeypatch.setattr("mapdata.shards.builder.merge", locked_by_another)
+    with pytest.raises(type(error)):
+        make(root, workers=None, executor=FailsAfter(1, error))
+    assert asked[-1] is waits
+
+
 def test_a_builder_does_not_lose_what_another_one_finished(root: Path) -> None:
     """Two manifests merged in turns end as the union, and building goes on from there."""
     whole = make(root)

@@ -54,7 +54,7 @@ from mapdata.shards import root as root_module
 from mapdata.shards.corruption import inspect, repair_found
 from mapdata.shards.root import folder_of, places
 
-TRIES = (root_module.PAUSES, root_module.MOST_SILENCE)
+TRIES = (root_module.PAUSES, root_module.MOST_SILENCE, root_module.MOST_SECONDS)
 """What users have; tests wait for less."""
 
 
@@ -66,11 +66,13 @@ class Handler(SimpleHTTPRequestHandler):
         *arguments: Any,
         fetched: list[str],
         faults: list[str],
+        sent: list[int],
         over: threading.Event,
         **named: Any,
     ) -> None:
         """Serve one request."""
         self.fetched = fetched
+        self.sent = sent
         self.faults = faults
         self.over = over
         super().__init__(*arguments, **named)
@@ -85,6 +87,9 @@ class Handler(SimpleHTTPRequestHandler):
             return
         if fault.isdigit():
             self.send_error(int(fault))
+            return
+        if fault in ("endless", "drip"):
+            self.send_without_end(2**16 if fault == "endless" else 1)
             return
         if fault != "stall":
             data = Path(self.translate_path(self.path)).read_bytes()
@@ -107,6 +112,17 @@ class Handler(SimpleHTTPRequestHandler):
             with suppress(OSError):  # the client has seen enough
                 self.wfile.write(data[: len(data) // 2] if fault == "short" else data)
 
+    def send_without_end(self, piece: int) -> None:
+        """Send pieces until the client is gone, 64 MB of large ones at most."""
+        self.send_response(200)
+        self.end_headers()
+        with suppress(OSError):
+            for _ in range(2**26 // piece if piece > 1 else 10_000):
+                self.wfile.write(bytes(piece))
+                self.sent.append(piece)
+                if piece == 1 and self.over.wait(0.01):
+                    return
+
     def log_message(self, *_: object) -> None:
         """Print nothing."""
 
@@ -114,12 +130,15 @@ class Handler(SimpleHTTPRequestHandler):
 class Server:
     """A folder at a URL."""
 
-    def __init__(self, folder: Path, url: str, fetched: list[str], faults: list[str]) -> None:
+    def __init__(
+        self, folder: Path, url: str, fetched: list[str], faults: list[str], sent: list[int]
+    ) -> None:
         """Keep what a test needs."""
         self.folder = folder
         self.url = url
         self.fetched = fetched
         self.faults = faults
+        self.sent = sent
 
 
 @pytest.fixture
@@ -131,15 +150,19 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     samples.build_small(folder / "maps")
     fetched: list[str] = []
     faults: list[str] = []
+    sent: list[int] = []
     over = threading.Event()
     monkeypatch.setattr(root_module, "PAUSES", (0.01, 0.02))
-    handler = partial(Handler, directory=str(folder), fetched=fetched, faults=faults, over=over)
+    handler = partial(
+        Handler, directory=str(folder), fetched=fetched, faults=faults, sent=sent, over=over
+    )
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as http:
         thread = threading.Thread(
             target=http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
         )
         thread.start()
-        yield Server(folder / "maps", f"http://127.0.0.1:{http.server_port}/maps", fetched, faults)
+        url = f"http://127.0.0.1:{http.server_port}/maps"
+        yield Server(folder / "maps", url, fetched, faults, sent)
         over.set()
         http.shutdown()
         thread.join()
@@ -299,7 +322,7 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
         dataset[0]
     name = read_manifest(server.folder).shards[0].name
     assert re.match(f"{server.url}/{name} could not be read: .*{FAULTS[fault]}", str(caught.value))
-    assert "(3 tries, each given up after 0.2 s without a byte)" in str(caught.value)
+    assert "(3 tries, each given up after 0.2 s without a byte or 300 s" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "no dataset" not in str(caught.value)
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
@@ -310,9 +333,36 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
 def test_the_tries_are_those_of_the_page() -> None:
     """docs/loading.md says how often, after what pauses, and within what limit."""
     page = (Path(__file__).parents[2] / "docs" / "loading.md").read_text(encoding="utf-8")
-    assert TRIES == ((1, 4), 20)
-    for text in ("asked three times", "pauses of 1 and 4", "after 20 seconds without a byte"):
+    assert TRIES == ((1, 4), 20, 300)
+    for text in (
+        "asked three times",
+        "pauses of 1 and 4",
+        "after 20 seconds without a byte",
+        "or 5 minutes in all",
+    ):
         assert text in " ".join(page.split())
+
+
+@pytest.mark.filterwarnings("ignore:.*Trying again")
+def test_a_server_that_drips_bytes_is_given_up(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is never silent, so that only the limit of a whole try ends it."""
+    dataset = MapDataset(server.url)
+    monkeypatch.setattr(root_module, "MOST_SECONDS", 0.3)
+    server.faults[:] = ["drip"] * 3
+    with pytest.raises(ConnectionError, match=r"could not be read: .*Timeout.* or 0.3 s in all\)"):
+        dataset[0]
+    assert server.sent
+
+
+def test_no_more_is_read_than_the_manifest_says(server: Server) -> None:
+    """A server that sends without end is left one byte after the end of the shard."""
+    dataset = MapDataset(server.url)
+    server.faults[:] = ["endless"]
+    with pytest.raises(ShardError, match="what was fetched is damaged"):
+        dataset[0]
+    assert sum(server.sent) < 2**25  # what the buffers of the system hold, and not 64 MB
 
 
 def test_what_is_missing_is_not_tried_again(server: Server) -> None:
@@ -535,7 +585,13 @@ def test_every_verb_takes_a_url_or_says_why_not(
     for line in (
         ["build", url],
         ["import", url, str(tmp_path / "maps")],
+        ["import", url, str(tmp_path / "maps"), "--format", "paper"],
         ["verify", url, "--repair"],
+        ["export", str(server.folder), url, "--format", "paper"],
+        ["report", str(server.folder), "-o", f"{url}/report.html"],
+        ["show", str(server.folder), "-o", f"{url}/map.png"],
+        ["info", str(server.folder), "--card", f"{url}/README.md"],
+        ["check-scen", f"{url}/arena.map.scen"],
     ):
         with pytest.raises(SystemExit, match="2"):
             main(line)

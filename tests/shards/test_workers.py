@@ -10,6 +10,7 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -81,6 +82,25 @@ def test_an_error_comes_out_and_the_rest_is_cancelled() -> None:
     with pytest.raises(OSError, match="no space left"), threads(1) as pool:
         list(finished(pool, task, range(12, 500), 20))
     assert len(begun) < 25
+
+
+def test_ctrl_c_neither_waits_nor_begins_anything() -> None:
+    """What is under way goes on; what was not begun never is."""
+    gate = Event()
+
+    def interrupted() -> Iterator[Future[Any]]:
+        with threads(1) as pool:
+            yield pool.submit(gate.wait, 60)
+            yield pool.submit(twice, 1)
+            raise KeyboardInterrupt
+
+    work = interrupted()
+    under_way, later = next(work), next(work)
+    with pytest.raises(KeyboardInterrupt):
+        next(work)
+    assert not under_way.done()
+    assert later.cancelled()
+    gate.set()
 
 
 def test_a_bar_shows_maps_rate_and_time_left(capsys: pytest.CaptureFixture[str]) -> None:
