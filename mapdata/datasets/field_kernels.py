@@ -221,4 +221,5 @@ def fill_room_matrices(grids: Bytes, seed_points: Ints, rule: Rule) -> Float32s:
                     break
                 cost = buffers.g[cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)]
                 out[b, i, j] = -1 if cost == FAR else in_cells(cost)
+            out[b, i, i] = 0  # on an occupied cell, too
     return out

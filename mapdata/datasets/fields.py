@@ -7,8 +7,8 @@ batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +48,7 @@ class Paths(NamedTuple):
 
         Of several paths of a row the last one counts.
         """
-        if len(pieces) == 1:
+        if len(pieces) == 1 and len(pieces[0][0]) == count:
             return pieces[0][1]
         first = np.zeros(count, np.int64)
         lengths = np.zeros(count, np.int64)
@@ -200,10 +200,11 @@ def hardness(batch: Batch) -> Float32s:
     1 when start = goal, -1 without a path.
     """
     best = batch.costs
-    if (
-        batch.search == "bfs" and batch.movement.connectivity == 8
-    ):  # BFS counts moves, which are not its costs
-        best = search_batch("astar", batch.grids, batch.starts, batch.goals, batch.movement).cost
+    # BFS counts moves, which are not its costs
+    if batch.search == "bfs" and batch.movement.connectivity == 8:
+        ends = (batch.starts, batch.goals)
+        paths = partial(solve, "astar", batch.grids, *ends, batch.movement)
+        best = replace(batch, search="astar", find_paths=paths).costs
     return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
 
 
@@ -342,6 +343,18 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
     mask = np.zeros((len(grids), 1, *grids.shape[1:]), np.uint8)
     mask[(np.arange(len(cells)), 0, *cells.T)] = 1
     return mask
+
+
+def solve(search: str, grids: Bytes, starts: Ints, goals: Ints, movement: Movement) -> Paths:
+    """Return the paths of B problems: none where the robot has no room on the start or the goal."""
+    rows = np.arange(len(grids))
+    occupied = grids[(rows, *starts.T)] | grids[(rows, *goals.T)]
+    if occupied.any():  # only then: it copies the grids
+        rows = np.flatnonzero(occupied == 0)
+        grids = grids[rows]
+    found = search_batch(search, grids, starts[rows], goals[rows], movement)
+    paths = Paths(found.cells, found.offsets, found.iterations)
+    return Paths.join([(rows, paths)], len(starts))
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:

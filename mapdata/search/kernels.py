@@ -530,8 +530,10 @@ def find(
     """Search one problem on a grid that is loaded.
 
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
-    moves, counts all as straight.
+    moves, counts all as straight. No cell is expanded if an end is occupied.
     """
+    if buffers.came[start] == WALL or buffers.came[goal] == WALL:
+        return -1, 0, 0, 1  # nothing is pushed beside the entry 0
     pushes = np.int64(0)
     if search == BFS:
         target = np.empty(1, np.int64)
@@ -699,6 +701,8 @@ def shortest_costs(source: Int, lattice: Lattice, buffers: Scratch) -> Int:
     costs = buffers.g
     queue = buffers.pushed
     costs[:] = FAR
+    if came[source] == WALL:
+        return 0
     costs[source] = 0
     if lattice.step != UNIT:
         queue[1] = source
