@@ -6,7 +6,6 @@ the draws of stream 5. An imported dataset has no recipe, so its identity is its
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -42,7 +41,15 @@ from mapdata.shards.manifest import (
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_count, check_fractions, check_seed
+from mapdata.spec import (
+    MAX_ROOMS,
+    MAX_SIDE,
+    Movement,
+    check_count,
+    check_fractions,
+    check_resolution,
+    check_seed,
+)
 
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
@@ -110,7 +117,8 @@ def import_maps(
             less where that has fewer cells.
         seed: 64-bit seed of these draws and of the splits.
         movement: how the stored paths move; default the rule of the format, else 4-connected.
-        resolution: metres per cell, whatever the source says; default the source's, else 0.1.
+        resolution: metres per cell, whatever the source says; default the source's, else 0.1. A
+            robot's map (ros) is resampled to it by the command; from Python `read_any` does it.
         splits: fractions of train, val and test, for maps whose split the source does not say.
         tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
             edges is dropped.
@@ -129,8 +137,8 @@ def import_maps(
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
     if shard_size is not None:
         check_count("shard_size", shard_size)
-    if resolution is not None and not 0 < resolution < math.inf:
-        raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
+    if resolution is not None:
+        check_resolution("resolution", resolution)
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
     with bar(progress and bool(source.maps), len(source.maps), unit=" maps checked") as advance:
