@@ -24,7 +24,7 @@ from mapdata.datasets.field_kernels import (
     pad_paths,
     path_probabilities,
 )
-from mapdata.datasets.sample import PATH_STEP
+from mapdata.datasets.sample import rows_of_path
 from mapdata.search.api import search_batch
 from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, rule_of
@@ -50,21 +50,15 @@ class Paths(NamedTuple):
         """
         if len(pieces) == 1 and len(pieces[0][0]) == count:
             return pieces[0][1]
-        first = np.zeros(count, np.int64)
-        lengths = np.zeros(count, np.int64)
+        parts = [np.empty((0, 2), np.int64)] * count
         iterations = np.zeros(count, np.int64)
-        used = 0
         for rows, paths in pieces:
-            first[rows] = used + paths.offsets[:-1]
-            lengths[rows] = np.diff(paths.offsets)
+            each = np.split(paths.cells, paths.offsets[1:])  # the last one is empty
+            for row, cells in zip(rows, each, strict=False):
+                parts[row] = cells
             iterations[rows] = paths.iterations
-            used += len(paths.cells)
-        offsets = np.zeros(count + 1, np.int64)
-        np.cumsum(lengths, out=offsets[1:])
-        chosen = np.arange(offsets[-1])
-        chosen += np.repeat(first - offsets[:-1], lengths)
-        cells = np.concatenate([paths.cells for _, paths in pieces]).take(chosen, axis=0)
-        return Paths(cells, offsets, iterations)
+        offsets = np.cumsum([0, *map(len, parts)])
+        return Paths(np.concatenate(parts), offsets, iterations)
 
 
 class Rooms(NamedTuple):
@@ -176,12 +170,7 @@ def path(batch: Batch) -> Ints:
     """
     cells, offsets, _ = batch.paths
     longest = int(np.diff(offsets).max(initial=0))
-    capacity = (
-        -(-longest // PATH_STEP) * PATH_STEP if batch.max_length is None else batch.max_length
-    )
-    if longest > capacity:
-        raise ValueError(f"max_length: a path of {longest} cells does not fit into {capacity}")
-    return pad_paths(cells, offsets, capacity)
+    return pad_paths(cells, offsets, rows_of_path(longest, batch.max_length))
 
 
 def length(batch: Batch) -> Ints:

@@ -154,22 +154,20 @@ def import_maps(
         reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
         raise ValueError("no map to import" + "".join(reasons))
     folders = _folders(root, list(groups))
-    codes: dict[Group, Bytes] = {}
     thresholds = split_thresholds(splits)
-    for group, maps in groups.items():
-        ordered = _ordered(maps, source)
-        drawn = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
-        for k, one in enumerate(ordered):
-            if one.split is not None:
-                drawn[k] = one.split
-        # All keep their splits: were they drawn anew, other copies might be parted.
-        kept = separate(ordered, drawn, drop_leaks, source.notes)
-        groups[group] = [ordered[k] for k in kept]
-        codes[group] = drawn[kept]
     draws = Draws(seed_points, seed)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
-        for group, maps in groups.items():
+        for group, found in groups.items():
+            ordered = _ordered(found, source)
+            codes = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
+            for k, one in enumerate(ordered):
+                if one.split is not None:
+                    codes[k] = one.split
+            # All keep their splits: were they drawn anew, other copies might be parted.
+            kept = separate(ordered, codes, drop_leaks, source.notes)
+            maps = [ordered[k] for k in kept]
+            advance(len(ordered) - len(maps))
             rows, columns, metres = group
             most = max(1, _CELLS_A_SHARD // (rows * columns))
             wanted = Manifest(
@@ -187,7 +185,7 @@ def import_maps(
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                made.append(_write(folder, wanted, maps, codes[group], draws, advance, pool))
+                made.append(_write(folder, wanted, maps, codes[kept], draws, advance, pool))
     return made
 
 

@@ -249,12 +249,13 @@ def resampled(grid: Bytes, factor: Fraction, rule: str | None, limits: Limits = 
         )
     # With the side of an old cell in q parts, that of a new one has p: all areas are whole numbers.
     p, q = factor.as_integer_ratio()
-    sides = [math.ceil(side / factor) for side in grid.shape]
-    missing = [math.ceil(k * factor) + 1 - side for k, side in zip(sides, grid.shape, strict=True)]
-    area = np.pad(grid[::-1], [(0, k) for k in missing], constant_values=1)
-    for side in sides:
+    area = grid[::-1]
+    for full in (1, p):  # the area of what is occupied: first rows are added up, then columns
+        count = math.ceil(len(area) / factor)
+        cell, part = np.divmod(np.arange(count + 1) * p, q)  # where the edges of new cells are
+        beyond = cell[-1] + 1 - len(area)
+        area = np.pad(area, ((0, beyond), (0, 0)), constant_values=full)
         before = np.cumsum(area, axis=0) - area
-        cell, part = np.divmod(np.arange(side + 1) * p, q)  # where the edges of new cells are
         area = np.diff(q * before[cell] + part[:, None] * area[cell], axis=0).T
     least = p**2 / 2 if rule == "mean" else 1
     return np.asarray(area >= least, np.uint8)[::-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 import zipfile
 from collections.abc import Iterable
@@ -175,8 +176,6 @@ class Problems:
         grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"
         least = least_squared(radius, spec.resolution)
-        if radius:
-            where += f" for a radius of {radius:g} m"
         return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
 
     @staticmethod
@@ -218,7 +217,6 @@ class Problems:
         least = 0
         if radius:  # only then must all roots have one resolution
             least = least_squared(radius, dataset.resolution)
-            where += f" for a radius of {radius:g} m"
         return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
 
 
@@ -275,4 +273,6 @@ def _collect(
         )
     index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
+    if least:
+        description += f", free from a clearance of {math.sqrt(least) / 2:.3g} cells on"
     return Problems(grid, ends[:, :2], ends[:, 2:4], movement, description)

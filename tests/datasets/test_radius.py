@@ -231,7 +231,7 @@ def test_random_problems_are_sampled_on_the_inflated_map(
     np.testing.assert_array_equal(found.grids, batch.map[:, 0])
     np.testing.assert_array_equal(found.starts, batch.start)
     np.testing.assert_array_equal(found.goals, batch.goal)
-    assert "for a radius of 0.1 m" in found.description
+    assert found.description.endswith(", free from a clearance of 1 cells on")
     kept = [k for k in maps if generate(samples.SPEC, SEED, [k]).split[0] == 2]
     read = Problems.read(
         roots["square"], seed=SEED, problems=problems, movement=movement, radius=0.1
