@@ -26,7 +26,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, files_of
 from mapdata.formats.registry import Format
-from mapdata.search.api import distance_field
+from mapdata.search.api import astar
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
 from mapdata.spec import SPLITS, Movement
@@ -106,11 +106,11 @@ def is_shortest_answer(question: str, answer: str) -> bool:
         return False
     cells = _cells(answer)
     start, goal = _ends(answer, len(cells))
-    shortest = distance_field(cells == _OCCUPIED, start)[tuple(goal)]
+    shortest = astar(cells == _OCCUPIED, start, goal).cost
     # With all cells occupied that are not marked, the path can only be the marked one. It passes
     # over all of them if there are as many as it needs.
-    marked = distance_field((cells == _OCCUPIED) | (cells == _FREE), start)[tuple(goal)]
-    return bool(shortest == marked == answer.count("o") + 1)
+    marked = astar((cells == _OCCUPIED) | (cells == _FREE), start, goal).cost
+    return shortest == marked == answer.count("o") + 1
 
 
 def _cells(text: str) -> Bytes:
@@ -120,7 +120,7 @@ def _cells(text: str) -> Bytes:
         FormatError: their number is not a square.
     """
     side = math.isqrt(len(text))
-    if side == 0 or side * side != len(text):
+    if side * side != len(text):
         raise FormatError(f"got {len(text)} cells, expected a square map")
     return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
 
