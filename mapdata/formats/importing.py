@@ -225,15 +225,9 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
         return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
-    if not one.rooms_known and len(_free_component(grid, movement)) < 2:
+    if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
         return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
     return None
-
-
-def _free_component(grid: Bytes, movement: Movement) -> Ints:
-    """Return the free cells of the largest component of a grid, as row * W + column."""
-    diagonals, _ = rule_of(movement)
-    return largest_component(grid, diagonals)
 
 
 def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
@@ -340,7 +334,7 @@ def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> I
         return one.seed_points
     _, columns = one.shape
     given = one.seed_points @ (columns, 1)
-    cells = _free_component(one.grid, header.movement)
+    cells = largest_component(one.grid, rule_of(header.movement)[0])
     cells = cells[~np.isin(cells, given)]
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
     rows_and_columns = np.divmod(np.concatenate((given, drawn)), columns)

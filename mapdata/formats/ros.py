@@ -32,6 +32,7 @@ from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
+    Array,
     FormatError,
     Limits,
     files_of,
@@ -249,7 +250,7 @@ def resampled(grid: Bytes, factor: Fraction, rule: str | None, limits: Limits = 
         )
     # With the side of an old cell in q parts, that of a new one has p: all areas are whole numbers.
     p, q = factor.as_integer_ratio()
-    area = grid[::-1]
+    area: Array = grid[::-1]
     for full in (1, p):  # the area of what is occupied: first rows are added up, then columns
         count = math.ceil(len(area) / factor)
         cell, part = np.divmod(np.arange(count + 1) * p, q)  # where the edges of new cells are

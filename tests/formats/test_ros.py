@@ -342,7 +342,9 @@ def slowly_resampled(grid: Bytes, factor: Fraction, rule: str) -> list[list[int]
     rows, columns = (math.ceil(side / factor) for side in grid.shape)
 
     def overlap(old: int, new: int) -> Fraction:
-        return max(Fraction(0), min(old + 1, (new + 1) * factor) - max(old, new * factor))
+        first = max(Fraction(old), new * factor)
+        last = min(Fraction(old + 1), (new + 1) * factor)
+        return max(Fraction(0), last - first)
 
     found = [[0] * columns for _ in range(rows)]
     for up in range(rows):
