@@ -30,6 +30,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # models
 
 from mapdata import (  # noqa: E402
+    Generator,
     Labels,
     MapSpec,
     Maze,
@@ -120,12 +121,12 @@ def mosaic(grids: list[npt.NDArray[np.uint8]], columns: int) -> npt.NDArray[np.f
 def overview() -> Figure:
     """Maps; the labels of one; a target to learn; what a network learnt."""
     figure, axes = new_figure(1, 4, (13, 3.5))
-    kinds = [MapSpec(), MapSpec.preset("narrow"), DUNGEON]
-    mazes = Maze((64, 64), corridor=3, reopened=0.1)
-    chosen = [(kinds[0], 7), (kinds[0], 2), (kinds[1], 1), (kinds[1], 4)]
-    chosen += [(DUNGEON, 3), (DUNGEON, 9), (DUNGEON, 12)]
+    narrow = MapSpec.preset("narrow")
+    wide_maze = Maze((64, 64), corridor=3, reopened=0.1)
+    chosen: list[tuple[Generator, int]] = [(MapSpec(), 7), (narrow, 4), (DUNGEON, 3)]
+    chosen += [(DUNGEON, 9), (Maze((64, 64)), 1), (wide_maze, 3)]
+    chosen += [(Generator.preset(name), 1) for name in ("cave", "forest", "noise")]
     grids = [generate(spec, 0, [index]).occupancy[0] for spec, index in chosen]
-    grids += list(generate(mazes, 0, [1, 3]).occupancy)
     plot_grid(mosaic(grids, 3), axes[0])
     bare(axes[0], "grid maps from a few lines of JSON")
 
@@ -269,6 +270,15 @@ def worlds() -> Figure:
     for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
         plot_grid(mosaic(list(generate(spec, 0, range(2)).occupancy), 1), ax)
         bare(ax, f"{name}, {spec.map_size[0]} x {spec.map_size[1]}")
+    return figure
+
+
+def presets() -> Figure:
+    """Show one map of each preset in a row."""
+    figure, axes = new_figure(1, len(PRESETS), (13, 1.9))
+    for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
+        plot_grid(generate(spec, 0, [1]).occupancy[0], ax)
+        bare(ax, name)
     return figure
 
 
@@ -462,6 +472,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "batch": batch,
     "speed": speed,
     "worlds": worlds,
+    "presets": presets,
     "movements": movements,
     "figure-1": figure_1,
     "gallery": gallery,

@@ -176,6 +176,14 @@ def check_probability(name: str, value: object) -> float:
     return probability
 
 
+def check_resolution(name: str, value: object) -> float:
+    """Return ``value`` as metres per cell: finite, and above 0."""
+    resolution = check_number(name, value)
+    if not 0 < resolution < math.inf:
+        raise ValueError(f"{name}: got {resolution}, expected metres per cell above 0")
+    return resolution
+
+
 def check_fractions(values: object) -> tuple[float, ...]:
     """Return ``values`` as the fractions of the splits, which add up to 1."""
     items: tuple[float, ...] = ()

@@ -305,6 +305,7 @@ def test_test_files_say_what_they_test() -> None:
     else.
     """
     others = {
+        "datasets/test_radius.py": "a robot of a size, in all datasets and problems",
         "shards/test_faults.py": "kills and full disks",
         "shards/test_format.py": "docs/format.md",
         "shards/test_fuzzing.py": "random changes of files",

@@ -56,8 +56,8 @@ def import_command(
     name = options.pop("format") or recognise(src)
     of_import = {key: options.pop(key) for key in _OF_IMPORTS}
     of_format = _own_options(name, options)
-    if "seed_points" in options_of(functions("read")[name]):
-        of_format["seed_points"] = of_import["seed_points"]
+    for key in options_of(functions("read")[name]).keys() & of_import:
+        of_format[key] = of_import[key]
     found = read_any(src, name, Limits(pixels=max_pixels, progress=True), **of_format)
     made = []
     try:

@@ -9,6 +9,7 @@ from typing import Any
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.sample import Sample
 from mapdata.problems.sources import Source, plain_text
+from mapdata.search.footprint import least_squared
 from mapdata.search.lattice import rule_of
 from mapdata.spec import Movement, check_choice, check_seed, did_you_mean
 
@@ -32,6 +33,7 @@ class Serving:
     augment: bool
     sampling_seed: int
     max_length: int | None
+    radius: float
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -40,6 +42,7 @@ class Serving:
         check_choice("search", self.search, ("bfs", "astar"))
         if self.movement is not None:
             rule_of(self.movement)  # refuses what is no movement
+        least_squared(self.radius)  # refuses what is no radius
         object.__setattr__(self, "sampling_seed", check_seed(self.sampling_seed))
         if self.max_length is not None and ("path" not in self.fields or self.max_length < 1):
             raise ValueError(

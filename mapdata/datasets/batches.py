@@ -20,6 +20,7 @@ from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.generators.maps import WORD, unpack
 from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
+from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import STEPS
 from mapdata.shards.manifest import Entry, Manifest
 from mapdata.shards.reader import head
@@ -216,9 +217,10 @@ class BatchReader:
         root, shards, manifests: the dataset.
         map_size, movement: of all its maps.
         most_seed_points: R, the largest number of seed points that a map can have.
+        least: clearance of the cells that are served as free, as `least_squared` gives it.
     """
 
-    def __init__(self, root: Places, split: str | None, problems: Source) -> None:
+    def __init__(self, root: Places, split: str | None, problems: Source, radius: float) -> None:
         """Read the manifests; no shard is opened yet.
 
         Raises:
@@ -236,6 +238,9 @@ class BatchReader:
                 f"up to {MAX_ROOMS}"
             )
         self._split, self._problems = split, problems
+        self.least = 0
+        if radius:  # only then must all roots have one resolution
+            self.least = least_squared(radius, self.root.resolution)
         self.offsets = np.concatenate(
             ([0], np.cumsum([self._count(entry) for _, _, entry in self.shards], dtype=np.int64))
         )
@@ -317,9 +322,10 @@ class BatchReader:
         return count
 
     def grids(self, shards: Ints, maps: Ints) -> Bytes:
-        """Return the maps, (B, H, W)."""
+        """Return the maps for a robot of the radius, (B, H, W)."""
         grids = np.empty((len(shards), *self.map_size), np.uint8)
         read_maps(self._table, shards, maps, grids)
+        inflate_all(grids, self.least)
         return grids
 
     def seed_points(self, shards: Ints, maps: Ints, rooms: Ints) -> Ints:

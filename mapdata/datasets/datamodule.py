@@ -99,6 +99,7 @@ class MapDataModule(_Base):
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
+        radius: float = 0.0,
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
@@ -124,7 +125,9 @@ class MapDataModule(_Base):
         if isinstance(movement, (tuple, list)):
             movement = Movement(*movement)
         source = problem_source(problems)
-        self.serving = Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        self.serving = Serving(
+            fields, source, search, movement, augment, sampling_seed, max_length, radius
+        )
         self.datasets: dict[str, Dataset] = {}
         plain = {**self.loading, **self.serving.plain(), "build": build, "batch_size": batch_size}
         plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None

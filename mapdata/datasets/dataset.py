@@ -17,7 +17,7 @@ from torch.utils.data import Dataset, default_collate
 from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
-from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices, solve
 from mapdata.datasets.sample import (
     MAPS_AND_MASKS,
     Rows,
@@ -30,7 +30,6 @@ from mapdata.datasets.sample import (
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
-from mapdata.search.api import search_batch
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
 from mapdata.spec import SPLITS, Movement, check_choice
@@ -240,8 +239,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         )
 
     def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
-        found = search_batch(self.serving.search, grids, starts, goals, self.movement)
-        return Paths(found.cells, found.offsets, found.iterations)
+        return solve(self.serving.search, grids, starts, goals, self.movement)
 
 
 class MapDataset(ProblemDataset):
@@ -272,6 +270,11 @@ class MapDataset(ProblemDataset):
             function among the fields gets whole batches, and is the fast way to values of your own.
             What it draws at random is its own affair. Loader workers started by spawn need one that
             can be pickled, so no lambda.
+        radius: of the robot, in metres. Above 0 all maps are served as `mapdata.inflate` gives them
+            for ``radius / resolution`` cells, and everything is solved anew on those, as under
+            another movement. A seed point on which the robot has no room has no path: such problems
+            of a route or of pairs are left out, or kept with ``unsolvable=True``. To know which,
+            all are solved once when the dataset is opened, some 30 us each.
 
     Raises:
         DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
@@ -293,16 +296,23 @@ class MapDataset(ProblemDataset):
         max_length: int | None = None,
         dtype: torch.dtype | None = None,
         transform: Transform | None = None,
+        radius: float = 0.0,
     ) -> None:
         """Read the manifests; shards are opened at their first touch."""
         source = problem_source(problems)
-        serving = Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        serving = Serving(
+            fields, source, search, movement, augment, sampling_seed, max_length, radius
+        )
         super().__init__(split, serving, dtype, transform)
-        self.reader = BatchReader(root, split, source)
+        self.reader = BatchReader(root, split, source, radius)
         self.roots = self.reader.root.places
         self.movement = movement or self.reader.movement
         self.filters: tuple[dict[str, Any], ...] = ()
         self._kept: Ints | None = None
+        # Labels are stored for the maps as they are and for one movement: others are solved anew.
+        self._is_stored = self.movement == self.reader.movement and self.reader.least <= 1
+        if self.reader.least > 1 and not isinstance(source, Random) and not source.unsolvable:
+            self._kept = self._matching({"reachable": True})
 
     def __len__(self) -> int:
         """Return the number of problems."""
@@ -373,17 +383,19 @@ class MapDataset(ProblemDataset):
         for name in ("rooms", "path_length", "hardness"):
             if name in conditions and len(conditions[name]) != 2:
                 raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
-        indices = np.arange(len(self.reader)) if self._kept is None else self._kept
-        parts = np.split(indices, range(4096, len(indices), 4096))  # memory stays flat
-        kept = [part[self._meets(part, conditions)] for part in parts]
         view = object.__new__(type(self))
         vars(view).update(vars(self))
         view.filters = (*self.filters, conditions)
-        view._kept = np.concatenate(kept)
+        view._kept = self._matching(conditions)
         return view
 
+    def _matching(self, conditions: dict[str, Any]) -> Ints:
+        """Return the numbers of the problems that meet conditions of `filter`."""
+        indices = np.arange(len(self.reader)) if self._kept is None else self._kept
+        parts = np.split(indices, range(4096, len(indices), 4096))  # memory stays flat
+        return np.concatenate([part[self._meets(part, conditions)] for part in parts])
+
     def _meets(self, indices: Ints, conditions: dict[str, Any]) -> Flags:
-        """Return which problems meet the conditions of `filter`."""
         batch = self._stored_batch(indices)
         meets = np.ones(len(indices), np.bool_)
         for name, wanted in conditions.items():
@@ -417,7 +429,7 @@ class MapDataset(ProblemDataset):
         goals = reader.seed_points(shards, maps, second)
 
         def paths() -> Paths:
-            if isinstance(self.serving.problems, Route) and self.movement == reader.movement:
+            if isinstance(self.serving.problems, Route) and self._is_stored:
                 return Paths(*reader.paths(shards, maps, first, self.serving.search))
             return self._solve(grids, starts, goals)
 
@@ -431,7 +443,7 @@ class MapDataset(ProblemDataset):
         shards, maps, _, _ = self.reader.find(places)
         search = self.serving.search
         matrices, seed_points = self.reader.rooms(shards, maps, search)
-        if self.movement != self.reader.movement:
+        if not self._is_stored:
             matrices = room_matrices(search, grids, seed_points, self.movement)
         return Rooms(matrices, seed_points)
 
@@ -486,13 +498,11 @@ def _reopen(
     In another one, its problems would have other numbers.
     """
     dataset = again()
-    for root, manifest, expected in zip(
-        dataset.roots, dataset.reader.manifests, content, strict=True
-    ):
-        if manifest.content_hash != expected:
-            raise ValueError(
-                f"root: {root} holds other maps than when this dataset was opened; open it again"
-            )
+    if [manifest.content_hash for manifest in dataset.reader.manifests] != content:
+        raise ValueError(
+            f"root: {dataset.reader.root} holds other maps than when this dataset was opened; open "
+            "it again"
+        )
     for conditions in filters:
         dataset = dataset.filter(**conditions)
     return dataset

@@ -189,4 +189,5 @@ def fill_room_matrices(grids: Bytes, seed_points: Ints, rule: Rule) -> Float32s:
                     break
                 row, column = seed_points[b, j]
                 out[b, i, j] = cost_at(cell_at(row, column, lattice), buffers)
+            out[b, i, i] = 0  # on an occupied cell, too
     return out

@@ -7,8 +7,8 @@ batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from mapdata.datasets.field_kernels import (
     pad_paths,
     path_probabilities,
 )
-from mapdata.datasets.sample import PATH_STEP
+from mapdata.datasets.sample import rows_of_path
 from mapdata.search.api import search_batch
 from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, rule_of
@@ -48,23 +48,17 @@ class Paths(NamedTuple):
 
         Of several paths of a row the last one counts.
         """
-        if len(pieces) == 1:
+        if len(pieces) == 1 and len(pieces[0][0]) == count:
             return pieces[0][1]
-        first = np.zeros(count, np.int64)
-        lengths = np.zeros(count, np.int64)
+        parts = [np.empty((0, 2), np.int64)] * count
         iterations = np.zeros(count, np.int64)
-        used = 0
         for rows, paths in pieces:
-            first[rows] = used + paths.offsets[:-1]
-            lengths[rows] = np.diff(paths.offsets)
+            each = np.split(paths.cells, paths.offsets[1:])  # the last one is empty
+            for row, cells in zip(rows, each, strict=False):
+                parts[row] = cells
             iterations[rows] = paths.iterations
-            used += len(paths.cells)
-        offsets = np.zeros(count + 1, np.int64)
-        np.cumsum(lengths, out=offsets[1:])
-        chosen = np.arange(offsets[-1])
-        chosen += np.repeat(first - offsets[:-1], lengths)
-        cells = np.concatenate([paths.cells for _, paths in pieces]).take(chosen, axis=0)
-        return Paths(cells, offsets, iterations)
+        offsets = np.cumsum([0, *map(len, parts)])
+        return Paths(np.concatenate(parts), offsets, iterations)
 
 
 class Rooms(NamedTuple):
@@ -176,12 +170,7 @@ def path(batch: Batch) -> Ints:
     """
     cells, offsets, _ = batch.paths
     longest = int(np.diff(offsets).max(initial=0))
-    capacity = (
-        -(-longest // PATH_STEP) * PATH_STEP if batch.max_length is None else batch.max_length
-    )
-    if longest > capacity:
-        raise ValueError(f"max_length: a path of {longest} cells does not fit into {capacity}")
-    return pad_paths(cells, offsets, capacity)
+    return pad_paths(cells, offsets, rows_of_path(longest, batch.max_length))
 
 
 def length(batch: Batch) -> Ints:
@@ -200,10 +189,11 @@ def hardness(batch: Batch) -> Float32s:
     1 when start = goal, -1 without a path.
     """
     best = batch.costs
-    if (
-        batch.search == "bfs" and batch.movement.connectivity == 8
-    ):  # BFS counts moves, which are not its costs
-        best = search_batch("astar", batch.grids, batch.starts, batch.goals, batch.movement).cost
+    # BFS counts moves, which are not its costs
+    if batch.search == "bfs" and batch.movement.connectivity == 8:
+        ends = (batch.starts, batch.goals)
+        paths = partial(solve, "astar", batch.grids, *ends, batch.movement)
+        best = replace(batch, search="astar", find_paths=paths).costs
     return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
 
 
@@ -342,6 +332,18 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
     mask = np.zeros((len(grids), 1, *grids.shape[1:]), np.uint8)
     mask[(np.arange(len(cells)), 0, *cells.T)] = 1
     return mask
+
+
+def solve(search: str, grids: Bytes, starts: Ints, goals: Ints, movement: Movement) -> Paths:
+    """Return the paths of B problems: none where the robot has no room on the start or the goal."""
+    rows = np.arange(len(grids))
+    occupied = grids[(rows, *starts.T)] | grids[(rows, *goals.T)]
+    if occupied.any():  # only then: it copies the grids
+        rows = np.flatnonzero(occupied == 0)
+        grids = grids[rows]
+    found = search_batch(search, grids, starts[rows], goals[rows], movement)
+    paths = Paths(found.cells, found.offsets, found.iterations)
+    return Paths.join([(rows, paths)], len(starts))
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:

@@ -19,6 +19,7 @@ from mapdata.generators.splits import maps_of_split
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.search.api import SEARCHES
+from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import rule_of
 from mapdata.spec import Movement, check_seed
 
@@ -58,10 +59,13 @@ class OnlineMapDataset(ProblemDataset):
         max_length: int | None = None,
         dtype: torch.dtype | None = None,
         transform: Transform | None = None,
+        radius: float = 0.0,
     ) -> None:
         """Check the arguments; no map is made yet."""
         source = problem_source(problems)
-        serving = Serving(fields, source, search, movement, augment, sampling_seed, max_length)
+        serving = Serving(
+            fields, source, search, movement, augment, sampling_seed, max_length, radius
+        )
         super().__init__(split, serving, dtype, transform)
         if length < 1:
             raise ValueError(f"length: got {length}, expected at least 1")
@@ -69,6 +73,7 @@ class OnlineMapDataset(ProblemDataset):
         self.seed = check_seed(seed)
         self.length = length
         self.movement = movement or spec.movement
+        self._least = least_squared(radius, spec.resolution)
         self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
 
     def __len__(self) -> int:
@@ -97,7 +102,12 @@ class OnlineMapDataset(ProblemDataset):
         return generate(self.spec, self.seed, numbers)
 
     def _grids(self, places: Ints) -> Bytes:
-        return self._maps(places).occupancy
+        return self._inflated(self._maps(places))
+
+    def _inflated(self, maps: Maps) -> Bytes:
+        grids = maps.occupancy
+        inflate_all(grids, self._least)
+        return grids
 
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         seed_points = self._maps(places).seed_points
@@ -112,8 +122,9 @@ class OnlineMapDataset(ProblemDataset):
         if isinstance(problems, Random):
             return super()._sample(places, indices, epoch)
         maps = self._maps(places)
+        grids = self._inflated(maps)
         ends, *found = solve_pairs(
-            maps.occupancy,
+            grids,
             maps.seed_points,
             maps.rooms,
             np.uint64(self.serving.sampling_seed),
@@ -123,4 +134,4 @@ class OnlineMapDataset(ProblemDataset):
             SEARCHES[self.serving.search],
             rule_of(self.movement),
         )
-        return maps.occupancy, ends, [(np.arange(len(ends)), Paths(*found))]
+        return grids, ends, [(np.arange(len(ends)), Paths(*found))]

@@ -120,12 +120,22 @@ def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_ma
 
 def _stack_paths(paths: Sequence[torch.Tensor], capacity: int | None) -> torch.Tensor:
     longest = max(map(len, paths))
-    if capacity is None:
-        capacity = -(-longest // PATH_STEP) * PATH_STEP
-    if longest > capacity:
-        raise ValueError(f"max_length: a path of {longest} cells does not fit into {capacity}")
+    rows = rows_of_path(longest, capacity)
     stacked = pad_sequence(list(paths), batch_first=True, padding_value=PADDING)
-    return pad(stacked, (0, 0, 0, capacity - longest), value=PADDING)
+    return pad(stacked, (0, 0, 0, rows - longest), value=PADDING)
+
+
+def rows_of_path(longest: int, max_length: int | None) -> int:
+    """Return how many rows ``path`` has where the longest one has so many cells.
+
+    Raises:
+        ValueError: it does not fit into ``max_length``.
+    """
+    if max_length is None:
+        return -(-longest // PATH_STEP) * PATH_STEP
+    if longest > max_length:
+        raise ValueError(f"max_length: a path of {longest} cells does not fit into {max_length}")
+    return max_length
 
 
 def _collate(samples: Any, *, collate_fn_map: Any = None) -> Sample:

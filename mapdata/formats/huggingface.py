@@ -8,6 +8,7 @@ https://huggingface.co/docs/datasets/repository_structure.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,7 +49,6 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     except ImportError:
         raise ValueError("format huggingface needs pyarrow: pip install pyarrow") from None
     (target / "data").mkdir(parents=True)
-    schema = _schema()
     shards = len(root.shards)
     written: set[str] = set()
     for number, labels in enumerate(root.labels(progress=progress)):
@@ -57,7 +57,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             rows = [_row(labels, k, root.resolution) for k in indices]
             if rows:
                 name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
-                table = pa.Table.from_pylist(rows, schema)
+                table = pa.Table.from_pylist(rows, _schema(rows[0]))
                 parquet.write_table(table, target / "data" / name, compression="zstd")
                 written.add(split)
     # load_dataset refuses a pattern without files
@@ -69,11 +69,10 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     return []
 
 
-def _schema() -> pa.Schema:
+def _schema(names: Iterable[str]) -> pa.Schema:
     """Return the Arrow schema, with the features that ``datasets`` reads from its metadata."""
     import pyarrow as pa
 
-    integers = pa.list_(pa.int32())
     flags = pa.list_(pa.bool_())
     types = {
         "image": pa.struct([("bytes", pa.binary()), ("path", pa.string())]),
@@ -84,28 +83,19 @@ def _schema() -> pa.Schema:
         "resolution": pa.float64(),
         "rooms": pa.int32(),
         "passage_size": pa.int32(),
-        "seed_rows": integers,
-        "seed_columns": integers,
-        "size_rows": integers,
-        "size_columns": integers,
-        "direction_for_passages": integers,
         "connected": flags,
         "reachable": flags,
         "all_connected": pa.bool_(),
     }
     for search in SEARCHES:
-        types |= {
-            f"{search}_row_path": integers,
-            f"{search}_column_path": integers,
-            f"{search}_path_gaps": integers,
-            f"{search}_iterations": pa.int64(),
-            f"{search}_segment_iterations": integers,
-            f"{search}_connection_matrix": pa.list_(pa.list_(pa.float32())),
-        }
+        types[f"{search}_iterations"] = pa.int64()
+        types[f"{search}_connection_matrix"] = pa.list_(pa.list_(pa.float32()))
+    # all others are lists of integers
+    columns = [(name, types.get(name, pa.list_(pa.int32()))) for name in names]
     # what the type of a column does not say: its bytes are a picture
     features = {"image": {"_type": "Image"}}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
-    return pa.schema(list(types.items()), metadata=metadata)
+    return pa.schema(columns, metadata=metadata)
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:

@@ -33,7 +33,7 @@ from mapdata.formats.files import (
 from mapdata.formats.registry import Format
 from mapdata.spec import check_probability
 
-PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
 ARRAYS = (".npy", ".npz")
 
 _UNKNOWN = 205
@@ -61,7 +61,7 @@ class Pixels(NamedTuple):
 
 
 def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
-    """Return the pixels of a PNG, JPEG, BMP or PGM file.
+    """Return the pixels of a PNG, JPEG, BMP, PGM, WebP, TIFF or GIF file: of its first picture.
 
     Raises:
         FormatError: missing, no such picture, damaged, or more than ``limits.pixels`` pixels.
@@ -73,15 +73,17 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
 
 
 def _picture(path: Path, limits: Limits) -> Pixels:
-    """Return the pixels of a PNG, JPEG or BMP file, by Pillow."""
+    """Return the pixels of any of these but a PGM, by Pillow."""
     with refusing(f"{path}: damaged picture"):
         with warnings.catch_warnings():
             # of decompression bombs: our own limit follows, before anything is decoded
             warnings.simplefilter("ignore")
             try:
-                image = Image.open(path, formats=("PNG", "JPEG", "BMP"))
+                image = Image.open(path, formats=("PNG", "JPEG", "BMP", "WEBP", "TIFF", "GIF"))
             except UnidentifiedImageError:
-                raise FormatError(f"{path}: not a PNG, JPEG, BMP or PGM picture") from None
+                raise FormatError(
+                    f"{path}: not a PNG, JPEG, BMP, PGM, WebP, TIFF or GIF picture"
+                ) from None
         with image:
             columns, rows = image.size
             _check_size(path, rows, columns, limits)
@@ -91,6 +93,8 @@ def _picture(path: Path, limits: Limits) -> Pixels:
 
 def _decoded(image: Image.Image) -> Pixels:
     """Return the pixels of an image of Pillow as grey, RGB or RGBA, whatever its mode."""
+    if image.mode == "F" or (image.mode == "I" and image.format == "TIFF"):
+        raise FormatError("pixels of 32 bits, expected 8 or 16: save them as an .npy array")
     if image.mode.startswith("I"):  # integers of 16 bits, in any order of their bytes
         return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
     if image.mode not in ("L", "RGB", "RGBA"):

@@ -6,7 +6,6 @@ the draws of stream 5. An imported dataset has no recipe, so its identity is its
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -42,7 +41,15 @@ from mapdata.shards.manifest import (
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
 from mapdata.shards.workers import bar, threads
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, check_count, check_fractions, check_seed
+from mapdata.spec import (
+    MAX_ROOMS,
+    MAX_SIDE,
+    Movement,
+    check_count,
+    check_fractions,
+    check_resolution,
+    check_seed,
+)
 
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
@@ -110,7 +117,8 @@ def import_maps(
             less where that has fewer cells.
         seed: 64-bit seed of these draws and of the splits.
         movement: how the stored paths move; default the rule of the format, else 4-connected.
-        resolution: metres per cell, whatever the source says; default the source's, else 0.1.
+        resolution: metres per cell, whatever the source says; default the source's, else 0.1. A
+            robot's map (ros) is resampled to it by the command; from Python `read_any` does it.
         splits: fractions of train, val and test, for maps whose split the source does not say.
         tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
             edges is dropped.
@@ -129,8 +137,8 @@ def import_maps(
         raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
     if shard_size is not None:
         check_count("shard_size", shard_size)
-    if resolution is not None and not 0 < resolution < math.inf:
-        raise ValueError(f"resolution: got {resolution}, expected metres per cell above 0")
+    if resolution is not None:
+        check_resolution("resolution", resolution)
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
     with bar(progress and bool(source.maps), len(source.maps), unit=" maps checked") as advance:
@@ -146,22 +154,20 @@ def import_maps(
         reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
         raise ValueError("no map to import" + "".join(reasons))
     folders = _folders(root, list(groups))
-    codes: dict[Group, Bytes] = {}
     thresholds = split_thresholds(splits)
-    for group, maps in groups.items():
-        ordered = _ordered(maps, source)
-        drawn = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
-        for k, one in enumerate(ordered):
-            if one.split is not None:
-                drawn[k] = one.split
-        # All keep their splits: were they drawn anew, other copies might be parted.
-        kept = separate(ordered, drawn, drop_leaks, source.notes)
-        groups[group] = [ordered[k] for k in kept]
-        codes[group] = drawn[kept]
     draws = Draws(seed_points, seed)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
-        for group, maps in groups.items():
+        for group, found in groups.items():
+            ordered = _ordered(found, source)
+            codes = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
+            for k, one in enumerate(ordered):
+                if one.split is not None:
+                    codes[k] = one.split
+            # All keep their splits: were they drawn anew, other copies might be parted.
+            kept = separate(ordered, codes, drop_leaks, source.notes)
+            maps = [ordered[k] for k in kept]
+            advance(len(ordered) - len(maps))
             rows, columns, metres = group
             most = max(1, _CELLS_A_SHARD // (rows * columns))
             wanted = Manifest(
@@ -179,7 +185,7 @@ def import_maps(
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                made.append(_write(folder, wanted, maps, codes[group], draws, advance, pool))
+                made.append(_write(folder, wanted, maps, codes[kept], draws, advance, pool))
     return made
 
 
@@ -219,15 +225,9 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
         return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
-    if not one.rooms_known and len(_free_component(grid, movement)) < 2:
+    if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
         return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
     return None
-
-
-def _free_component(grid: Bytes, movement: Movement) -> Ints:
-    """Return the free cells of the largest component of a grid, as row * W + column."""
-    diagonals, _ = rule_of(movement)
-    return largest_component(grid, diagonals)
 
 
 def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
@@ -334,7 +334,7 @@ def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> I
         return one.seed_points
     _, columns = one.shape
     given = one.seed_points @ (columns, 1)
-    cells = _free_component(one.grid, header.movement)
+    cells = largest_component(one.grid, rule_of(header.movement)[0])
     cells = cells[~np.isin(cells, given)]
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
     rows_and_columns = np.divmod(np.concatenate((given, drawn)), columns)

@@ -212,13 +212,11 @@ class ScenReport:
     """What a check of one .scen file found.
 
     Attributes:
-        path: the file.
         total: number of problems.
         disagreements: a line for each length that our A* does not reproduce as exactly as printed.
         solved: the problems that have a path, each with its grid.
     """
 
-    path: Path
     total: int
     disagreements: list[str] = field(default_factory=list)
     solved: list[tuple[Bytes, Problem]] = field(default_factory=list)
@@ -264,7 +262,7 @@ def check_scen(
         letter = chr(terrain[problem.start])
         letters = letter if letter in _ISLANDS else LAND
         groups.setdefault((problem.map, letters), []).append(problem)
-    report = ScenReport(path, len(all_problems))
+    report = ScenReport(len(all_problems))
     is_long = report.total > _AT_A_TIME
     with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
         for (name, letters), problems in groups.items():

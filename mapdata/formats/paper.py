@@ -38,7 +38,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator
@@ -67,7 +66,7 @@ from mapdata.shards.root import Root
 from mapdata.shards.shard import SEARCHES
 from mapdata.shards.table import map_row
 from mapdata.shards.workers import bar
-from mapdata.spec import Movement, canonical_json
+from mapdata.spec import Movement, canonical_json, check_resolution
 
 NEEDED = ("seed_rows", "seed_columns")
 
@@ -262,9 +261,9 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
     are_lengths = min(lengths) >= -1 and max(lengths) < 2**15
     if not are_lengths or not np.isin(directions, (-1, 0, 1)).all():
         raise FormatError("its passage size, sizes or directions are out of range")
-    resolution = float(row["resolution"]) if row["resolution"] else None
-    if resolution is not None and not 0 < resolution < math.inf:
-        raise FormatError(f"resolution {resolution}, expected metres per cell above 0")
+    resolution = None
+    if row["resolution"]:
+        resolution = check_resolution("resolution", float(row["resolution"]))
     number = int(item) if item.isdecimal() and len(item) < 18 else None  # else too long for int64
     stated = {name: row[name] for name in LABELS if row[name]}
     return ForeignMap(

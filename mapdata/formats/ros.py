@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -31,6 +32,7 @@ from mapdata.arrays import Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
+    Array,
     FormatError,
     Limits,
     files_of,
@@ -42,6 +44,7 @@ from mapdata.formats.files import (
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.shards.root import Root
+from mapdata.spec import check_resolution
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
@@ -224,11 +227,48 @@ def _unknown(cells: Int8s) -> Flags:
     return np.isin(cells, (0, 100), invert=True)
 
 
+def resampled(grid: Bytes, factor: Fraction, rule: str | None, limits: Limits = LIMITS) -> Bytes:
+    """Return a map whose cells are ``factor`` times as wide.
+
+    They are counted from the lower left corner, where the origin of a ROS map is. What a cell
+    sticks out of the map above or on the right counts as occupied.
+
+    Args:
+        grid: (H, W) uint8, 0 free and 1 occupied.
+        factor: new width of a cell over the old one.
+        rule: "mean": a cell is occupied if half of what it covers is; else if any of it is.
+        limits: of the cells that come out.
+
+    Raises:
+        FormatError: more cells than that, or no whole one.
+    """
+    rows, columns = grid.shape
+    if factor > min(grid.shape) or grid.size > limits.pixels * factor**2:
+        raise FormatError(
+            f"{rows} x {columns} cells, too few or too many for cells {float(factor):g} times as "
+            "wide: expected another --resolution"
+        )
+    # With the side of an old cell in q parts, that of a new one has p: all areas are whole numbers.
+    p, q = factor.as_integer_ratio()
+    area: Array = grid[::-1]
+    for full in (1, p):  # the area of what is occupied: first rows are added up, then columns
+        count = math.ceil(len(area) / factor)
+        cell, part = np.divmod(np.arange(count + 1) * p, q)  # where the edges of new cells are
+        beyond = cell[-1] + 1 - len(area)
+        area = np.pad(area, ((0, beyond), (0, 0)), constant_values=full)
+        before = np.cumsum(area, axis=0) - area
+        area = np.diff(q * before[cell] + part[:, None] * area[cell], axis=0).T
+    least = p**2 / 2 if rule == "mean" else 1
+    return np.asarray(area >= least, np.uint8)[::-1]
+
+
 def read(
     source: Path,
     limits: Limits = LIMITS,
     *,
     unknown: Literal["occupied", "free"] | None = None,
+    resolution: float | None = None,
+    resample: Literal["any", "mean"] | None = None,
 ) -> Collection:
     """Read the map of a .yaml file, or all below a folder.
 
@@ -236,7 +276,14 @@ def read(
         source: file or folder.
         limits: of what is read.
         unknown: what unknown cells become; without it, maps with such cells are left out.
+        resolution: metres per cell that every map is resampled to; default its own.
+        resample: a resampled cell is occupied if any part of what it covers is, or if half of it
+            is (mean); default any.
     """
+    if resolution is not None:
+        check_resolution("resolution", resolution)
+    elif resample is not None:
+        raise ValueError("resample: does nothing without resolution")
     found = Collection()
     unknowns = []
     for path in files_of(source, ENDINGS, limits, found.left_out):
@@ -244,7 +291,12 @@ def read(
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
             unknowns.append(_unknown(one.cells).mean())
-            found.maps.append(ForeignMap(str(path), grid, split_of(path, source), one.resolution))
+            if resolution is not None:
+                # from what is written, since 0.15 / 0.05 is not 3 to floats
+                factor = Fraction(repr(resolution)) / Fraction(repr(one.resolution))
+                grid = resampled(grid, factor.limit_denominator(1000), resample, limits)
+            metres = resolution or one.resolution
+            found.maps.append(ForeignMap(str(path), grid, split_of(path, source), metres))
     tell_free(found, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,")
     if any(unknowns):
         found.notes.append(

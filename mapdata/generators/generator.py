@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -22,7 +21,7 @@ from mapdata.spec import (
     check_choice,
     check_fractions,
     check_integers,
-    check_number,
+    check_resolution,
     check_seed,
     hash_of,
     known_values,
@@ -67,7 +66,7 @@ class Generator(ABC):
             ValueError: a value outside these limits.
         """
         self._convert(check_integers, "map_size")
-        self._convert(check_number, "resolution")
+        self._convert(check_resolution, "resolution")
         object.__setattr__(self, "splits", check_fractions(self.splits))
         if not isinstance(self.movement, Movement):
             raise ValueError(f"movement: got {self.movement!r}, expected a Movement")
@@ -76,8 +75,6 @@ class Generator(ABC):
             raise ValueError(
                 f"map_size: got {self.map_size}, expected 1 to {MAX_SIDE} rows and columns"
             )
-        if not (self.resolution > 0 and math.isfinite(self.resolution)):
-            raise ValueError(f"resolution: got {self.resolution}, expected metres per cell above 0")
 
     def _convert(self, check: Callable[[str, Any], object], *names: str) -> None:
         """Replace values of this frozen dataclass by what ``check(name, value)`` makes of them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 import zipfile
 from collections.abc import Iterable
@@ -19,6 +20,7 @@ from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
+from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath
@@ -137,6 +139,7 @@ class Problems:
         problems: Random = Random(distance=(10, None)),
         until_hard: int | None = None,
         movement: Movement = Movement(8),
+        radius: float = 0.0,
     ) -> Problems:
         """Sample one problem on each map 0, 1, ... of (spec, seed), as a dataset does in epoch 0.
 
@@ -152,6 +155,8 @@ class Problems:
             problems: the conditions on distance, hardness and length.
             until_hard: stop at the map that brings the number of hard problems to this.
             movement: how one moves.
+            radius: of the robot, in metres: maps are those of `mapdata.inflate` for ``radius /
+                spec.resolution`` cells.
 
         Raises:
             ValueError: neither ``maps`` nor ``until_hard``; no map with a problem; not enough hard
@@ -170,7 +175,8 @@ class Problems:
         chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
         grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"
-        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where)
+        least = least_squared(radius, spec.resolution)
+        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
 
     @staticmethod
     def read(
@@ -182,6 +188,7 @@ class Problems:
         problems: Random = Random(distance=(10, None)),
         until_hard: int | None = None,
         movement: Movement = Movement(8),
+        radius: float = 0.0,
     ) -> Problems:
         """Sample one problem on each map of a split of a dataset: that which `sample` gives.
 
@@ -193,6 +200,7 @@ class Problems:
             problems: as in `sample`.
             until_hard: as in `sample`.
             movement: how one moves.
+            radius: as in `sample`.
 
         Raises:
             DatasetNotFoundError: there is no dataset under ``root``.
@@ -206,7 +214,10 @@ class Problems:
         shards = (labels.maps for labels in dataset.labels())
         grids = (_of_split(each, SPLITS.index(split)) for each in shards)
         where = f"split {split} of {dataset}"
-        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where)
+        least = 0
+        if radius:  # only then must all roots have one resolution
+            least = least_squared(radius, dataset.resolution)
+        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
 
 
 def _of_split(maps: Maps, code: int) -> tuple[Ints, Bytes]:
@@ -223,10 +234,12 @@ def _collect(
     seed: int,
     movement: Movement,
     where: str,
+    least: int,
 ) -> Problems:
     """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids).
 
-    With ``until_hard``, the last problem is that which brings the hard ones to this number.
+    With ``until_hard``, the last problem is that which brings the hard ones to this number. Cells
+    are free from the clearance ``least`` on.
     """
     if until_hard is not None:
         check_count("until_hard", until_hard)
@@ -237,6 +250,7 @@ def _collect(
         indices = all_indices[:left]
         grids = all_grids[:left]
         left -= len(indices)
+        inflate_all(grids, least)
         sampled = sample_problems(
             grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement)
         )
@@ -259,4 +273,6 @@ def _collect(
         )
     index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
+    if least:
+        description += f", free from a clearance of {math.sqrt(least) / 2:.3g} cells on"
     return Problems(grid, ends[:, :2], ends[:, 2:], movement, description)

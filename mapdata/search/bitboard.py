@@ -85,7 +85,8 @@ def search_around(
     With ``costs_too``, their costs go to ``g``, as from `shortest_costs`. Moves alone are found by
     bits, on 4-connected maps.
     """
-    if lattice.diagonals == 0 and not costs_too and grid.shape[1] >= _BYTE:
+    by_bits = lattice.diagonals == 0 and not costs_too and grid.shape[1] >= _BYTE
+    if by_bits and grid[row, column] == 0:
         board = board_of(grid)
         if search_board(row, column, sum(grid.shape), board):
             _write_moves(row + column, board, lattice, grid.shape, buffers.came)

@@ -66,18 +66,22 @@ def inflate(grid: npt.ArrayLike, radius: float) -> Bytes:
     return inflated
 
 
-def least_squared(radius: float) -> int:
+def least_squared(radius: float, resolution: float = 1.0) -> int:
     """Return the clearance that a robot needs, in half cells, squared: a whole number.
 
     Clearances squared are whole numbers of squared half cells, so a radius that is off by the last
     bits of a float, as 0.15 / 0.1 is, has to be taken for the number that it stands for.
 
+    Args:
+        radius: of the robot.
+        resolution: what a cell measures, in the same unit.
+
     Raises:
         ValueError: a radius that is no finite number of at least 0.
     """
     if not 0 <= check_number("radius", radius) < math.inf:
-        raise ValueError(f"radius: got {radius}, expected a finite number of cells, at least 0")
-    return math.ceil(round((2 * radius) ** 2, 6))
+        raise ValueError(f"radius: got {radius}, expected a finite number of at least 0")
+    return math.ceil(round((2 * radius / resolution) ** 2, 6))
 
 
 @kernel
@@ -96,6 +100,8 @@ def clearances(grids: Bytes) -> Float32s:
 @kernel
 def inflate_all(grids: Bytes, least: Int) -> None:
     """Occupy the cells of each map, (B, H, W), whose clearance is below `least_squared`."""
+    if least <= 1:
+        return  # any free cell has room for half a cell
     squared = np.empty(grids.shape[1:], np.int32)
     for b in range(len(grids)):
         _fill_squared(grids[b], squared)

@@ -530,8 +530,10 @@ def find(
     """Search one problem on a grid that is loaded.
 
     Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
-    moves, counts all as straight.
+    moves, counts all as straight. No cell is expanded if an end is occupied.
     """
+    if buffers.came[start] == WALL or buffers.came[goal] == WALL:
+        return -1, 0, 0, 1  # nothing is pushed beside the entry 0
     pushes = np.int64(0)
     if search == BFS:
         target = np.empty(1, np.int64)
@@ -720,10 +722,12 @@ def shortest_costs(sources: Ints, lattice: Lattice, buffers: Scratch) -> None:
     for k in range(lattice.cells):
         costs[k] = FAR if came[k] == UNSEEN else -1
         came[k] = 0
-    waiting = np.uint64(len(sources))
-    for k in range(len(sources)):
-        here[k] = sources[k]
-        costs[sources[k]] = 0
+    waiting = _ZERO
+    for source in sources:
+        if costs[source] == FAR:  # not in a wall
+            here[waiting] = source
+            waiting += _ONE
+            costs[source] = 0
     stride = np.uint64(lattice.stride)
     cut = lattice.diagonals == 2
     bucket = 0

@@ -1,7 +1,8 @@
-"""A small dataset that all formats export."""
+"""Small datasets that formats export."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,4 +25,12 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """24 maps of 20 x 70 cells in two shards, some segments without a path."""
     folder = tmp_path_factory.mktemp("formats") / "maps"
     build(folder, SPEC, maps=24, seed=5, shard_size=16)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """24 maps of 20 x 20 cells in two shards, for formats of square maps."""
+    folder = tmp_path_factory.mktemp("formats") / "square"
+    build(folder, replace(SPEC, map_size=(20, 20)), maps=24, seed=5, shard_size=16)
     return folder

@@ -57,6 +57,10 @@ def seed_points() -> dict[str, dict[str, bytes]]:
         "png": {"a.png": saved("png")},
         "bmp": {"a.bmp": saved("bmp")},
         "jpeg": {"a.jpg": saved("jpeg")},
+        "webp": {"a.webp": saved("webp")},
+        "tiff": {"a.tif": saved("tiff")},
+        "gif": {"a.gif": saved("gif")},
+        "maze-hard": {"train.csv": b"source,question,answer,rating\nx,S  G,So G,2\n"},
         "pgm": {"a.pgm": pgm},
         "P2": {"a.pgm": b"P2\n4 3\n255\n" + b" ".join(b"%d" % v for v in (255 * GRID).ravel())},
         "npy": {"a.npy": saved("npy")},
@@ -74,6 +78,7 @@ FORMATS = {
     "map": "movingai",
     "scen": "movingai",
     "csv": "paper",
+    "maze-hard": "maze-hard",
     "planning": "planning-datasets",
 }
 CHANGES = st.lists(

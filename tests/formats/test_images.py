@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import sys
 from pathlib import Path
@@ -41,7 +42,18 @@ def test_pictures_of_all_kinds(tmp_path: Path) -> None:
     (tmp_path / "9.pgm").write_bytes(b"P5 4 3 255\n" + DARK.tobytes())
     hole = Image.fromarray(np.dstack([np.zeros((3, 4, 3), np.uint8), GRID * 255]))
     hole.save(tmp_path / "10.png")
-    assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()] * 11
+    hole.save(tmp_path / "11.webp", lossless=True, exact=True)
+    grey.save(tmp_path / "12.webp", lossless=True)
+    for k, mode in enumerate(("1", "L", "RGB", "P", "CMYK", "I;16"), 13):
+        picture = Image.fromarray(DARK.astype(np.uint16) * 257)
+        if mode != "I;16":
+            picture = grey.convert(mode, dither=Image.Dither.NONE)
+        picture.save(tmp_path / f"{k}.tif")
+    grey.save(tmp_path / "19.tiff", compression="tiff_lzw")
+    # of several pictures the first one is read
+    grey.save(tmp_path / "20.gif", save_all=True, append_images=[Image.new("L", (4, 3))])
+    hole.save(tmp_path / "21.gif")
+    assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()] * 22
 
 
 def test_threshold_and_inversion(tmp_path: Path) -> None:
@@ -116,6 +128,13 @@ def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
     assert set(reasons) == {"c.png", "d.png"}
 
 
+def tiff(dtype: type[np.generic]) -> bytes:
+    """Return a TIFF whose pixels are of this type."""
+    out = io.BytesIO()
+    Image.fromarray(GRID.astype(dtype)).save(out, "TIFF")
+    return out.getvalue()
+
+
 def hostile(folder: Path) -> dict[str, str]:
     """Write files that must be left out; return what is said of each."""
     good = png(3, 4, depth=8)
@@ -136,6 +155,9 @@ def hostile(folder: Path) -> dict[str, str]:
         "crc.png": (good.replace(b"IDAT", b"IDAT\xff", 1), "damaged picture"),
         "zero.png": (png(0, 4), "damaged|not a PNG|has 0 x 4"),
         "gif.png": (b"GIF89a\x01\0\x01\0\0\0\0;", "not a PNG"),
+        "icon.png": (b"\0\0\1\0\1\0\1\1\0\0\1\0\1\0" + bytes(50), "not a PNG"),
+        "float.tif": (tiff(np.float32), "pixels of 32 bits, expected 8 or 16"),
+        "long.tif": (tiff(np.int32), "pixels of 32 bits, expected 8 or 16"),
         "cut.jpg": (jpeg[: len(jpeg) // 2], "damaged picture"),
         "cut.bmp": (bmp[:60], "damaged picture"),
         "lie.bmp": (

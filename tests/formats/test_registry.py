@@ -57,7 +57,7 @@ def test_the_page_names_the_papers_columns(root: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", sorted(functions("write")))
 def test_an_export_is_whole_or_nothing(
-    kind: str, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When a shard cannot be read half-way, no target and nothing else is left."""
     if kind == "huggingface":
@@ -75,7 +75,7 @@ def test_an_export_is_whole_or_nothing(
 
     monkeypatch.setattr(Root, "labels", broken)
     with pytest.raises(OSError, match="No space left"):
-        export(root, tmp_path / "out.npz", kind)
+        export(square, tmp_path / "out.npz", kind)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -106,11 +106,11 @@ def test_what_cannot_be_exported(
     assert len(list((tmp_path / "empty").rglob("*.yaml"))) == 24
 
 
-def test_recognising(root: Path, tmp_path: Path) -> None:
+def test_recognising(square: Path, tmp_path: Path) -> None:
     """Formats that are written and read are recognised again; nothing and nonsense are refused."""
     for kind in sorted(set(functions("write")) & set(functions("read"))):
         target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
-        export(root, target, kind)
+        export(square, target, kind)
         assert recognise(target) == kind
     np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
     assert recognise(tmp_path / "stack.npy") == "images"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,9 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from mapdata import read_shard
-from mapdata.formats import FormatError, Limits
+from mapdata.formats import FormatError, Limits, read_any
 from mapdata.formats.images import Pixels, read_pixels
-from mapdata.formats.ros import _classify, read, read_map, to_grid
+from mapdata.formats.ros import _classify, read, read_map, resampled, to_grid
 from mapdata.shards import read_manifest
 
 YAML = """image: {image}
@@ -329,3 +331,86 @@ def test_to_grid(cells: npt.NDArray[np.int8], unknown: str) -> None:
     assert grid.tolist() == [
         [{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()
     ]
+
+
+def slowly_resampled(grid: Bytes, factor: Fraction, rule: str) -> list[list[int]]:
+    """Return a map of wider cells: each adds up its overlaps with all old ones, as fractions.
+
+    Rows are counted from below; beyond the map all is occupied.
+    """
+    height = len(grid)
+    rows, columns = (math.ceil(side / factor) for side in grid.shape)
+
+    def overlap(old: int, new: int) -> Fraction:
+        first = max(Fraction(old), new * factor)
+        last = min(Fraction(old + 1), (new + 1) * factor)
+        return max(Fraction(0), last - first)
+
+    found = [[0] * columns for _ in range(rows)]
+    for up in range(rows):
+        for right in range(columns):
+            free = Fraction(0)
+            for row, column in np.argwhere(grid == 0).tolist():
+                free += overlap(height - 1 - row, up) * overlap(column, right)
+            occupied = factor**2 - free
+            enough = occupied > 0 if rule == "any" else occupied >= factor**2 / 2
+            found[rows - 1 - up][right] = int(enough)
+    return found
+
+
+@settings(SETTINGS, max_examples=100)
+@given(
+    arrays.arrays(
+        np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)
+    ),
+    st.fractions(Fraction(1, 4), 7, max_denominator=6),
+    st.sampled_from(["any", "mean"]),
+)
+def test_resampling_adds_up_areas(grid: Bytes, factor: Fraction, rule: str) -> None:
+    """Finer and coarser, by whole numbers and by fractions, exactly."""
+    if factor > min(grid.shape):
+        with pytest.raises(FormatError, match="cells, too few or too many for cells"):
+            resampled(grid, factor, rule)
+    else:
+        assert resampled(grid, factor, rule).tolist() == slowly_resampled(grid, factor, rule)
+
+
+def test_resolution_resamples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The map is another one, whether by the command or from Python; 0.15 / 0.05 is 3."""
+    cells = np.zeros((7, 12), np.uint8)
+    cells[0, 1] = cells[5, 4] = 1
+    cells[3:6, 6:9] = 1
+    pixels = np.where(cells, 0, 254).astype(np.uint8)
+    path = write(tmp_path, b"P5 12 7 255\n" + pixels.tobytes())
+    for flags, rule in (((), "any"), (("--ros.resample", "mean"), "mean")):
+        out = tmp_path / rule
+        code, _, _ = cli(capsys, "import", path, out, "--resolution", 0.15, *flags)
+        assert code == 0
+        manifest = read_manifest(out)
+        assert manifest.resolution == 0.15
+        grid = read_shard(out / manifest.shards[0].name).maps.occupancy[0]
+        assert grid.tolist() == slowly_resampled(cells, Fraction(3), rule)
+    assert [line.count(1) for line in slowly_resampled(cells, Fraction(3), "any")] == [4, 1, 2]
+    (one,) = read_any(path, resolution=0.1).maps
+    assert (one.resolution, one.shape) == (0.1, (4, 6))
+    (one,) = read_any(path, resolution=0.05).maps
+    assert one.grid.tolist() == cells.tolist()
+    path.write_text(path.read_text().replace("0.050000", "0.0500000007450581"))
+    (one,) = read_any(path, resolution=0.1).maps
+    assert one.shape == (4, 6)
+
+
+def test_resolutions_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing above 0, too fine for the limit, coarser than the map; a rule without one."""
+    path = write(tmp_path, resolution="0.05")
+    for flags, says in (
+        (("--resolution", "0"), "resolution: got 0.0, expected metres per cell above 0"),
+        (("--resolution", "nan"), "resolution: got nan, expected metres per cell above 0"),
+        (("--resolution", "1e-9"), "2 x 3 cells, too few or too many for cells 0 times as wide"),
+        (("--resolution", "0.2"), "2 x 3 cells, too few or too many for cells 4 times as wide"),
+        (("--ros.resample", "any"), "resample: does nothing without resolution"),
+    ):
+        given = ("--ros.unknown", "free", *flags)
+        code, _, err = cli(capsys, "import", path, tmp_path / "out", *given)
+        assert (code, err.count("mapdata: ")) == (2, 1)
+        assert says in err

@@ -31,6 +31,20 @@ def random_grids(count: int, rows: int = 12, columns: int = 70) -> list[Bytes]:
     return list((noise < 0.3).astype(np.uint8))
 
 
+def squared_half_cells(grid: Bytes) -> npt.NDArray[np.int64]:
+    """Return the squared clearance in half cells: every cell against every obstacle."""
+    rows, columns = grid.shape
+    found = np.zeros(grid.shape, np.int64)
+    for row, column in np.argwhere(grid == 0):
+        gaps = [2 * int(side) + 1 for side in (row, column, rows - 1 - row, columns - 1 - column)]
+        best = min(gaps) ** 2
+        for other in np.argwhere(grid):
+            down, right = (max(0, 2 * abs(int(step)) - 1) for step in other - (row, column))
+            best = min(best, down**2 + right**2)
+        found[row, column] = best
+    return found
+
+
 def scipy_distances(
     grid: Array, cells: Sequence[Cell], movement: Movement
 ) -> npt.NDArray[np.float64]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.grids import squared_half_cells
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -22,20 +23,6 @@ Grid = npt.NDArray[np.uint8]
 GRIDS = arrays.arrays(np.uint8, arrays.array_shapes(min_dims=2, max_dims=2, max_side=20)).map(
     lambda noise: (noise < 40).astype(np.uint8)
 )
-
-
-def squared_half_cells(grid: Grid) -> npt.NDArray[np.int64]:
-    """Return the squared clearance in half cells: every cell against every obstacle."""
-    rows, columns = grid.shape
-    found = np.zeros(grid.shape, np.int64)
-    for row, column in np.argwhere(grid == 0):
-        gaps = [2 * int(side) + 1 for side in (row, column, rows - 1 - row, columns - 1 - column)]
-        best = min(gaps) ** 2
-        for other in np.argwhere(grid):
-            down, right = (max(0, 2 * abs(int(step)) - 1) for step in other - (row, column))
-            best = min(best, down**2 + right**2)
-        found[row, column] = best
-    return found
 
 
 @settings(max_examples=200)

@@ -1,0 +1,172 @@
+"""Mazes as text for sequence models, as maze-30x30-hard-1k has them: a CSV a split, in and out.
+
+Source: https://huggingface.co/datasets/sapientinc/maze-30x30-hard-1k, which HRM
+(https://arxiv.org/abs/2506.21734) and TRM (https://arxiv.org/abs/2510.04871) are trained on. After
+a header each line has four columns:
+
+| column | value |
+|---|---|
+| source | where the maze comes from |
+| question | the cells of a square map, row by row: "#" occupied, " " free, "S" start, "G" goal |
+| answer | the same with "o" on the free cells of a shortest path, 4-connected |
+| rating | how hard it is: here the moves of that path |
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from mapdata.arrays import Bytes, Ints
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, files_of
+from mapdata.formats.registry import Format
+from mapdata.search.api import astar
+from mapdata.search.labels import Labels
+from mapdata.shards.root import Root
+from mapdata.spec import SPLITS, Movement
+
+HEADER = "source,question,answer,rating"
+
+_QUESTION = re.compile("[# ]*(S[# ]*G|G[# ]*S)[# ]*")
+
+_OCCUPIED, _FREE, _START, _GOAL, _PATH = np.frombuffer(b"# SGo", np.uint8)
+
+
+def is_maze_hard(path: Path) -> bool:
+    """Return whether a CSV begins with this format's header."""
+    with path.open("rb") as file:
+        return file.readline(100).strip().lower() == HEADER.encode()
+
+
+def read(source: Path, limits: Limits = LIMITS) -> Collection:
+    """Read a CSV, or all below a folder; train.csv, val.csv and test.csv are those splits.
+
+    Start and goal become the seed points of a map.
+
+    Raises:
+        FormatError: ``source`` is not there. Lines that are no maze are left out.
+    """
+    found = Collection(movement=Movement())
+    for path in files_of(source, (".csv",), limits, found.left_out):
+        split = SPLIT_NAMES.get(path.stem.lower())
+        with path.open(encoding="latin-1", newline="\n") as file:
+            next(file, "")
+            for number, line in enumerate(file, 2):
+                name = f"{path}, line {number}"
+                with found.leaving_out(name):
+                    found.maps.append(_maze(name, line, split, limits))
+    return found
+
+
+def _maze(name: str, line: str, split: int | None, limits: Limits) -> ForeignMap:
+    """Return the map of a line.
+
+    Raises:
+        FormatError: it is none.
+    """
+    fields = line.rsplit(",", 3)  # only a source may hold a comma
+    if len(fields) < 4 or len(fields[1]) > limits.pixels:
+        raise FormatError(f"{name}: expected {HEADER} of at most {limits.pixels} cells")
+    _, question, answer, _ = fields
+    if not _QUESTION.fullmatch(question):
+        raise FormatError(f"{name}: expected cells '#' and ' ', one S and one G")
+    cells = _cells(question)
+    wrong = [] if is_shortest_answer(question, answer) else ["answer"]
+    return ForeignMap(
+        name,
+        (cells == _OCCUPIED).astype(np.uint8),
+        split,
+        seed_points=_ends(question, len(cells)),
+        rooms_known=True,
+        check=lambda _labels, _k: wrong,
+    )
+
+
+def is_shortest_answer(question: str, answer: str) -> bool:
+    """Return whether an answer marks a shortest path: any of them, not only the one in the file.
+
+    Most problems have many shortest paths, and a model that finds another one than the file's is
+    right, too.
+
+    Args:
+        question: the cells of a square map, row by row, with one S and one G.
+        answer: of a model; all but the cells that it marks with "o" must be as in the question.
+
+    >>> answers = ("Soo #o  G", "S  o# ooG", "S   #   G")
+    >>> [is_shortest_answer("S   #   G", answer) for answer in answers]
+    [True, True, False]
+    """
+    if answer.replace("o", " ") != question:
+        return False
+    cells = _cells(answer)
+    start, goal = _ends(answer, len(cells))
+    shortest = astar(cells == _OCCUPIED, start, goal).cost
+    # With all cells occupied that are not marked, the path can only be the marked one. It passes
+    # over all of them if there are as many as it needs.
+    marked = astar((cells == _OCCUPIED) | (cells == _FREE), start, goal).cost
+    return shortest == marked == answer.count("o") + 1
+
+
+def _cells(text: str) -> Bytes:
+    """Return the characters of a square map, (side, side).
+
+    Raises:
+        FormatError: their number is not a square.
+    """
+    side = math.isqrt(len(text))
+    if side * side != len(text):
+        raise FormatError(f"got {len(text)} cells, expected a square map")
+    return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
+
+
+def _ends(text: str, side: int) -> Ints:
+    """Return the start and the goal, (2, 2)."""
+    return np.array([divmod(text.index(end), side) for end in "SG"], np.int64)
+
+
+def write(target: Path, root: Root, progress: bool) -> list[str]:
+    """Write train.csv, val.csv and test.csv: a line for each segment of a route that has a path.
+
+    Raises:
+        ValueError: maps that are not square, or diagonal moves.
+    """
+    rows, columns = root.map_size
+    if rows != columns or root.movement.connectivity != 4:
+        raise ValueError(
+            f"maze-hard: got maps of {rows} x {columns} cells and {root.movement}, expected square "
+            "maps and 4-connected paths"
+        )
+    target.mkdir()
+    with ExitStack() as opened:
+        paths = [target / f"{split}.csv" for split in SPLITS]
+        files = [opened.enter_context(path.open("w", newline="\n")) for path in paths]
+        for file in files:
+            print(HEADER, file=file)
+        for labels in root.labels(progress=progress):
+            for k, code in enumerate(labels.maps.split):
+                files[code].writelines(_lines(labels, k))
+    return []
+
+
+def _lines(labels: Labels, k: int) -> Iterator[str]:
+    """Yield the lines of map ``k`` of a batch."""
+    empty = np.where(labels.maps.occupancy[k], _OCCUPIED, _FREE)
+    for path in labels.route("astar", k):
+        if len(path) < 2:  # no path, or two seed points in one cell
+            continue
+        cells = empty.copy()
+        cells[tuple(path.T)] = _PATH
+        cells[tuple(path[0])] = _START
+        cells[tuple(path[-1])] = _GOAL
+        answer = cells.tobytes().decode()
+        question = answer.replace("o", " ")
+        yield f"map{labels.maps.index[k]},{question},{answer},{len(path) - 1}\n"
+
+
+FORMAT = Format("maze-hard", (".csv",), read, write, is_mine=is_maze_hard)

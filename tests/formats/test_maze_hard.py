@@ -1,0 +1,166 @@
+"""maze-hard: HRM's converter, written down once more, reads what we write; answers are scored."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import networkx as nx  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+from helpers.wild import SETTINGS, cli
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapdata import MapDataset, MapSpec, Maze, Movement, astar, build, generate
+from mapdata.formats import (
+    export,
+    import_maps,
+    is_shortest_answer,
+    read_any,
+    recognise,
+)
+
+CHARSET = "# SGo"
+
+
+def convert(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N, side * side) inputs and labels, as dataset/build_maze_dataset.py of HRM does."""
+    inputs, labels = [], []
+    with path.open(newline="") as file:
+        lines = csv.reader(file)
+        next(lines)
+        for _, question, answer, _ in lines:
+            side = int(len(question) ** 0.5)
+            inputs.append(np.frombuffer(question.encode(), np.uint8).reshape(side, side))
+            labels.append(np.frombuffer(answer.encode(), np.uint8).reshape(side, side))
+    tokens = np.zeros(256, np.uint8)
+    tokens[[ord(letter) for letter in CHARSET]] = np.arange(len(CHARSET)) + 1
+    return tokens[np.stack(inputs)], tokens[np.stack(labels)]
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """40 mazes with loops of 15 x 15 cells."""
+    folder = tmp_path_factory.mktemp("mazes") / "maps"
+    build(folder, Maze((15, 15), reopened=0.2, seed_points=3), maps=40, seed=2)
+    return folder
+
+
+def test_their_converter_reads_what_we_write(root: Path, tmp_path: Path) -> None:
+    """Each segment of each split in order: the same map, ends and path."""
+    export(root, tmp_path / "out", "maze-hard")
+    for split in ("train", "val", "test"):
+        inputs, labels = convert(tmp_path / "out" / f"{split}.csv")
+        stored = MapDataset(root, split)
+        assert len(stored) == len(inputs)
+        for sample, given_, wanted in zip(stored, inputs, labels, strict=True):
+            assert ((given_ == 1) == (sample.map[0].numpy() == 1)).all()
+            assert given_[tuple(sample.start)] == 3
+            assert given_[tuple(sample.goal)] == 4
+            inner = {tuple(cell) for cell in sample.path.tolist()[1:-1] if cell[0] >= 0}
+            assert {tuple(cell) for cell in np.argwhere(wanted == 5).tolist()} == inner
+
+
+def test_there_and_back(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A maze a line, in its split, with its ends as seed points; every answer is confirmed."""
+    out = tmp_path / "out"
+    assert cli(capsys, "export", root, out, "--format", "maze-hard")[0] == 0
+    assert recognise(out) == "maze-hard"
+    code, _, _ = cli(capsys, "import", out, tmp_path / "back")
+    assert code == 0
+    for split in ("train", "val", "test"):
+        there, back = MapDataset(root, split)[:], MapDataset(tmp_path / "back", split)[:]
+        for name in ("map", "start", "goal"):
+            np.testing.assert_array_equal(getattr(there, name), getattr(back, name))
+
+
+def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
+    """By the import, which compares each with all shortest paths."""
+    export(root, tmp_path / "out", "maze-hard")
+    lines = (tmp_path / "out" / "test.csv").read_text().splitlines()
+    source, question, answer, rating = lines[1].split(",")
+    lines[1] = ",".join((source, question, answer.replace("o", " ", 1), rating))
+    (tmp_path / "test.csv").write_text("\n".join(lines) + "\n")
+    (imported,) = import_maps(tmp_path / "back", read_any(tmp_path / "test.csv"))
+    assert imported.checked == len(lines) - 1
+    assert sum(imported.disagreements.values()) == 1
+
+
+@SETTINGS
+@given(st.integers(0, 10_000), st.data())
+def test_an_answer_is_right_if_it_is_one_of_networkx(seed: int, data: st.DataObject) -> None:
+    """All its shortest paths score, and none of them with a cell more, less or moved."""
+    grid = generate(Maze((9, 9), reopened=0.6, seed_points=2), seed, [0])
+    cells = grid.occupancy[0]
+    start, goal = (tuple(point.tolist()) for point in grid.seed_points[0])
+    graph = nx.grid_2d_graph(9, 9)
+    graph.remove_nodes_from([tuple(cell) for cell in np.argwhere(cells).tolist()])
+    letters = np.where(cells, "#", " ")
+    letters[start], letters[goal] = "S", "G"
+    question = "".join(letters.flat)
+
+    def answer(path: list[tuple[int, int]]) -> str:
+        marked = letters.copy()
+        for cell in path[1:-1]:
+            marked[cell] = "o"
+        return "".join(marked.flat)
+
+    paths = list(nx.all_shortest_paths(graph, start, goal))
+    assert all(is_shortest_answer(question, answer(path)) for path in paths)
+    right = {answer(path) for path in paths}
+    other = list(data.draw(st.sampled_from(sorted(right))))
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, 80))
+        other[place] = data.draw(st.sampled_from(CHARSET))
+    assert is_shortest_answer(question, "".join(other)) == ("".join(other) in right)
+
+
+def test_longer_paths_are_wrong() -> None:
+    """A detour, a loop beside the path, an answer of another length, a changed wall."""
+    question = "S        " + "       G "
+    question = question.ljust(25)
+    start, goal = 0, 16
+    found = astar(np.zeros((5, 5)), (0, 0), divmod(goal, 5))
+    cells = [row * 5 + column for row, column in found.path.tolist()]
+    right = "".join("o" if k in cells[1:-1] else letter for k, letter in enumerate(question))
+    assert is_shortest_answer(question, right)
+    assert not is_shortest_answer(question, right[:-1])
+    assert not is_shortest_answer(question, right[:-1] + "#")
+    assert not is_shortest_answer(question, right[:-1] + "o")
+    assert right[start] == "S"
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("x,S G,S G,2", "got 3 cells, expected a square map"),
+        ("x,S  S,S  S,2", "one S and one G"),
+        ("x,S  X,S  X,2", "expected cells"),
+        ("x,,,", "one S and one G"),
+        ("x,SG", "expected source,question"),
+    ],
+)
+def test_lines_that_are_no_maze_are_left_out(tmp_path: Path, line: str, why: str) -> None:
+    """By line and reason; the others are read."""
+    path = tmp_path / "train.csv"
+    path.write_text(f"source,question,answer,rating\n{line}\nx,S  G,So G,2\n")
+    found = read_any(path)
+    assert [each.split for each in found.maps] == [0]
+    ((name, reason),) = found.left_out
+    assert name.endswith("train.csv, line 2")
+    assert why in reason
+
+
+def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    """Maps that are not square, and diagonal moves; a CSV of another kind cannot be read."""
+    for name, spec in (
+        ("wide", MapSpec((20, 31), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 2))),
+        ("diagonal", Maze((9, 9), seed_points=2, movement=Movement(8))),
+    ):
+        build(tmp_path / name, spec, maps=3)
+        with pytest.raises(ValueError, match="expected square maps and 4-connected paths"):
+            export(tmp_path / name, tmp_path / f"{name}-out", "maze-hard")
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match=r"no map to import: .*other.csv, line 2: expected source"):
+        import_maps(tmp_path / "out", read_any(tmp_path / "other.csv", "maze-hard"))
