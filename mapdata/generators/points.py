@@ -57,7 +57,7 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
     rows, columns = grid.shape
     steps = STEPS if diagonals == 2 else STEPS[:4]  # 2: diagonal moves without a corner rule
     # 0 free and 1 occupied; then the number of each component, from 2 on.
-    marks = grid.astype(np.int64)
+    marks = np.ascontiguousarray(grid).astype(np.int64)
     flat = marks.reshape(-1)
     queue = np.empty(rows * columns, np.int64)
     number = 1

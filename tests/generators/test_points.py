@@ -30,6 +30,8 @@ def test_largest_component(grid: Bytes, cut: bool) -> None:
     labels, count = ndimage.label(grid == 0, np.ones((3, 3)) if cut else None)
     cells = largest_component(grid, 2 if cut else 1)
     assert np.array_equal(cells, largest_component(grid, 2 if cut else 0))
+    assert np.array_equal(cells, largest_component(np.asfortranarray(grid), 2 if cut else 0))
+    assert np.array_equal(cells, largest_component(np.repeat(grid, 2, 1)[:, ::2], 2 if cut else 0))
     if count == 0:
         assert len(cells) == 0
         return
