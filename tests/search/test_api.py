@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.evaluation import BestFirst
-from mapdata.search import api
+from mapdata.search import api, search_batch
 from mapdata.spec import Movement
 
 OCTILE, CUTTING = Movement(8), Movement(8, corner_cutting=True)
@@ -541,6 +541,7 @@ BAD_GRIDS = [
     pytest.param(
         np.array([[0, 1, 7, -5, 2]], np.float32), r"\b7\.0", id="the first of three floats"
     ),
+    pytest.param(np.array([[0, 0], [2, 0]], np.uint8), r"\b2\b", id="a two alone"),
     pytest.param(np.zeros((1, 2**24 + 1), dtype=np.uint8), "16777216", id="beyond the limit"),
 ]
 
@@ -555,6 +556,50 @@ def test_a_bad_grid_is_refused(door: str, grid: object, value: str) -> None:
         DOORS[door](grid)
     assert re.search(value, str(error.value))
     assert "\n" not in str(error.value)
+
+
+@movements
+@pytest.mark.parametrize("shared", [False, True], ids=["own grids", "one grid"])
+@pytest.mark.parametrize("search", ["bfs", "astar"])
+def test_a_batch_is_its_problems(search: str, shared: bool, movement: Movement) -> None:
+    """Each as the reference solves it, whatever the others of the batch left behind."""
+    truth = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}[search]
+    source = np.random.default_rng(5)
+    grids = (source.random((1 if shared else 12, 9, 11)) < 0.35).astype(np.uint8)
+    grids[:, 0, 1] = grids[:, 1, :2] = 1  # a corner that nothing leads out of
+    grids[:, 0, 0] = 0
+    free = [np.argwhere(grids[0 if shared else k] == 0) for k in range(12)]
+    starts, goals = (np.array([source.choice(cells[1:]) for cells in free]) for _ in range(2))
+    starts[3] = 0
+    given = grids[0] if shared else grids
+    found = search_batch(search, given, starts, goals, movement)
+    assert found.offsets.tolist()[0] == 0
+    assert found.offsets.tolist()[-1] == len(found.cells)
+    lengths = []
+    for k in range(12):
+        grid = grids[0 if shared else k].tolist()
+        ends = tuple(starts[k].tolist()), tuple(goals[k].tolist())
+        expected = truth(grid, *ends, movement)
+        path = found.cells[found.offsets[k] : found.offsets[k + 1]]
+        assert [tuple(cell) for cell in path.tolist()] == expected.path
+        assert (found.cost[k], found.iterations[k]) == (expected.cost, expected.iterations)
+        lengths.append(len(path))
+    assert 0 in lengths
+
+
+@pytest.mark.parametrize("cell", [(-1, 0), (0, -1), (4, 0), (0, 5), (1, 1)], ids=str)
+def test_a_bad_problem_of_a_batch_is_named(cell: Cell) -> None:
+    """By its number and its end; so is a batch that has not as many grids, starts and goals."""
+    good = np.zeros((3, 2), np.int64)
+    bad = good.copy()
+    bad[1] = cell
+    for grid in (WALLED, np.stack([WALLED] * 3)):
+        for ends, name in (((bad, good), "start"), ((good, bad), "goal")):
+            with pytest.raises(ValueError, match=f"problem 1: {name}: "):
+                search_batch("astar", grid, *ends)
+    for grids, count in (([WALLED] * 2, 3), ([WALLED] * 3, 2)):
+        with pytest.raises(ValueError, match=f"got {len(grids)} grids, 3 starts and {count} goals"):
+            search_batch("astar", grids, good, good[:count])
 
 
 BAD_CELLS: list[tuple[float, ...]] = [

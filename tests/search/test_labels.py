@@ -4,6 +4,7 @@ movements.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -225,6 +226,17 @@ def test_another_maps_labels_are_never_given() -> None:
         for asked in (labels.matrix, labels.iterations, labels.route):
             with pytest.raises((IndexError, ValueError)):
                 asked(search, i)
+
+
+@pytest.mark.parametrize("cell", [(-1, 3), (-3, 3), (16, 3), (3, -1), (3, 16), (3, 18), (3, -3)])
+def test_a_seed_point_outside_is_refused(cell: reference.Cell) -> None:
+    """Also where, row after row, the cell would be a free one of the next row."""
+    maps = generate(MapSpec((16, 16), (2, 2), (16, 16), (16, 16), passage_width=(1, 1)), 0, [0, 1])
+    assert not maps.occupancy[:, 1:-1, 1:-1].all()
+    maps.packed[:] = 0  # all is free
+    maps.seed_points[1, 1] = cell
+    with pytest.raises(ValueError, match=f"seeds: {re.escape(str(cell))} of map 1 is not a free"):
+        label(maps)
 
 
 def test_the_papers_shares() -> None:

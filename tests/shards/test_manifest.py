@@ -364,6 +364,22 @@ def test_merge_refuses_another_dataset(other: Manifest, tmp_path: Path) -> None:
     assert read_manifest(tmp_path) == other
 
 
+def test_merge_waits_for_the_lock_unless_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a repair found would be lost otherwise."""
+    asked: list[bool] = []
+
+    def ask(_: object, wait: bool = False) -> bool:
+        asked.append(wait)
+        return True
+
+    monkeypatch.setattr("mapdata.shards.manifest.take_lock", ask)
+    merge(tmp_path, manifest_of(SPEC, 1, 10, 4))
+    merge(tmp_path, manifest_of(SPEC, 1, 10, 4), wait=False)
+    assert asked == [True, False]
+
+
 def test_merge_can_do_without_waiting(tmp_path: Path) -> None:
     """One that does not wait leaves the manifest to the other builder until that is done."""
     whole = manifest_of(SPEC, 1, 10, 4, done=3)

@@ -179,8 +179,17 @@ def test_a_missing_or_cut_shard_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "values",
-    [[], [3.0], [2.0, 2.0, 9.0], [0.5], [0.25, 0.25, 0.75], list(range(1000)), [1.0, 1e6]],
-    ids=["none", "one", "integers", "half", "shares", "many", "far"],
+    [
+        [],
+        [3.0],
+        [2.0, 2.0, 9.0],
+        [0.5],
+        [0.25, 0.25, 0.75],
+        list(range(32)),
+        list(range(1000)),
+        [1.0, 1e6],
+    ],
+    ids=["none", "one", "integers", "half", "shares", "some", "many", "far"],
 )
 def test_histogram_counts_every_value(values: list[float]) -> None:
     """No value lies outside the edges, and there are at most 31 bins."""
