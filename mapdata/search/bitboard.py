@@ -385,7 +385,7 @@ def _trace(
     bit = _ONE << np.uint64(start[1])
     low = row
     high = row
-    before[:, :] = 0
+    before.fill(0)
     for step in range(length):
         back = (length - step - 1) * _LEVEL
         ahead = (step + 1) * _LEVEL

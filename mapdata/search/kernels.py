@@ -487,7 +487,8 @@ def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
     if used + more <= len(moves):
         return moves
     larger = np.empty(2 * (used + more), np.uint8)
-    larger[:used] = moves[:used]
+    for k in range(used):
+        larger[k] = moves[k]
     return larger
 
 

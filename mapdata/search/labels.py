@@ -318,7 +318,8 @@ def _bfs_labels(
     came = buffers.came
     pair = 0
     for a in range(len(cells) - 1):
-        came[:] = fresh
+        for k in range(lattice.cells):
+            came[k] = fresh[k]
         count = flood(cells[a], cells[a + 1 :], lattice, buffers)
         length = 0
         for b in range(a + 1, len(cells)):
@@ -356,7 +357,8 @@ def _astar_labels(
     came = buffers.came
     pair = 0
     for a in range(len(cells) - 1):
-        came[:] = fresh
+        for k in range(lattice.cells):
+            came[k] = fresh[k]
         straight, diagonal, expansions, pushes = find(
             cells[a], cells[a + 1], ASTAR, lattice, buffers
         )
