@@ -403,7 +403,7 @@ def planners() -> Figure:
         if line.get_color() == "#000000":  # not seen on dark pages
             line.set_color(mpl.rcParams["text.color"])
     for bars in ax.collections:
-        if mpl.colors.to_hex(bars.get_edgecolor()[0]) == "#000000":
+        if not np.asarray(bars.get_edgecolor())[0, :3].any():
             bars.set_color(mpl.rcParams["text.color"])
     return figure
 

@@ -235,6 +235,7 @@ def check_scen(
     path: str | Path,
     maps: str | Path | None = None,
     limits: Limits = LIMITS,
+    count: int | None = None,
 ) -> ScenReport:
     """Compare the optimal lengths of a .scen with those that A* finds under the benchmark's rule.
 
@@ -242,6 +243,7 @@ def check_scen(
         path: the .scen file.
         maps: folder of the maps; default beside the .scen.
         limits: of what is read, and whether a progress bar shows it.
+        count: how many problems at most, evenly spread over the file; all without.
 
     Raises:
         FormatError: a file that cannot be read, a map that is missing or has another size than the
@@ -254,6 +256,8 @@ def check_scen(
     all_problems = read_scen(path, limits)
     if not all_problems:
         raise FormatError(f"{path}: holds no problems")
+    if count is not None:
+        all_problems = all_problems[:: -(-len(all_problems) // check_count("count", count))]
     for problem in all_problems:
         if problem.map not in terrains:
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
@@ -298,13 +302,12 @@ def problems(
         FormatError: what `check_scen` refuses; a length that our A* does not reproduce.
         ValueError: no problem has a path; maps of several sizes.
     """
-    report = check_scen(source, maps, limits)
+    report = check_scen(source, maps, limits, count)
     if report.disagreements:
         raise FormatError(report.disagreements[0])
-    chosen = report.solved[:: -(-report.total // check_count("count", count))]
-    grids = np.stack([grid for grid, _ in chosen])
-    ends = np.array([(one.start, one.goal) for _, one in chosen])
-    text = f"{len(chosen)} problems of {source}, whose lengths are ours"
+    grids = np.stack([grid for grid, _ in report.solved])
+    ends = np.array([(one.start, one.goal) for _, one in report.solved])
+    text = f"{len(grids)} problems of {source}, whose lengths are ours"
     return Problems(grids, ends[:, 0], ends[:, 1], MOVEMENT, text)
 
 

@@ -127,17 +127,15 @@ def read_problems(source: StrPath, **options: object) -> Problems:
         options: those of the format's ``problems``, such as ``count``.
 
     Raises:
-        FileNotFoundError: no such file.
-        ValueError: no problems, or bad ones; the message names the file.
+        ValueError: no such file, no problems in it, or bad ones; the message names the file.
     """
-    path = Path(source)
-    for one in FORMATS.values():
-        if one.problems and path.suffix.lower() in one.endings and one.is_mine(path):
-            found: Problems = _checked("problems", one.name, options)(path, **options)
-            return found
+    name = recognise(source)
+    if name in functions("problems"):
+        found: Problems = _checked("problems", name, options)(Path(source), **options)
+        return found
     if options:
         raise ValueError(f"{', '.join(options)}: would do nothing beside a saved set of problems")
-    return Problems.load(path)
+    return Problems.load(source)
 
 
 def export(
