@@ -1,15 +1,12 @@
-"""Conditional variational autoencoders as samplers: LEGO's as published, and a local one.
+"""A conditional variational autoencoder as a sampler: LEGO's, as published.
 
 Kumar, Mandalika, Choudhury, Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for
 Sampling-Based Planning", IROS 2019.
 
-- `CVAE`: as published. A latent of 2 numbers and a condition become a point; the condition is here
-  a convolutional code of map, start and goal, of any map size, where the original has the 10 x 10
-  cells of a coarse map.
-- `LocalCVAE`: the same with a condition that stays where it is: latent and code become a query that
-  the features of the cells answer, so that its points lie in cells instead of between them.
+A latent of 2 numbers and a condition become a point. The condition is here a convolutional code of
+map, start and goal, of any map size, where the original has the 10 x 10 cells of a coarse map.
 
-Their targets, training and files are those of `models.lego_sampler.Sampler`.
+Targets, training and files are those of `models.lego_sampler.Sampler`.
 """
 
 from __future__ import annotations
@@ -23,12 +20,9 @@ from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
-from models.common import Tensors, Trunk, cell_numbers, one_cycle, padded
+from models.common import Tensors, one_cycle, padded
 from models.lego_sampler import Sampler, encode
 from models.roadmap import free_at, uniform
-
-POINTS = 6
-"""Points of each problem in a step of `LocalCVAE`."""
 
 ROUNDS = 8
 """How often `CVAE` draws until its points are free."""
@@ -56,25 +50,7 @@ def draw_latent(code: Tensor) -> tuple[Tensor, Tensor]:
     return latent, terms.sum(dim=-1) / 2
 
 
-class Autoencoder(Sampler):
-    """What both have in common, with hyperparameters ``latent`` and ``divergence_weight``."""
-
-    def latents(self, count: int, n: int, source: Generator) -> Tensor:
-        """Return draws from the prior, (count, n, z)."""
-        draws = source.standard_normal((count, n, self.hparams["latent"]))
-        (latents,) = self.tensors(draws.astype(np.float32))
-        return latents
-
-    def total(self, errors: Tensor, divergences: Tensor) -> Tensors:
-        """Return the loss and its parts of points with these errors and divergences, (M,) both."""
-        count = max(len(errors), 1)  # a batch may have no point: no NaN
-        error = errors.sum() / count
-        divergence = divergences.sum() / count
-        loss = error + self.hparams["divergence_weight"] * divergence
-        return {"loss": loss, "error": error, "divergence": divergence}
-
-
-class CVAE(Autoencoder):
+class CVAE(Sampler):
     """LEGO's conditional variational autoencoder: a point from a latent and a condition.
 
     Published, by Model-LEGO.ipynb of https://github.com/personalrobotics/lego: two hidden layers of
@@ -131,8 +107,11 @@ class CVAE(Autoencoder):
         code = self.encoder(torch.cat([unit, conditions], dim=1))  # (M, 2 z)
         latent, divergences = draw_latent(code)  # (M, z) and (M,)
         decoded = self.decoder(torch.cat([latent, conditions], dim=1))  # (M, 2)
-        errors = ((decoded.float() - unit) ** 2).mean(dim=1)  # (M,)
-        return self.total(errors, divergences)
+        count = max(len(points), 1)  # a batch may have no point: no NaN
+        error = ((decoded.float() - unit) ** 2).mean(dim=1).sum() / count
+        divergence = divergences.sum() / count
+        loss = error + self.hparams["divergence_weight"] * divergence
+        return {"loss": loss, "error": error, "divergence": divergence}
 
     def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
         """Return (B, n, 2): the first n points that are free; what lacks is uniform."""
@@ -140,7 +119,8 @@ class CVAE(Autoencoder):
         each = conditions[:, None].expand(-1, 2 * n, -1)  # (B, 2 n, code + 4)
         found = [np.empty((0, 2)) for _ in grids]
         for _ in range(ROUNDS):
-            latents = self.latents(len(grids), 2 * n, source)
+            draws = source.standard_normal((len(grids), 2 * n, self.hparams["latent"]))
+            (latents,) = self.tensors(draws.astype(np.float32))  # from the prior
             unit = self.decoder(torch.cat([latents, each], dim=2))  # (B, 2 n, 2)
             points = unit.double().cpu().numpy() * grids.shape[1:]  # numpy has no bfloat16
             for b, grid in enumerate(grids):
@@ -157,93 +137,3 @@ class CVAE(Autoencoder):
         """Return Adam, as published."""
         optimizer = torch.optim.Adam(self.parameters(), self.hparams["learning_rate"])
         return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
-
-
-class LocalCVAE(Autoencoder):
-    """A conditional variational autoencoder whose decoder asks the cells.
-
-    Latent and code become a query, each cell has a key. A point becomes a cell by the cell that
-    holds it, its likelihood is the softmax of query times keys over free cells, and it is drawn
-    uniformly inside its cell.
-
-    Args:
-        targets: one of ``TARGETS``.
-        latent: its numbers.
-        keys: numbers a key.
-        widths, passes: as of `Heatmap`.
-        width: of the hidden layers.
-        divergence_weight: of the divergence from the prior.
-        learning_rate: the highest.
-        experience: folder of banks.
-    """
-
-    def __init__(
-        self,
-        targets: str = "lego",
-        latent: int = 4,
-        keys: int = 16,
-        widths: tuple[int, int, int] = (32, 48, 64),
-        passes: int = 3,
-        width: int = 128,
-        divergence_weight: float = 0.1,
-        learning_rate: float = 0.006,
-        experience: str = "runs/experience",
-    ) -> None:
-        """Make the networks."""
-        super().__init__(targets)
-        self.save_hyperparameters()
-        self.trunk = Trunk(14, keys, widths, passes)
-        nn.init.normal_(self.trunk.head.weight, std=0.02)
-        self.encoder = hidden_layers(2 + keys + widths[2], width, 2 * latent, 0.0)
-        self.decoder = hidden_layers(latent + widths[2], width, keys, 0.0)
-
-    def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        """Return keys of the cells (B, H * W, keys) and a code of each problem (B, widths[2])."""
-        rows, columns = occupied.shape[2:]
-        keys, code = self.trunk(encode(padded(occupied), starts, goals))
-        return keys[..., :rows, :columns].flatten(2).transpose(1, 2), code
-
-    def likelihoods(self, latent: Tensor, keys: Tensor, code: Tensor) -> Tensor:
-        """Return how likely, in log, each latent (B, n, z) makes each cell: (B, n, H * W)."""
-        codes = code[:, None].expand(-1, latent.shape[1], -1)  # (B, n, widths[2])
-        asking = torch.cat([latent.to(code.dtype), codes], dim=2)
-        query: Tensor = self.decoder(asking)  # (B, n, keys)
-        return query @ keys.transpose(1, 2)
-
-    def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
-        """Return the cross entropy of the cells and the divergence.
-
-        For ``POINTS`` random points of each of the S problems that have any.
-        """
-        counts = torch.bincount(owners, minlength=len(batch["map"]))  # (B,)
-        first = counts.cumsum(0) - counts  # (B,) each problem's first point
-        some = counts.nonzero()[:, 0]  # (S,)
-        shares = torch.rand(len(some), POINTS, device=points.device)
-        chosen = (shares * counts[some, None]).long()  # which of its problem's points
-        points = points[first[some, None] + chosen]  # (S, POINTS, 2)
-        occupied = batch["map"][some]
-        # (S, H * W, keys) and (S, widths[2])
-        keys, code = self(occupied, batch["start"][some], batch["goal"][some])
-        cells = cell_numbers(points.flatten(0, 1), occupied)  # (S * POINTS,)
-        problems = torch.arange(len(some), device=points.device)[:, None]
-        near = keys[problems, cells.view(-1, POINTS)]  # (S, POINTS, keys)
-        codes = code[:, None].expand(-1, POINTS, -1)  # (S, POINTS, widths[2])
-        described = torch.cat([to_unit(points, occupied), near, codes], dim=2)
-        latent, divergences = draw_latent(self.encoder(described))  # (S, POINTS, z) and (S, POINTS)
-        scores = self.likelihoods(latent, keys, code).float()
-        scores = scores.masked_fill(occupied.flatten(2) != 0, -30)  # as in `Heatmap.loss`
-        errors = F.cross_entropy(scores.flatten(0, 1), cells, reduction="none")
-        return self.total(errors, divergences.flatten())
-
-    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
-        """Return points, each of a latent of its own."""
-        occupied, start, goal = self.tensors(grids[:, None], starts, goals)
-        keys, code = self(occupied, start, goal)
-        latents = self.latents(len(grids), n, source)
-        scores = self.likelihoods(latents, keys, code).double()  # (B, n, H * W)
-        scores = scores.masked_fill(occupied.flatten(2) != 0, -torch.inf)
-        # the greatest of log likelihood + Gumbel noise is a draw from their softmax
-        noisy = scores.cpu().numpy() + source.gumbel(size=scores.shape)
-        cells = np.divmod(noisy.argmax(axis=2), grids.shape[2])  # (B, n) rows and columns
-        corners = np.stack(cells, axis=2)  # (B, n, 2)
-        return corners + source.random(corners.shape)

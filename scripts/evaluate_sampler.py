@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from models.common import load_model
-from models.cvae import CVAE, LocalCVAE
+from models.cvae import CVAE
 from models.lego_sampler import Heatmap, Sampler
 from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
 
@@ -81,7 +81,7 @@ def evaluate_command(
 def learned_samplers(folder: Path) -> dict[str, Sampler]:
     """Return the samplers whose weights are in a folder, by the names of their files."""
     files = sorted([*folder.glob("lego_*.pt"), *folder.glob("shortest_path_*.pt")])
-    return {file.stem: load_model(file, Heatmap, CVAE, LocalCVAE) for file in files}
+    return {file.stem: load_model(file, Heatmap, CVAE) for file in files}
 
 
 def main(arguments: list[str] | None = None) -> None:

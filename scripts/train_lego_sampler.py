@@ -9,7 +9,6 @@ The weights that ship, in models/weights, were made by these commands:
         --trainer.max_steps 3000
     python $S fit --weights shortest_path_cvae.pt --model CVAE --model.targets shortest_path \
         --model.learning_rate 1e-3 --trainer.max_steps 3000
-    python $S fit --weights lego_cvae_local.pt --model LocalCVAE --trainer.max_steps 1500
 
 All arguments are in scripts/train_lego_sampler.yaml, and each is a flag too (fit --help). A change
 of the model keeps the arguments that both have: say the learning rate. The first command mines the

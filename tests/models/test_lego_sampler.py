@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from mapdata import MapDataModule, MapSpec, Problems
 from models.common import load_model, random_symmetry
-from models.cvae import CVAE, LocalCVAE
+from models.cvae import CVAE
 from models.experience import (
     KINDS,
     Bank,
@@ -62,7 +62,7 @@ pytestmark = pytest.mark.filterwarnings(
 
 def load(file: str | Path) -> Sampler:
     """Return the sampler in a file, of whichever kind."""
-    return load_model(file, Heatmap, CVAE, LocalCVAE)
+    return load_model(file, Heatmap, CVAE)
 
 
 @cache
@@ -294,7 +294,7 @@ def test_fixed_problems_stay() -> None:
 # --- samplers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE, LocalCVAE])
+@pytest.mark.parametrize("kind", [Heatmap, CVAE])
 @pytest.mark.parametrize("shape", [(64, 64), (37, 50), (5, 3)])
 def test_samples_are_free(kind: type[Sampler], shape: tuple[int, int]) -> None:
     """Any map size, more samples than cells even: exactly n, all in free cells, a function of the
@@ -311,7 +311,7 @@ def test_samples_are_free(kind: type[Sampler], shape: tuple[int, int]) -> None:
         assert not np.array_equal(found, model.sample(grid, free[0], free[-1], n, seed=4))
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE, LocalCVAE])
+@pytest.mark.parametrize("kind", [Heatmap, CVAE])
 def test_what_is_refused(kind: type[Any]) -> None:
     """A map without free space, a start or goal in a wall or outside, no sample."""
     model, grid = small(kind), np.zeros((16, 16), np.uint8)
@@ -408,7 +408,7 @@ def test_what_the_networks_see() -> None:
     assert seen[6, 2, 4] == pytest.approx(3 / 64)
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE, LocalCVAE])
+@pytest.mark.parametrize("kind", [Heatmap, CVAE])
 def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
     """It learns from a data module's batches and a bank; what it saves is the same model again."""
     pl.seed_everything(0)
@@ -450,7 +450,7 @@ def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
     for one, other in zip(model.parameters(), again.parameters(), strict=True):
         assert torch.allclose(one, other, rtol=1e-3, atol=1e-6)
     torch.save({"weights": {}}, tmp_path / "other.pt")
-    with pytest.raises(ValueError, match="holds no saved Heatmap or CVAE or LocalCVAE"):
+    with pytest.raises(ValueError, match="holds no saved Heatmap or CVAE"):
         load(tmp_path / "other.pt")
 
 
@@ -662,7 +662,7 @@ def test_training_script(main: Callable[[str], Callable[[list[str]], None]]) -> 
         "log_every_n_steps": 1,
     }
     flags = [f"--trainer.{name}={value}" for name, value in short.items()]
-    for kind, targets in (("Heatmap", "lego"), ("CVAE", "shortest_path"), ("LocalCVAE", "lego")):
+    for kind, targets in (("Heatmap", "lego"), ("CVAE", "shortest_path")):
         script, file = main("train_lego_sampler.py"), f"{kind}.pt"
         model = [f"--model={kind}", f"--model.targets={targets}"]
         script(
