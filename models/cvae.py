@@ -1,4 +1,4 @@
-"""LEGO's conditional variational autoencoder as a sampler, as published.
+"""A conditional variational autoencoder as a sampler: LEGO's, as published.
 
 Kumar, Mandalika, Choudhury, Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for
 Sampling-Based Planning", IROS 2019.
@@ -6,7 +6,7 @@ Sampling-Based Planning", IROS 2019.
 A latent of 2 numbers and a condition become a point. The condition is here a convolutional code of
 map, start and goal, of any map size, where the original has the 10 x 10 cells of a coarse map.
 
-Its targets, training and files are those of `models.lego_sampler.Sampler`.
+Targets, training and files are those of `models.lego_sampler.Sampler`.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class CVAE(Sampler):
         code = self.encoder(torch.cat([unit, conditions], dim=1))  # (M, 2 z)
         latent, divergences = draw_latent(code)  # (M, z) and (M,)
         decoded = self.decoder(torch.cat([latent, conditions], dim=1))  # (M, 2)
-        count = max(len(unit), 1)  # a batch may have no point: no NaN
+        count = max(len(points), 1)  # a batch may have no point: no NaN
         error = ((decoded.float() - unit) ** 2).mean(dim=1).sum() / count
         divergence = divergences.sum() / count
         loss = error + self.hparams["divergence_weight"] * divergence
@@ -120,7 +120,7 @@ class CVAE(Sampler):
         found = [np.empty((0, 2)) for _ in grids]
         for _ in range(ROUNDS):
             draws = source.standard_normal((len(grids), 2 * n, self.hparams["latent"]))
-            (latents,) = self.tensors(draws.astype(np.float32))
+            (latents,) = self.tensors(draws.astype(np.float32))  # from the prior
             unit = self.decoder(torch.cat([latents, each], dim=2))  # (B, 2 n, 2)
             points = unit.double().cpu().numpy() * grids.shape[1:]  # numpy has no bfloat16
             for b, grid in enumerate(grids):
