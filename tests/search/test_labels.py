@@ -15,6 +15,10 @@ from helpers.specs import movements
 from scipy import ndimage
 
 from mapdata import Labels, Maps, MapSpec, generate, label
+from mapdata.search import cell_at, lattice_of, load, rule_of
+from mapdata.search.kernels import scratch
+from mapdata.search.labels import _fill_costs
+from mapdata.search.lattice import COSTS
 from mapdata.spec import Movement
 
 SEARCHES: dict[str, reference.Search] = {
@@ -237,6 +241,32 @@ def test_a_seed_point_outside_is_refused(cell: reference.Cell) -> None:
     maps.seed_points[1, 1] = cell
     with pytest.raises(ValueError, match=f"seeds: {re.escape(str(cell))} of map 1 is not a free"):
         label(maps)
+    maps.seed_points[0, 0] = cell
+    with pytest.raises(ValueError, match=f"seeds: {re.escape(str(cell))} of map 0 is not a free"):
+        label(maps)
+
+
+def test_a_seed_point_in_a_wall_is_refused() -> None:
+    """A search would begin where nobody can stand."""
+    maps = generate(MapSpec((16, 16), (2, 2)), 0, [4])
+    maps.packed[:] = 0
+    maps.packed[0, 5] = 1 << 7
+    maps.seed_points[0, 1] = (5, 7)
+    with pytest.raises(ValueError, match=r"seeds: \(5, 7\) of map 4 is not a free cell"):
+        label(maps)
+
+
+def test_costs_without_a_path_take_the_place_of_what_memory_held() -> None:
+    """(-1, 0), since the content hash covers both numbers."""
+    grid = np.zeros((5, 9), np.uint8)
+    grid[:, 4] = 1
+    lattice = lattice_of(grid.shape, rule_of(Movement(8)))
+    buffers = scratch(COSTS, lattice)
+    assert load(grid, buffers.came)
+    ends = np.array([cell_at(2, column, lattice) for column in (2, 6, 7)])
+    costs = np.full((3, 2), 7)
+    _fill_costs(cell_at(2, 0, lattice), ends, lattice, buffers, costs)
+    assert costs.tolist() == [[2, 0], [-1, 0], [-1, 0]]
 
 
 def test_the_papers_shares() -> None:
