@@ -248,7 +248,7 @@ def test_a_seed_point_outside_is_refused(cell: reference.Cell) -> None:
 
 def test_a_seed_point_in_a_wall_is_refused() -> None:
     """A search would begin where nobody can stand."""
-    maps = generate(MapSpec((16, 16), (2, 2)), 0, [4])
+    maps = generate(MapSpec(), 0, [4])
     maps.packed[:] = 0
     maps.packed[0, 5] = 1 << 7
     maps.seed_points[0, 1] = (5, 7)
