@@ -18,7 +18,7 @@ from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.search import cell_at, lattice_of, load, rule_of
 from mapdata.search.kernels import scratch
 from mapdata.search.labels import _fill_costs
-from mapdata.search.lattice import COSTS
+from mapdata.search.lattice import ASTAR
 from mapdata.spec import Movement
 
 SEARCHES: dict[str, reference.Search] = {
@@ -261,11 +261,11 @@ def test_costs_without_a_path_take_the_place_of_what_memory_held() -> None:
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 4] = 1
     lattice = lattice_of(grid.shape, rule_of(Movement(8)))
-    buffers = scratch(COSTS, lattice)
+    buffers = scratch(ASTAR, lattice)
     assert load(grid, buffers.came)
     ends = np.array([cell_at(2, column, lattice) for column in (2, 6, 7)])
     costs = np.full((3, 2), 7)
-    _fill_costs(cell_at(2, 0, lattice), ends, lattice, buffers, costs)
+    _fill_costs(np.array([cell_at(2, 0, lattice)]), ends, lattice, buffers, costs)
     assert costs.tolist() == [[2, 0], [-1, 0], [-1, 0]]
 
 
