@@ -59,6 +59,7 @@ TESTED_IN = {
     ),
     "mapdata/search/lattice.py": (
         "search/test_lattice.py",
+        "search/test_labels.py",
         "search/test_bitboard.py",
         "problems/test_sampling.py",
     ),

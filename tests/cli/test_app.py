@@ -672,4 +672,4 @@ def test_show_writes_the_name_it_says(run: Command, dataset: Path, tmp_path: Pat
     """A name without an ending is a PNG of that very name; an empty name is none."""
     assert run("show", dataset, "-o", tmp_path / "picture").out == f"wrote {tmp_path / 'picture'}\n"
     assert (tmp_path / "picture").read_bytes()[:4] == b"\x89PNG"
-    run.refused(2, "No such file", "show", dataset, "-o", "")
+    run.refused(2, "Is a directory", "show", dataset, "-o", "")
