@@ -73,6 +73,7 @@ class OnlineMapDataset(ProblemDataset):
         self.seed = check_seed(seed)
         self.length = length
         self.movement = movement or spec.movement
+        self.map_size = spec.map_size
         self._least = least_squared(radius, spec.resolution)
         self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
 
@@ -91,11 +92,6 @@ class OnlineMapDataset(ProblemDataset):
             f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}, "
             f"problems={self.serving.problems}): {self.length} problems"
         )
-
-    @property
-    def map_size(self) -> tuple[int, int]:
-        """(rows, columns) of all maps."""
-        return self.spec.map_size
 
     def _maps(self, places: Ints) -> Maps:
         numbers = places if self._numbers is None else self._numbers[places]
@@ -134,4 +130,4 @@ class OnlineMapDataset(ProblemDataset):
             SEARCHES[self.serving.search],
             rule_of(self.movement),
         )
-        return grids, ends, [(np.arange(len(ends)), Paths(*found))]
+        return grids, ends, Paths(*found)

@@ -20,8 +20,9 @@ from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import check_sides
 from mapdata.formats.leaks import separate
 from mapdata.generators.maps import Maps, pack
-from mapdata.generators.points import draw_points, largest_component
+from mapdata.generators.points import check_seed_points, draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
+from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
 from mapdata.shards.builder import headers
@@ -133,8 +134,7 @@ def import_maps(
     root = folder_of(root)
     check_seed(seed)
     check_fractions(splits)
-    if check_count("seed_points", seed_points, 2) > MAX_ROOMS:
-        raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
+    check_seed_points("seed_points", seed_points)
     if shard_size is not None:
         check_count("shard_size", shard_size)
     if resolution is not None:
@@ -217,11 +217,10 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
         return (
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
         )
-    for row, column in one.seed_points.tolist():
-        if not (0 <= row < rows and 0 <= column < columns):
-            return f"seed point {(row, column)} is outside the map of {rows} x {columns} cells"
-        if grid[row, column]:
-            return f"seed point {(row, column)} is on an occupied cell"
+    for cell in one.seed_points:
+        why = why_not_free(grid, cell)
+        if why:
+            return f"seed point {why}"
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
         return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"

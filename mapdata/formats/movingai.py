@@ -40,7 +40,8 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
-from mapdata.search.api import search_batch
+from mapdata.search.api import search_batch, solve_batch
+from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
 from mapdata.shards.workers import bar
 from mapdata.spec import MAX_ROOMS, Movement, check_count
@@ -269,8 +270,11 @@ def check_scen(
             grid = world(terrains[name], letters)
             for first in range(0, len(problems), _AT_A_TIME):
                 part = problems[first : first + _AT_A_TIME]
-                ends = np.array([(problem.start, problem.goal) for problem in part])
-                for problem, found in zip(part, _lengths(grid, ends), strict=True):
+                starts = [problem.start for problem in part]
+                goals = [problem.goal for problem in part]
+                # an end on a blocked cell is a problem without a path here
+                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost.tolist()
+                for problem, found in zip(part, costs, strict=True):
                     if found > 0:
                         report.solved.append((grid, problem))
                     if not agrees(problem, found):
@@ -301,7 +305,8 @@ def problems(
     report = check_scen(source, maps, limits)
     if report.disagreements:
         raise FormatError(report.disagreements[0])
-    chosen = report.solved[:: -(-report.total // check_count("count", count))]
+    step = math.ceil(len(report.solved) / check_count("count", count))
+    chosen = report.solved[:: max(step, 1)]
     grids = np.stack([grid for grid, _ in chosen])
     ends = np.array([(one.start, one.goal) for _, one in chosen])
     text = f"{len(chosen)} problems of {source}, whose lengths are ours"
@@ -320,17 +325,6 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
             raise FormatError(
                 f"{path}: line {problem.line}: {cell} is outside the map of {terrain.shape}"
             )
-
-
-def _lengths(grid: Bytes, ends: Ints) -> list[float]:
-    """Return the optimal length between the ends, (N, 2, 2), of each problem; -1 without a path."""
-    lengths = np.full(len(ends), -1.0)
-    # an end on a blocked cell is a problem without a path here, an error to a search
-    is_free = (grid[tuple(ends.T)] == 0).all(axis=0)
-    if is_free.any():
-        starts, goals = ends[is_free].swapaxes(0, 1)
-        lengths[is_free] = search_batch("astar", grid, starts, goals, MOVEMENT).cost
-    return lengths.tolist()
 
 
 def agrees(problem: Problem, found: float) -> bool:
@@ -465,14 +459,13 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    pairs = np.stack(np.triu_indices(len(seed_points), 1), axis=1)
-    ends = seed_points[pairs]
+    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))]
+    costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost.tolist()
     lines = ["version 1"]
-    for (start, goal), cost in zip(ends.tolist(), _lengths(grid, ends), strict=True):
+    for start, goal, cost in zip(starts.tolist(), goals.tolist(), costs, strict=True):
         length = max(cost, 0.0)  # 0 stands for no path
-        bucket = math.floor(length / 4)
         cells = (*start[::-1], *goal[::-1])  # x and y
-        words = (bucket, name, width, height, *cells, f"{length:.8f}")
+        words = (int(length / 4), name, width, height, *cells, f"{length:.8f}")
         lines.append("\t".join(map(str, words)))
     return "\n".join(lines) + "\n"
 

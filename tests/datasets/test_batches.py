@@ -114,7 +114,7 @@ def test_of_two_threads_the_first_ones_mapping_stays(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another thread opens a shard while this one does: its addresses may be in use already."""
-    reader = BatchReader(root, None, Route())
+    reader = BatchReader(root, None, Route(), 0.0)
     opened: list[Shard] = []
     open_of_root = Root.open_shard
 
