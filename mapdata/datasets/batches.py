@@ -17,6 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
+from mapdata.datasets.fields import Paths, Rooms
 from mapdata.generators.maps import WORD, unpack
 from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
@@ -336,13 +337,14 @@ class BatchReader:
         """Return the seed of one room of each map, (B, 2)."""
         return read_seed_points(self._table, shards, maps, rooms)
 
-    def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> tuple[Ints, Ints, Ints]:
-        """Return the stored paths from each room to the next: cells, offsets, iterations.
+    def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> Paths:
+        """Return the stored paths from each room to the next.
 
         Raises:
             ShardError: a stored path leaves the map or does not end at its goal.
         """
-        bits, column = bits_of(self.movement), ARRAYS.index(f"{search}_offsets")
+        bits = bits_of(self.movement)
+        column = ARRAYS.index(f"{search}_offsets")
         cells, offsets, iterations, bad = read_paths(
             self._table, shards, maps, rooms, column, bits, self.map_size
         )
@@ -351,11 +353,11 @@ class BatchReader:
             path = f"{self.root.places[place]}/{entry.name}"
             number = entry.start + maps[bad]
             raise ShardError(f"{path}: a stored path of map {number} is damaged")
-        return cells, offsets, iterations
+        return Paths(cells, offsets, iterations)
 
-    def rooms(self, shards: Ints, maps: Ints, search: str) -> tuple[Float32s, Ints]:
+    def rooms(self, shards: Ints, maps: Ints, search: str) -> Rooms:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
-        return read_rooms(
+        found = read_rooms(
             self._table,
             shards,
             maps,
@@ -364,6 +366,7 @@ class BatchReader:
             self.movement.diagonal_cost,
             self.most_seed_points,
         )
+        return Rooms(*found)
 
 
 def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:

@@ -17,7 +17,7 @@ from torch.utils.data import Dataset, default_collate
 from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
-from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices, solve
+from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.sample import (
     MAPS_AND_MASKS,
     Rows,
@@ -207,11 +207,10 @@ class ProblemDataset(Dataset[Sample], ABC):
             )
         starts = np.ascontiguousarray(ends[:, :2])
         goals = np.ascontiguousarray(ends[:, 2:])
-
-        def paths() -> Paths:
-            return found or self._solve(grids, starts, goals)
-
-        return self._as_batch(indices, places, grids, starts, goals, paths)
+        batch = self._as_batch(indices, places, grids, starts, goals)
+        if found:
+            batch.paths = found
+        return batch
 
     def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
         """Sample a problem on each of the maps at some places."""
@@ -224,13 +223,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         return grids, sampled, None
 
     def _as_batch(
-        self,
-        indices: Ints,
-        places: Ints,
-        grids: Bytes,
-        starts: Ints,
-        goals: Ints,
-        paths: Callable[[], Paths],
+        self, indices: Ints, places: Ints, grids: Bytes, starts: Ints, goals: Ints
     ) -> Batch:
         return Batch(
             self.movement,
@@ -239,14 +232,10 @@ class ProblemDataset(Dataset[Sample], ABC):
             starts,
             goals,
             indices,
-            paths,
             lambda: self._rooms(places, grids),
             self.serving.names,
             self.serving.max_length,
         )
-
-    def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
-        return solve(self.serving.search, grids, starts, goals, self.movement)
 
 
 class MapDataset(ProblemDataset):
@@ -430,13 +419,10 @@ class MapDataset(ProblemDataset):
         grids = reader.grids(shards, maps)
         starts = reader.seed_points(shards, maps, first)
         goals = reader.seed_points(shards, maps, second)
-
-        def paths() -> Paths:
-            if isinstance(self.serving.problems, Route) and self._is_stored:
-                return Paths(*reader.paths(shards, maps, first, self.serving.search))
-            return self._solve(grids, starts, goals)
-
-        return self._as_batch(indices, indices, grids, starts, goals, paths)
+        batch = self._as_batch(indices, indices, grids, starts, goals)
+        if isinstance(self.serving.problems, Route) and self._is_stored:
+            batch.find_paths = partial(reader.paths, shards, maps, first, self.serving.search)
+        return batch
 
     def _grids(self, places: Ints) -> Bytes:
         shards, maps, _, _ = self.reader.find(places)
@@ -445,10 +431,11 @@ class MapDataset(ProblemDataset):
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         shards, maps, _, _ = self.reader.find(places)
         search = self.serving.search
-        matrices, seed_points = self.reader.rooms(shards, maps, search)
-        if not self._is_stored:
-            matrices = room_matrices(search, grids, seed_points, self.movement)
-        return Rooms(matrices, seed_points)
+        rooms = self.reader.rooms(shards, maps, search)
+        if self._is_stored:
+            return rooms
+        matrix = room_matrices(search, grids, rooms.seed_points, self.movement)
+        return Rooms(matrix, rooms.seed_points)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return (indices + attempt + 1) % len(self.reader)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -77,10 +77,10 @@ class Batch:
         starts: (B, 2) int64.
         goals: (B, 2) int64.
         problems: (B,) int64, numbers in the dataset.
-        find_paths: gives the paths.
         find_rooms: gives connection matrices and seed points.
         wanted: names of the fields that will be asked for.
         max_length: how many cells ``path`` holds; None for what the batch needs.
+        find_paths: gives the paths; None to search them.
     """
 
     movement: Movement
@@ -89,10 +89,10 @@ class Batch:
     starts: Ints
     goals: Ints
     problems: Ints
-    find_paths: Callable[[], Paths]
     find_rooms: Callable[[], Rooms]
     wanted: tuple[str, ...]
     max_length: int | None = None
+    find_paths: Callable[[], Paths] | None = None
 
     __repr__ = summary
 
@@ -103,7 +103,12 @@ class Batch:
     @cached_property
     def paths(self) -> Paths:
         """The paths, read or searched."""
-        return self.find_paths()
+        if self.find_paths:
+            return self.find_paths()
+        search = SEARCHES[self.search]
+        # where the robot has no room on the start or the goal, there is no path
+        found = solve_batch(search, self.grids, self.starts, self.goals, self.movement, most=1)
+        return Paths(found.cells, found.offsets, found.iterations)
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -178,9 +183,7 @@ def hardness(batch: Batch) -> Float32s:
     best = batch.costs
     # BFS counts moves, which are not its costs
     if batch.search == "bfs" and batch.movement.connectivity == 8:
-        ends = (batch.starts, batch.goals)
-        paths = partial(solve, "astar", batch.grids, *ends, batch.movement)
-        best = replace(batch, search="astar", find_paths=paths).costs
+        best = replace(batch, search="astar", find_paths=None).costs
     return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
 
 
@@ -319,12 +322,6 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
     mask = np.zeros((len(grids), 1, *grids.shape[1:]), np.uint8)
     mask[(np.arange(len(cells)), 0, *cells.T)] = 1
     return mask
-
-
-def solve(search: str, grids: Bytes, starts: Ints, goals: Ints, movement: Movement) -> Paths:
-    """Return the paths of B problems: none where the robot has no room on the start or the goal."""
-    found = solve_batch(SEARCHES[search], grids, starts, goals, movement, most=1)
-    return Paths(found.cells, found.offsets, found.iterations)
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:

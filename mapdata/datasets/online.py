@@ -21,7 +21,7 @@ from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_seed
+from mapdata.spec import Movement, check_count, check_seed
 
 
 class OnlineMapDataset(ProblemDataset):
@@ -67,11 +67,9 @@ class OnlineMapDataset(ProblemDataset):
             fields, source, search, movement, augment, sampling_seed, max_length, radius
         )
         super().__init__(split, serving, dtype, transform)
-        if length < 1:
-            raise ValueError(f"length: got {length}, expected at least 1")
         self.spec = spec
         self.seed = check_seed(seed)
-        self.length = length
+        self.length = check_count("length", length)
         self.movement = movement or spec.movement
         self.map_size = spec.map_size
         self._least = least_squared(radius, spec.resolution)
