@@ -69,11 +69,6 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
     data = read_bytes(path, limits)
     if data[:2] in (b"P2", b"P5"):
         return _pgm(path, data, limits)
-    return _picture(path, limits)
-
-
-def _picture(path: Path, limits: Limits) -> Pixels:
-    """Return the pixels of any of these but a PGM, by Pillow."""
     with refusing(f"{path}: damaged picture"):
         with warnings.catch_warnings():
             # of decompression bombs: our own limit follows, before anything is decoded

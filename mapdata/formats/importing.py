@@ -37,7 +37,6 @@ from mapdata.shards.manifest import (
     path_in,
     provenance_text,
     read_manifest,
-    shard_name,
 )
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
@@ -141,7 +140,7 @@ def import_maps(
         check_resolution("resolution", resolution)
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
-    with bar(progress and bool(source.maps), len(source.maps), unit=" maps checked") as advance:
+    with bar(progress, len(source.maps), unit=" maps checked") as advance:
         for one in _tiles(source, tile):
             why = _unusable(one, movement)
             if why is not None:
@@ -287,13 +286,13 @@ def _write(
                 checked += 1
                 disagreements.update(one.check(labels, k))
         image, content = shard_image(labels, header)
-        path = path_in(folder, shard_name(*header.limits))
-        old = have.get(path.name)
+        entry = entry_of(header, content, labels, image)
+        path = path_in(folder, entry.name)
+        old = have.get(entry.name)
         if old is not None and old.content_hash != content:
             raise other
         if old is None or not path.exists() or file_hash(path) != old.sha256:
             write_file(path, image)
-            entry = entry_of(header, content, labels, image)
             # of two entries for the same maps, the later one counts
             manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))

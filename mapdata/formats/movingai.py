@@ -22,7 +22,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -169,14 +169,11 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
 def _problem(line: str, number: int, path: Path) -> Problem:
     """Return the problem of a line; its unit is not known before all lines are read."""
     words = line.split()
-    if len(words) == 8 or len(words) < 7:
-        raise FormatError(
-            f"{path}: line {number} has {len(words)} fields, expected 9 (or 7 in the old form)"
-        )
     match = _LINE.fullmatch(" ".join(words))
-    if match is None:
+    if match is None or len(words) == 8:  # of 8, the width would be part of the name
         raise FormatError(
-            f"{path}: line {number} is {line[:60]!r}, expected numbers of at least 0 around the map"
+            f"{path}: line {number} has {len(words)} fields, {line[:60]!r}, expected numbers of at "
+            "least 0 around the map, in all 9 fields (or 7 in the old form)"
         )
     bucket, name, *sides, length = match.groups()
     columns, rows, x, y, goal_x, goal_y = [int(side or 0) for side in sides]
@@ -355,7 +352,7 @@ def find_map(name: str, scen: Path, maps: str | Path | None = None) -> Path:
         FormatError: there is none; the message says where it was looked for.
     """
     folder = scen.parent if maps is None else Path(maps)
-    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
+    parts = PureWindowsPath(name).parts  # separated by / or by \
     looked = f"a name inside {folder}"
     for start in range(len(parts)):
         if ".." in parts[start:]:

@@ -43,7 +43,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from PIL import Image
@@ -177,8 +177,8 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     with bar(limits.progress, len(files)) as advance:
         for row in _rows(path, limits):
             movements.add(row["movement"])
-            # a label may be the path of a picture
-            name = row["label"].replace("\\", "/").rpartition("/")[2] or f"map{row['item']}"
+            # a label may be the path of a picture, separated by / or by \
+            name = PureWindowsPath(row["label"]).name or f"map{row['item']}"
             stem = Path(name).stem if name.lower().endswith(PICTURES) else name
             with found.leaving_out(stem):
                 picture = pictures.get(stem.lower()) or pictures.get(row["item"].lower())
