@@ -94,17 +94,13 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
 
 @kernel
 def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
-    """Return the seed point of room ``rooms[b]`` of each map, (B, 2).
-
-    -1 where the map has no such room.
-    """
+    """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""
     out = np.empty((len(shards), 2), np.int64)
     for b in range(len(shards)):
-        offsets = _array(table[shards[b], _ROOMS], np.int64)
-        room = offsets[maps[b]] + rooms[b]
+        room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
         stored = _cells(table[shards[b], _SEEDS])
-        for axis in range(2):
-            out[b, axis] = stored[room, axis] if room < offsets[maps[b] + 1] else -1
+        out[b, 0] = stored[room, 0]
+        out[b, 1] = stored[room, 1]
     return out
 
 

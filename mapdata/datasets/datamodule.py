@@ -108,8 +108,7 @@ class MapDataModule(_Base):
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"
             )
-        several = len(self.roots) > 1
-        if build is not None and (several or any(map(is_url, self.roots))):
+        if build is not None and (len(self.roots) > 1 or any(map(is_url, self.roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
         self.build = build
         self.batch_size = check_count("batch_size", batch_size)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
@@ -384,17 +384,16 @@ class MapDataset(ProblemDataset):
     def _matching(self, conditions: dict[str, Any]) -> Ints:
         """Return the numbers of the problems that meet conditions of `filter`."""
         indices = np.arange(len(self.reader)) if self._kept is None else self._kept
-        parts = np.split(indices, range(4096, len(indices), 4096))  # memory stays flat
-        return np.concatenate([part[self._meets(part, conditions)] for part in parts])
-
-    def _meets(self, indices: Ints, conditions: dict[str, Any]) -> Flags:
-        batch = self._stored_batch(indices)
-        meets = np.ones(len(indices), np.bool_)
-        for name, wanted in conditions.items():
-            lowest, highest = np.broadcast_to(wanted, 2)  # one value is both
-            values = CONDITIONS[name](batch)
-            meets &= (values >= lowest) & (values <= highest)
-        return meets
+        found = []
+        for part in np.split(indices, range(4096, len(indices), 4096)):  # memory stays flat
+            batch = self._stored_batch(part)
+            meets = np.ones(len(part), np.bool_)
+            for name, wanted in conditions.items():
+                lowest, highest = np.broadcast_to(wanted, 2)  # one value is both
+                values = CONDITIONS[name](batch)
+                meets &= (values >= lowest) & (values <= highest)
+            found.append(part[meets])
+        return np.concatenate(found)
 
     def table(self) -> pd.DataFrame:
         """Return a table of the maps of this split: the items of the paper, and ``split``."""
@@ -421,7 +420,7 @@ class MapDataset(ProblemDataset):
         goals = reader.seed_points(shards, maps, second)
         batch = self._as_batch(indices, indices, grids, starts, goals)
         if isinstance(self.serving.problems, Route) and self._is_stored:
-            batch.find_paths = partial(reader.paths, shards, maps, first, self.serving.search)
+            batch.find_paths = lambda: reader.paths(shards, maps, first, self.serving.search)
         return batch
 
     def _grids(self, places: Ints) -> Bytes:

@@ -96,10 +96,6 @@ class Batch:
 
     __repr__ = summary
 
-    def __len__(self) -> int:
-        """Return B."""
-        return len(self.starts)
-
     @cached_property
     def paths(self) -> Paths:
         """The paths, read or searched."""
@@ -127,7 +123,7 @@ class Batch:
         """The fields that come from the search around the goal, empty if not asked for."""
         arrays = []
         for name in GoalFields._fields:
-            count = len(self) if name in self.wanted else 0
+            count = len(self.grids) if name in self.wanted else 0
             dtype = np.uint8 if name.startswith("optimal") else np.float32
             arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
         fields = GoalFields(*arrays)

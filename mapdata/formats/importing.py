@@ -17,7 +17,6 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import check_sides
 from mapdata.formats.leaks import separate
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import check_seed_points, draw_points, largest_component
@@ -49,6 +48,7 @@ from mapdata.spec import (
     check_fractions,
     check_resolution,
     check_seed,
+    check_sides,
 )
 
 RESOLUTION = 0.1
