@@ -24,7 +24,7 @@ def offsets_of(counts: npt.ArrayLike) -> Ints:
     >>> offsets_of([2, 0, 3])
     array([0, 2, 2, 5])
     """
-    return np.concatenate(([0], np.cumsum(counts)))
+    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
 
 
 def summary(self: Any) -> str:

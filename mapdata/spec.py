@@ -158,6 +158,14 @@ def _is_integer(value: object) -> TypeGuard[SupportsIndex]:
     return hasattr(value, "__index__") and not isinstance(value, bool)
 
 
+def check_sides(name: str, values: object) -> Range:
+    """Return ``values`` as the (rows, columns) of a map."""
+    sides = check_integers(name, values)
+    if not 1 <= min(sides) <= max(sides) <= MAX_SIDE:
+        raise ValueError(f"{name}: got {sides}, expected 1 to {MAX_SIDE} rows and columns")
+    return sides
+
+
 def check_number(name: str, value: object) -> float:
     """Return ``value`` as a float; text and bools are no numbers."""
     if isinstance(value, bool) or not hasattr(value, "__float__") or isinstance(value, str):
@@ -206,3 +214,7 @@ def check_range(name: str, limits: Range, lowest: int, highest: int, why: str = 
         raise ValueError(f"{name}: got {limits}, expected at least {lowest}")
     if high > highest:
         raise ValueError(f"{name}: got {limits}, expected at most {highest}{why}")
+
+
+NEURAL_ASTAR = Movement(8, corner_cutting=True, diagonal_cost=1)
+"""How Neural A* moves: eight neighbours, corners may be cut, and every move costs 1."""

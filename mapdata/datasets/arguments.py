@@ -73,14 +73,12 @@ class Serving:
                 f"fields: got {self.fields!r}, expected a sequence of names or functions"
             )
         for field in self.fields:
-            if isinstance(field, str) and field not in FIELDS:
+            if not callable(field) and field not in list(FIELDS):
                 hint = did_you_mean(field, FIELDS)
                 raise ValueError(
                     f"fields: got {field!r}, expected a function or one of "
                     f"{', '.join(FIELDS)}{hint}"
                 )
-            if not isinstance(field, str) and not callable(field):
-                raise ValueError(f"fields: got {field!r}, expected a name or a function")
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"fields: got {self.names}, expected each name once")
         if not all(name.isidentifier() for name in self.names):

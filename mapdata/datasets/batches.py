@@ -16,7 +16,8 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
+from mapdata.datasets.fields import Paths, Rooms
 from mapdata.generators.maps import WORD, unpack
 from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
@@ -92,17 +93,15 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
 
 
 @kernel
-def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, out: Ints) -> None:
-    """Write the seed point of room ``rooms[b]`` of each map into ``out``, (B, 2).
-
-    -1 where the map has no such room.
-    """
+def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
+    """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""
+    out = np.empty((len(shards), 2), np.int64)
     for b in range(len(shards)):
-        offsets = _array(table[shards[b], _ROOMS], np.int64)
-        room = offsets[maps[b]] + rooms[b]
+        room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
         stored = _cells(table[shards[b], _SEEDS])
-        for axis in range(2):
-            out[b, axis] = stored[room, axis] if room < offsets[maps[b] + 1] else -1
+        out[b, 0] = stored[room, 0]
+        out[b, 1] = stored[room, 1]
+    return out
 
 
 @kernel
@@ -184,10 +183,14 @@ def read_rooms(
     straight: Int,
     has_diagonals: Int,
     diagonal_cost: float,
-    matrices: Float32s,
-    seed_points: Ints,
-) -> None:
-    """Fill connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding."""
+    most: Int,
+) -> tuple[Float32s, Ints]:
+    """Return connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding.
+
+    R is ``most``.
+    """
+    matrices = np.full((len(shards), most, most), -2, np.float32)
+    seed_points = np.full((len(shards), most, 2), -1)
     for b in range(len(shards)):
         rooms = _array(table[shards[b], _ROOMS], np.int64)
         first = rooms[maps[b]]
@@ -196,8 +199,6 @@ def read_rooms(
         stored = _cells(table[shards[b], _SEEDS])
         moves = _array(table[shards[b], straight], np.int32)
         diagonals = _array(table[shards[b], _DIAGONAL], np.int32)
-        matrices[b] = -2
-        seed_points[b] = -1
         for i in range(last - first):
             seed_points[b, i, 0] = stored[first + i, 0]
             seed_points[b, i, 1] = stored[first + i, 1]
@@ -208,6 +209,7 @@ def read_rooms(
                     cost += diagonals[pair] * diagonal_cost
                 matrices[b, i, j] = matrices[b, j, i] = cost
                 pair += 1
+    return matrices, seed_points
 
 
 class BatchReader:
@@ -237,13 +239,12 @@ class BatchReader:
                 f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected "
                 f"up to {MAX_ROOMS}"
             )
-        self._split, self._problems = split, problems
+        self._split = split
+        self._problems = problems
         self.least = 0
         if radius:  # only then must all roots have one resolution
             self.least = least_squared(radius, self.root.resolution)
-        self.offsets = np.concatenate(
-            ([0], np.cumsum([self._count(entry) for _, _, entry in self.shards], dtype=np.int64))
-        )
+        self.offsets = offsets_of([self._count(entry) for _, _, entry in self.shards])
         self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._open: dict[int, Shard] = {}
         # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when
@@ -330,49 +331,38 @@ class BatchReader:
 
     def seed_points(self, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
         """Return the seed of one room of each map, (B, 2)."""
-        seed_points = np.empty((len(shards), 2), np.int64)
-        read_seed_points(self._table, shards, maps, rooms, seed_points)
-        return seed_points
+        return read_seed_points(self._table, shards, maps, rooms)
 
-    def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> tuple[Ints, Ints, Ints]:
-        """Return the stored paths from each room to the next: cells, offsets, iterations.
+    def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> Paths:
+        """Return the stored paths from each room to the next.
 
         Raises:
             ShardError: a stored path leaves the map or does not end at its goal.
         """
-        bits, column = bits_of(self.movement), ARRAYS.index(f"{search}_offsets")
+        bits = bits_of(self.movement)
+        column = ARRAYS.index(f"{search}_offsets")
         cells, offsets, iterations, bad = read_paths(
             self._table, shards, maps, rooms, column, bits, self.map_size
         )
         if bad >= 0:
-            raise self.damage(shards[bad], maps[bad], "a stored path of map {} is damaged")
-        return cells, offsets, iterations
+            place, _, entry = self.shards[shards[bad]]
+            path = f"{self.root.places[place]}/{entry.name}"
+            number = entry.start + maps[bad]
+            raise ShardError(f"{path}: a stored path of map {number} is damaged")
+        return Paths(cells, offsets, iterations)
 
-    def damage(self, shard: Int, number: Int, what: str) -> ShardError:
-        """Return the error that says what is wrong with a map of a shard.
-
-        {} in ``what`` becomes the map's number.
-        """
-        place, _, entry = self.shards[int(shard)]
-        return ShardError(
-            f"{self.root.places[place]}/{entry.name}: {what.format(entry.start + int(number))}"
-        )
-
-    def rooms(self, shards: Ints, maps: Ints, search: str) -> tuple[Float32s, Ints]:
+    def rooms(self, shards: Ints, maps: Ints, search: str) -> Rooms:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
-        matrices = np.empty((len(shards), self.most_seed_points, self.most_seed_points), np.float32)
-        seed_points = np.empty((len(shards), self.most_seed_points, 2), np.int64)
-        read_rooms(
+        found = read_rooms(
             self._table,
             shards,
             maps,
             ARRAYS.index(f"{search}_straight"),
             search == "astar" and self.movement.connectivity == 8,
             self.movement.diagonal_cost,
-            matrices,
-            seed_points,
+            self.most_seed_points,
         )
-        return matrices, seed_points
+        return Rooms(*found)
 
 
 def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
@@ -397,10 +387,10 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArr
         first = second = np.full(len(rooms), -1)
         keep = np.ones(len(rooms), np.bool_)
     else:
-        counts = rooms * (rooms - 1) // 2
-        maps = np.repeat(np.arange(len(rooms)), counts)
-        order = np.arange(len(maps)) - np.repeat(arrays["pair_offsets"][:-1], counts)
-        first, second = _pair_of(order, rooms[maps])
+        maps = np.repeat(np.arange(len(rooms)), rooms * (rooms - 1) // 2)
+        # i < j of all pairs of a map, by its number of rooms, in the order of labels
+        pairs = {n: np.triu_indices(n, 1) for n in set(rooms.tolist())}
+        first, second = np.concatenate([pairs[n] for n in rooms.tolist()], axis=1)
         seed_points = arrays["seeds"]
         base = arrays["room_offsets"][maps]
         solvable = arrays["astar_straight"] >= 0
@@ -414,16 +404,3 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArr
     if split is not None:
         rows = rows[arrays["split"][rows[:, 0]] == SPLITS.index(split)]
     return rows
-
-
-def _pair_of(order: Ints, rooms: Ints) -> tuple[Ints, Ints]:
-    """Return rooms i < j of pair number ``order`` of a map with so many rooms (row-major)."""
-    most = int(rooms.max(initial=2))
-    first = np.zeros(len(order), np.int64)
-    begin = np.zeros(len(order), np.int64)
-    for i in range(1, most):
-        begin_of_row = i * rooms - i * (i + 1) // 2
-        reached = (i < rooms - 1) & (order >= begin_of_row)
-        first[reached] = i
-        begin[reached] = begin_of_row[reached]
-    return first, order - begin + first + 1

@@ -25,7 +25,7 @@ from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
-from mapdata.spec import SPLITS, Movement
+from mapdata.spec import SPLITS, Movement, check_count
 
 if TYPE_CHECKING:
 
@@ -108,13 +108,10 @@ class MapDataModule(_Base):
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"
             )
-        several = len(self.roots) > 1
-        if build is not None and (several or any(map(is_url, self.roots))):
+        if build is not None and (len(self.roots) > 1 or any(map(is_url, self.roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
-        if batch_size < 1:
-            raise ValueError(f"batch_size: got {batch_size}, expected at least 1")
         self.build = build
-        self.batch_size = batch_size
+        self.batch_size = check_count("batch_size", batch_size)
         self.loading: dict[str, Any] = {
             "num_workers": num_workers,
             "pin_memory": pin_memory,

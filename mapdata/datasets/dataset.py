@@ -14,10 +14,10 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
-from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices, solve
+from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
 from mapdata.datasets.sample import (
     MAPS_AND_MASKS,
     Rows,
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 Transform = Callable[[Sample], Any]
 
-Sampled = tuple[Bytes, Ints, list[tuple[Ints, Paths]]]
+Sampled = tuple[Bytes, Ints, Paths | None]
 """Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
-the paths found, pieces for `Paths.join`, none where they have not been searched."""
+the paths, None where they have not been searched."""
 
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
@@ -71,6 +71,9 @@ class ProblemDataset(Dataset[Sample], ABC):
     movement: Movement
     """How the served paths move."""
 
+    map_size: tuple[int, int]
+    """(rows, columns) of all maps."""
+
     def __init__(
         self,
         split: str | None,
@@ -87,8 +90,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             )
         if transform is not None and not callable(transform):
             raise ValueError(f"transform: got {transform!r}, expected a function of a sample")
-        names = frozenset(serving.names)
-        changes = isinstance(dtype, torch.dtype) and names.intersection(MAPS_AND_MASKS)
+        changes = isinstance(dtype, torch.dtype) and set(serving.names) & set(MAPS_AND_MASKS)
         if dtype is not None and not changes:
             raise ValueError(
                 f"dtype: got {dtype!r}, expected one of torch, such as torch.float32, and one of "
@@ -100,8 +102,12 @@ class ProblemDataset(Dataset[Sample], ABC):
         self.transform = transform
         self._arguments = {**vars(serving), "dtype": dtype, "transform": transform}
         self._class = sample_class(serving.names, serving.max_length)
-        self._wanted = names
-        _keep_freed_memory()
+        # glibc hands freed blocks back to the system above a threshold that grows with the largest
+        # block that was ever freed. Batches are below that size but above the threshold, so each
+        # would fault all its pages in again, which costs more than filling them. So malloc keeps
+        # the memory of past batches for the next ones. The block is never touched, so this takes
+        # no memory.
+        np.empty(31 << 20, np.uint8)
 
     @abstractmethod
     def __len__(self) -> int:
@@ -184,7 +190,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         Each is sampled on its own map, or on a substitute where that has none.
         """
         places = indices.copy()
-        grids, ends, pieces = self._sample(places, indices, epoch)
+        grids, ends, found = self._sample(places, indices, epoch)
         for attempt in range(SUBSTITUTES):
             missing = np.flatnonzero(ends[:, 0] < 0)
             if len(missing) == 0:
@@ -193,18 +199,18 @@ class ProblemDataset(Dataset[Sample], ABC):
             grids[missing], ends[missing], more = self._sample(
                 places[missing], indices[missing], epoch
             )
-            pieces += [(missing[rows], paths) for rows, paths in more]
+            if found and more:
+                found = found.replaced(missing, more)
         else:
             raise ValueError(
                 f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row"
             )
         starts = np.ascontiguousarray(ends[:, :2])
         goals = np.ascontiguousarray(ends[:, 2:])
-
-        def paths() -> Paths:
-            return Paths.join(pieces, len(ends)) if pieces else self._solve(grids, starts, goals)
-
-        return self._as_batch(indices, places, grids, starts, goals, paths)
+        batch = self._as_batch(indices, places, grids, starts, goals)
+        if found:
+            batch.paths = found
+        return batch
 
     def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
         """Sample a problem on each of the maps at some places."""
@@ -214,16 +220,10 @@ class ProblemDataset(Dataset[Sample], ABC):
         seed = np.uint64(self.serving.sampling_seed)
         rule = rule_of(self.movement)
         sampled = sample_problems(grids, seed, epoch, indices, problems.bands, *rule)
-        return grids, sampled, []
+        return grids, sampled, None
 
     def _as_batch(
-        self,
-        indices: Ints,
-        places: Ints,
-        grids: Bytes,
-        starts: Ints,
-        goals: Ints,
-        paths: Callable[[], Paths],
+        self, indices: Ints, places: Ints, grids: Bytes, starts: Ints, goals: Ints
     ) -> Batch:
         return Batch(
             self.movement,
@@ -232,14 +232,10 @@ class ProblemDataset(Dataset[Sample], ABC):
             starts,
             goals,
             indices,
-            paths,
             lambda: self._rooms(places, grids),
-            self._wanted,
+            self.serving.names,
             self.serving.max_length,
         )
-
-    def _solve(self, grids: Bytes, starts: Ints, goals: Ints) -> Paths:
-        return solve(self.serving.search, grids, starts, goals, self.movement)
 
 
 class MapDataset(ProblemDataset):
@@ -307,6 +303,7 @@ class MapDataset(ProblemDataset):
         self.reader = BatchReader(root, split, source, radius)
         self.roots = self.reader.root.places
         self.movement = movement or self.reader.movement
+        self.map_size = self.reader.map_size
         self.filters: tuple[dict[str, Any], ...] = ()
         self._kept: Ints | None = None
         # Labels are stored for the maps as they are and for one movement: others are solved anew.
@@ -335,11 +332,6 @@ class MapDataset(ProblemDataset):
         again = partial(MapDataset, self.roots, self.split, **self._arguments)
         content = [manifest.content_hash for manifest in self.reader.manifests]
         return _reopen, (again, self.filters, content)
-
-    @property
-    def map_size(self) -> tuple[int, int]:
-        """(rows, columns) of all maps."""
-        return self.reader.map_size
 
     def filter(
         self,
@@ -392,17 +384,16 @@ class MapDataset(ProblemDataset):
     def _matching(self, conditions: dict[str, Any]) -> Ints:
         """Return the numbers of the problems that meet conditions of `filter`."""
         indices = np.arange(len(self.reader)) if self._kept is None else self._kept
-        parts = np.split(indices, range(4096, len(indices), 4096))  # memory stays flat
-        return np.concatenate([part[self._meets(part, conditions)] for part in parts])
-
-    def _meets(self, indices: Ints, conditions: dict[str, Any]) -> Flags:
-        batch = self._stored_batch(indices)
-        meets = np.ones(len(indices), np.bool_)
-        for name, wanted in conditions.items():
-            lowest, highest = np.broadcast_to(wanted, 2)  # one value is both
-            values = CONDITIONS[name](batch)
-            meets &= (values >= lowest) & (values <= highest)
-        return meets
+        found = []
+        for part in np.split(indices, range(4096, len(indices), 4096)):  # memory stays flat
+            batch = self._stored_batch(part)
+            meets = np.ones(len(part), np.bool_)
+            for name, wanted in conditions.items():
+                lowest, highest = np.broadcast_to(wanted, 2)  # one value is both
+                values = CONDITIONS[name](batch)
+                meets &= (values >= lowest) & (values <= highest)
+            found.append(part[meets])
+        return np.concatenate(found)
 
     def table(self) -> pd.DataFrame:
         """Return a table of the maps of this split: the items of the paper, and ``split``."""
@@ -427,13 +418,10 @@ class MapDataset(ProblemDataset):
         grids = reader.grids(shards, maps)
         starts = reader.seed_points(shards, maps, first)
         goals = reader.seed_points(shards, maps, second)
-
-        def paths() -> Paths:
-            if isinstance(self.serving.problems, Route) and self._is_stored:
-                return Paths(*reader.paths(shards, maps, first, self.serving.search))
-            return self._solve(grids, starts, goals)
-
-        return self._as_batch(indices, indices, grids, starts, goals, paths)
+        batch = self._as_batch(indices, indices, grids, starts, goals)
+        if isinstance(self.serving.problems, Route) and self._is_stored:
+            batch.find_paths = lambda: reader.paths(shards, maps, first, self.serving.search)
+        return batch
 
     def _grids(self, places: Ints) -> Bytes:
         shards, maps, _, _ = self.reader.find(places)
@@ -442,24 +430,14 @@ class MapDataset(ProblemDataset):
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         shards, maps, _, _ = self.reader.find(places)
         search = self.serving.search
-        matrices, seed_points = self.reader.rooms(shards, maps, search)
-        if not self._is_stored:
-            matrices = room_matrices(search, grids, seed_points, self.movement)
-        return Rooms(matrices, seed_points)
+        rooms = self.reader.rooms(shards, maps, search)
+        if self._is_stored:
+            return rooms
+        matrix = room_matrices(search, grids, rooms.seed_points, self.movement)
+        return Rooms(matrix, rooms.seed_points)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return (indices + attempt + 1) % len(self.reader)
-
-
-def _keep_freed_memory() -> None:
-    """Make malloc keep the memory of past batches for the next ones.
-
-    glibc hands freed blocks back to the system above a threshold that grows with the largest block
-    that was ever freed. Batches are below that size but above the threshold, so each would fault
-    all its pages in again, which costs more than filling them. The block is never touched, so this
-    takes no memory.
-    """
-    np.empty(31 << 20, np.uint8)
 
 
 def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:

@@ -6,15 +6,15 @@ batch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Float32s, Ints, summary
+from mapdata.arrays import Bytes, Float32s, Ints, offsets_of, summary
 from mapdata.datasets.field_kernels import (
     GoalFields,
     count_steps,
@@ -25,7 +25,7 @@ from mapdata.datasets.field_kernels import (
     path_probabilities,
 )
 from mapdata.datasets.sample import rows_of_path
-from mapdata.search.api import search_batch
+from mapdata.search.api import SEARCHES, solve_batch
 from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, rule_of
 from mapdata.search.lattice import hardness as hardness_of
@@ -42,23 +42,14 @@ class Paths(NamedTuple):
     offsets: Ints
     iterations: Ints
 
-    @staticmethod
-    def join(pieces: Sequence[tuple[Ints, Paths]], count: int) -> Paths:
-        """Return ``count`` paths from pieces (rows, their paths).
-
-        Of several paths of a row the last one counts.
-        """
-        if len(pieces) == 1 and len(pieces[0][0]) == count:
-            return pieces[0][1]
-        parts = [np.empty((0, 2), np.int64)] * count
-        iterations = np.zeros(count, np.int64)
-        for rows, paths in pieces:
-            each = np.split(paths.cells, paths.offsets[1:])  # the last one is empty
-            for row, cells in zip(rows, each, strict=False):
-                parts[row] = cells
-            iterations[rows] = paths.iterations
-        offsets = np.cumsum([0, *map(len, parts)])
-        return Paths(np.concatenate(parts), offsets, iterations)
+    def replaced(self, rows: Ints, others: Paths) -> Paths:
+        """Return these paths with ``others`` in their place in some rows."""
+        parts = np.split(self.cells, self.offsets[1:-1])
+        for row, cells in zip(rows, np.split(others.cells, others.offsets[1:-1]), strict=True):
+            parts[row] = cells
+        iterations = self.iterations.copy()
+        iterations[rows] = others.iterations
+        return Paths(np.concatenate(parts), offsets_of([len(cells) for cells in parts]), iterations)
 
 
 class Rooms(NamedTuple):
@@ -86,10 +77,10 @@ class Batch:
         starts: (B, 2) int64.
         goals: (B, 2) int64.
         problems: (B,) int64, numbers in the dataset.
-        find_paths: gives the paths.
         find_rooms: gives connection matrices and seed points.
         wanted: names of the fields that will be asked for.
         max_length: how many cells ``path`` holds; None for what the batch needs.
+        find_paths: gives the paths; None to search them.
     """
 
     movement: Movement
@@ -98,21 +89,22 @@ class Batch:
     starts: Ints
     goals: Ints
     problems: Ints
-    find_paths: Callable[[], Paths]
     find_rooms: Callable[[], Rooms]
-    wanted: frozenset[str]
+    wanted: tuple[str, ...]
     max_length: int | None = None
+    find_paths: Callable[[], Paths] | None = None
 
     __repr__ = summary
-
-    def __len__(self) -> int:
-        """Return B."""
-        return len(self.starts)
 
     @cached_property
     def paths(self) -> Paths:
         """The paths, read or searched."""
-        return self.find_paths()
+        if self.find_paths:
+            return self.find_paths()
+        search = SEARCHES[self.search]
+        # where the robot has no room on the start or the goal, there is no path
+        found = solve_batch(search, self.grids, self.starts, self.goals, self.movement, most=1)
+        return Paths(found.cells, found.offsets, found.iterations)
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -129,16 +121,12 @@ class Batch:
     @cached_property
     def goal_fields(self) -> GoalFields:
         """The fields that come from the search around the goal, empty if not asked for."""
-        shape, none = (len(self), 1, *self.grids.shape[1:]), (0, 1, 1, 1)
-        fields = GoalFields(
-            *(
-                np.empty(
-                    shape if name in self.wanted else none,
-                    np.uint8 if name.startswith("optimal") else np.float32,
-                )
-                for name in GoalFields._fields
-            )
-        )
+        arrays = []
+        for name in GoalFields._fields:
+            count = len(self.grids) if name in self.wanted else 0
+            dtype = np.uint8 if name.startswith("optimal") else np.float32
+            arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
+        fields = GoalFields(*arrays)
         fill_goal_fields(self.grids, self.starts, self.goals, rule_of(self.movement), fields)
         return fields
 
@@ -191,9 +179,7 @@ def hardness(batch: Batch) -> Float32s:
     best = batch.costs
     # BFS counts moves, which are not its costs
     if batch.search == "bfs" and batch.movement.connectivity == 8:
-        ends = (batch.starts, batch.goals)
-        paths = partial(solve, "astar", batch.grids, *ends, batch.movement)
-        best = replace(batch, search="astar", find_paths=paths).costs
+        best = replace(batch, search="astar", find_paths=None).costs
     return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
 
 
@@ -332,18 +318,6 @@ def _points(cells: Ints, grids: Bytes) -> Bytes:
     mask = np.zeros((len(grids), 1, *grids.shape[1:]), np.uint8)
     mask[(np.arange(len(cells)), 0, *cells.T)] = 1
     return mask
-
-
-def solve(search: str, grids: Bytes, starts: Ints, goals: Ints, movement: Movement) -> Paths:
-    """Return the paths of B problems: none where the robot has no room on the start or the goal."""
-    rows = np.arange(len(grids))
-    occupied = grids[(rows, *starts.T)] | grids[(rows, *goals.T)]
-    if occupied.any():  # only then: it copies the grids
-        rows = np.flatnonzero(occupied == 0)
-        grids = grids[rows]
-    found = search_batch(search, grids, starts[rows], goals[rows], movement)
-    paths = Paths(found.cells, found.offsets, found.iterations)
-    return Paths.join([(rows, paths)], len(starts))
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:

@@ -21,7 +21,7 @@ from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_seed
+from mapdata.spec import Movement, check_count, check_seed
 
 
 class OnlineMapDataset(ProblemDataset):
@@ -67,12 +67,11 @@ class OnlineMapDataset(ProblemDataset):
             fields, source, search, movement, augment, sampling_seed, max_length, radius
         )
         super().__init__(split, serving, dtype, transform)
-        if length < 1:
-            raise ValueError(f"length: got {length}, expected at least 1")
         self.spec = spec
         self.seed = check_seed(seed)
-        self.length = length
+        self.length = check_count("length", length)
         self.movement = movement or spec.movement
+        self.map_size = spec.map_size
         self._least = least_squared(radius, spec.resolution)
         self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
 
@@ -91,11 +90,6 @@ class OnlineMapDataset(ProblemDataset):
             f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}, "
             f"problems={self.serving.problems}): {self.length} problems"
         )
-
-    @property
-    def map_size(self) -> tuple[int, int]:
-        """(rows, columns) of all maps."""
-        return self.spec.map_size
 
     def _maps(self, places: Ints) -> Maps:
         numbers = places if self._numbers is None else self._numbers[places]
@@ -134,4 +128,4 @@ class OnlineMapDataset(ProblemDataset):
             SEARCHES[self.serving.search],
             rule_of(self.movement),
         )
-        return grids, ends, [(np.arange(len(ends)), Paths(*found))]
+        return grids, ends, Paths(*found)

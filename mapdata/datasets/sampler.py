@@ -35,8 +35,8 @@ class EpochSampler(DistributedSampler[Any]):
     many, at most ranks - 1 samples are left out. Else: the order of the dataset, epoch 0, every
     sample on exactly one rank.
     It asks for epoch, rank and position when it is first iterated over, so that a resumed epoch
-    goes on where it stopped. Without a Trainer each pass is the next epoch, unless `set_epoch` says
-    which.
+    goes on where it stopped. Without a Trainer the first pass is epoch 0, or the one that
+    `set_epoch` says, and each further pass the next one.
     """
 
     def __init__(
@@ -51,12 +51,6 @@ class EpochSampler(DistributedSampler[Any]):
         self.batch_size = batch_size
         self.sampling_seed = sampling_seed
         self.module = module
-        self._passes = 0
-        self._epoch: int | None = None
-
-    def set_epoch(self, epoch: int) -> None:
-        """Say which epoch the next pass is."""
-        self._epoch = epoch
 
     def __repr__(self) -> str:
         arguments = f"batch_size={self.batch_size}, sampling_seed={self.sampling_seed}"
@@ -88,7 +82,7 @@ class EpochSampler(DistributedSampler[Any]):
 
     def _share(self) -> tuple[int, int]:
         """Return (rank, number of ranks)."""
-        trainer = None if self.module is None else self.module.trainer
+        trainer = getattr(self.module, "trainer", None)
         if trainer is not None:
             return trainer.global_rank, trainer.world_size
         if torch.distributed.is_available() and torch.distributed.is_initialized():
@@ -97,17 +91,16 @@ class EpochSampler(DistributedSampler[Any]):
 
     def _position(self) -> tuple[int, int]:
         """Return the epoch and how many of its batches are done."""
-        trainer = None if self.module is None else self.module.trainer
+        trainer = getattr(self.module, "trainer", None)
         if trainer is not None and trainer.training:
             # Not a public attribute, but the only place that knows:
             # tests/datasets/test_datamodule.py watches it.
             done = int(trainer.fit_loop.epoch_loop.batch_progress.current.ready)
             batches = -(-len(self) // self.batch_size)
             return trainer.current_epoch, done if done < batches else 0
-        if self._epoch is not None:
-            return self._epoch, 0
-        self._passes += 1
-        return self._passes - 1, 0
+        epoch = self.epoch  # 0 at first, or what `set_epoch` says
+        self.epoch += 1
+        return epoch, 0
 
 
 @kernel

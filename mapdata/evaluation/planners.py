@@ -13,14 +13,10 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation.metrics import BatchPlanner, Cell, Plan, Planner
 from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
 from mapdata.search.lattice import STEPS
-from mapdata.spec import Movement
+from mapdata.spec import NEURAL_ASTAR, Movement
 
 MAX_ESTIMATE = 2**20
 """Largest ``weight * (H + W)`` of `BestFirst`: f fits into 64 bits."""
-
-
-NEURAL_ASTAR = Movement(8, corner_cutting=True, diagonal_cost=1)
-"""How Neural A* moves."""
 
 
 def classical(movement: Movement = Movement(8)) -> list[Planner]:

@@ -19,7 +19,7 @@ from mapdata.arrays import Bytes
 from mapdata.generators.maps import Maps
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-from mapdata.spec import MAX_SIDE, SPLITS
+from mapdata.spec import SPLITS
 
 Array = npt.NDArray[Any]
 
@@ -102,17 +102,6 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     except UnicodeDecodeError:
         text = data.decode("latin-1")
     return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def check_sides(name: str, sides: tuple[int, int]) -> None:
-    """Refuse (rows, columns) that no map of a dataset can have.
-
-    Raises:
-        ValueError: the message names the option.
-    """
-    if not all(1 <= side <= MAX_SIDE for side in sides):
-        rows, columns = sides
-        raise ValueError(f"{name}: got {rows}x{columns}, expected 1 to {MAX_SIDE} rows and columns")
 
 
 LeftOut = list[tuple[str, str]]

@@ -22,7 +22,6 @@ from mapdata.formats.files import (
     FormatError,
     Limits,
     Npz,
-    check_sides,
     files_of,
     occupancy,
     read_bytes,
@@ -31,7 +30,7 @@ from mapdata.formats.files import (
     split_of,
 )
 from mapdata.formats.registry import Format
-from mapdata.spec import check_probability
+from mapdata.spec import check_probability, check_sides
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
 ARRAYS = (".npy", ".npz")
@@ -69,11 +68,6 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
     data = read_bytes(path, limits)
     if data[:2] in (b"P2", b"P5"):
         return _pgm(path, data, limits)
-    return _picture(path, limits)
-
-
-def _picture(path: Path, limits: Limits) -> Pixels:
-    """Return the pixels of any of these but a PGM, by Pillow."""
     with refusing(f"{path}: damaged picture"):
         with warnings.catch_warnings():
             # of decompression bombs: our own limit follows, before anything is decoded
@@ -210,7 +204,13 @@ def read(
                     # scaled as pictures are: a cell is occupied where half of what it covers is
                     grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
             else:
-                grey = _grey(path, limits, threshold)
+                grey = brightness(read_pixels(path, limits))
+                if 0 < grey.max() <= threshold * 255:
+                    # a mask of 0 and 1, which looks black and would be occupied everywhere
+                    what = f"its brightest pixel is {grey.max()} of 255"
+                    raise FormatError(
+                        f"{path}: {what}, nothing is above --images.threshold {threshold}"
+                    )
                 unknown += int((grey == _UNKNOWN).sum())
                 grids = np.asarray(_fit(grey, size, fit) <= threshold * 255, np.uint8)[None]
             split = split_of(path, source)
@@ -253,16 +253,6 @@ def tell_free(found: Collection, what: str, otherwise: str) -> None:
             f"the border of {len(inverted)} of {len(shares)} maps is mostly free ({inverted[0]}), "
             f"as if free and occupied were mixed up: {otherwise} reads them otherwise"
         )
-
-
-def _grey(path: Path, limits: Limits, threshold: float) -> Bytes:
-    """Return the `brightness` of a picture."""
-    grey = brightness(read_pixels(path, limits))
-    if 0 < grey.max() <= threshold * 255:
-        # a mask of 0 and 1, which looks black and would be occupied everywhere
-        what = f"its brightest pixel is {grey.max()} of 255"
-        raise FormatError(f"{path}: {what}, nothing is above --images.threshold {threshold}")
-    return grey
 
 
 def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:

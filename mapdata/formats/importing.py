@@ -17,11 +17,11 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import check_sides
 from mapdata.formats.leaks import separate
 from mapdata.generators.maps import Maps, pack
-from mapdata.generators.points import draw_points, largest_component
+from mapdata.generators.points import check_seed_points, draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
+from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
 from mapdata.shards.builder import headers
@@ -36,7 +36,6 @@ from mapdata.shards.manifest import (
     path_in,
     provenance_text,
     read_manifest,
-    shard_name,
 )
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
@@ -49,6 +48,7 @@ from mapdata.spec import (
     check_fractions,
     check_resolution,
     check_seed,
+    check_sides,
 )
 
 RESOLUTION = 0.1
@@ -133,15 +133,14 @@ def import_maps(
     root = folder_of(root)
     check_seed(seed)
     check_fractions(splits)
-    if check_count("seed_points", seed_points, 2) > MAX_ROOMS:
-        raise ValueError(f"seed_points: got {seed_points!r}, expected 2 to {MAX_ROOMS} seed points")
+    check_seed_points("seed_points", seed_points)
     if shard_size is not None:
         check_count("shard_size", shard_size)
     if resolution is not None:
         check_resolution("resolution", resolution)
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
-    with bar(progress and bool(source.maps), len(source.maps), unit=" maps checked") as advance:
+    with bar(progress, len(source.maps), unit=" maps checked") as advance:
         for one in _tiles(source, tile):
             why = _unusable(one, movement)
             if why is not None:
@@ -217,11 +216,10 @@ def _unusable(one: ForeignMap, movement: Movement) -> str | None:
         return (
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
         )
-    for row, column in one.seed_points.tolist():
-        if not (0 <= row < rows and 0 <= column < columns):
-            return f"seed point {(row, column)} is outside the map of {rows} x {columns} cells"
-        if grid[row, column]:
-            return f"seed point {(row, column)} is on an occupied cell"
+    for cell in one.seed_points:
+        why = why_not_free(grid, cell)
+        if why:
+            return f"seed point {why}"
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
         return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
@@ -288,13 +286,13 @@ def _write(
                 checked += 1
                 disagreements.update(one.check(labels, k))
         image, content = shard_image(labels, header)
-        path = path_in(folder, shard_name(*header.limits))
-        old = have.get(path.name)
+        entry = entry_of(header, content, labels, image)
+        path = path_in(folder, entry.name)
+        old = have.get(entry.name)
         if old is not None and old.content_hash != content:
             raise other
         if old is None or not path.exists() or file_hash(path) != old.sha256:
             write_file(path, image)
-            entry = entry_of(header, content, labels, image)
             # of two entries for the same maps, the later one counts
             manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))

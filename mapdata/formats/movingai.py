@@ -22,7 +22,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -40,7 +40,8 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
-from mapdata.search.api import search_batch
+from mapdata.search.api import search_batch, solve_batch
+from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
 from mapdata.shards.workers import bar
 from mapdata.spec import MAX_ROOMS, Movement, check_count
@@ -168,14 +169,11 @@ def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
 def _problem(line: str, number: int, path: Path) -> Problem:
     """Return the problem of a line; its unit is not known before all lines are read."""
     words = line.split()
-    if len(words) == 8 or len(words) < 7:
-        raise FormatError(
-            f"{path}: line {number} has {len(words)} fields, expected 9 (or 7 in the old form)"
-        )
     match = _LINE.fullmatch(" ".join(words))
-    if match is None:
+    if match is None or len(words) == 8:  # of 8, the width would be part of the name
         raise FormatError(
-            f"{path}: line {number} is {line[:60]!r}, expected numbers of at least 0 around the map"
+            f"{path}: line {number} has {len(words)} fields, {line[:60]!r}, expected numbers of at "
+            "least 0 around the map, in all 9 fields (or 7 in the old form)"
         )
     bucket, name, *sides, length = match.groups()
     columns, rows, x, y, goal_x, goal_y = [int(side or 0) for side in sides]
@@ -273,8 +271,11 @@ def check_scen(
             grid = world(terrains[name], letters)
             for first in range(0, len(problems), _AT_A_TIME):
                 part = problems[first : first + _AT_A_TIME]
-                ends = np.array([(problem.start, problem.goal) for problem in part])
-                for problem, found in zip(part, _lengths(grid, ends), strict=True):
+                starts = [problem.start for problem in part]
+                goals = [problem.goal for problem in part]
+                # an end on a blocked cell is a problem without a path here
+                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost.tolist()
+                for problem, found in zip(part, costs, strict=True):
                     if found > 0:
                         report.solved.append((grid, problem))
                     if not agrees(problem, found):
@@ -325,17 +326,6 @@ def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
             )
 
 
-def _lengths(grid: Bytes, ends: Ints) -> list[float]:
-    """Return the optimal length between the ends, (N, 2, 2), of each problem; -1 without a path."""
-    lengths = np.full(len(ends), -1.0)
-    # an end on a blocked cell is a problem without a path here, an error to a search
-    is_free = (grid[tuple(ends.T)] == 0).all(axis=0)
-    if is_free.any():
-        starts, goals = ends[is_free].swapaxes(0, 1)
-        lengths[is_free] = search_batch("astar", grid, starts, goals, MOVEMENT).cost
-    return lengths.tolist()
-
-
 def agrees(problem: Problem, found: float) -> bool:
     """Return whether an optimal length (-1: no path) is what a .scen prints, up to its last digit.
 
@@ -364,7 +354,7 @@ def find_map(name: str, scen: Path, maps: str | Path | None = None) -> Path:
         FormatError: there is none; the message says where it was looked for.
     """
     folder = scen.parent if maps is None else Path(maps)
-    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
+    parts = PureWindowsPath(name).parts  # separated by / or by \
     looked = f"a name inside {folder}"
     for start in range(len(parts)):
         if ".." in parts[start:]:
@@ -468,14 +458,13 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    pairs = np.stack(np.triu_indices(len(seed_points), 1), axis=1)
-    ends = seed_points[pairs]
+    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))]
+    costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost.tolist()
     lines = ["version 1"]
-    for (start, goal), cost in zip(ends.tolist(), _lengths(grid, ends), strict=True):
+    for start, goal, cost in zip(starts.tolist(), goals.tolist(), costs, strict=True):
         length = max(cost, 0.0)  # 0 stands for no path
-        bucket = math.floor(length / 4)
         cells = (*start[::-1], *goal[::-1])  # x and y
-        words = (bucket, name, width, height, *cells, f"{length:.8f}")
+        words = (int(length / 4), name, width, height, *cells, f"{length:.8f}")
         lines.append("\t".join(map(str, words)))
     return "\n".join(lines) + "\n"
 

@@ -43,7 +43,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from PIL import Image
@@ -177,8 +177,8 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     with bar(limits.progress, len(files)) as advance:
         for row in _rows(path, limits):
             movements.add(row["movement"])
-            # a label may be the path of a picture
-            name = row["label"].replace("\\", "/").rpartition("/")[2] or f"map{row['item']}"
+            # a label may be the path of a picture, separated by / or by \
+            name = PureWindowsPath(row["label"]).name or f"map{row['item']}"
             stem = Path(name).stem if name.lower().endswith(PICTURES) else name
             with found.leaving_out(stem):
                 picture = pictures.get(stem.lower()) or pictures.get(row["item"].lower())
@@ -209,7 +209,14 @@ def _rows(path: Path, limits: Limits) -> Iterator[dict[str, str]]:
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
-            columns = _columns(path, next(lines, []))
+            headers = next(lines, [])
+            columns = [_column(header) for header in headers]
+            missing = [name for name in NEEDED if name not in columns]
+            if {"label", "item"}.isdisjoint(columns):
+                missing.append("label")
+            if missing:
+                what = f"no column {missing[0]!r} among {', '.join(headers)}"
+                raise FormatError(f"{path}: {what}; --format images reads the pictures alone")
             for line in filter(None, lines):  # all but empty ones
                 if len(line) != len(columns):
                     what = f"{len(line)} fields, expected {len(columns)}"
@@ -218,22 +225,6 @@ def _rows(path: Path, limits: Limits) -> Iterator[dict[str, str]]:
                 yield defaultdict(str, zip(columns, cells, strict=True))
     except (csv.Error, UnicodeError) as error:
         raise FormatError(f"{path}: not a sound CSV ({error})") from None
-
-
-def _columns(path: Path, headers: list[str]) -> list[str]:
-    """Return our names of all columns.
-
-    Raises:
-        FormatError: one that is needed is missing.
-    """
-    columns = [_column(header) for header in headers]
-    missing = [name for name in NEEDED if name not in columns]
-    if {"label", "item"}.isdisjoint(columns):
-        missing.append("label")
-    if missing:
-        advice = "--format images reads the pictures alone"
-        raise FormatError(f"{path}: no column {missing[0]!r} among {', '.join(headers)}; {advice}")
-    return columns
 
 
 def _movement(path: Path, texts: set[str]) -> Movement:
@@ -248,8 +239,8 @@ def _movement(path: Path, texts: set[str]) -> Movement:
 def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
     """Return the map of a line of the CSV."""
     item = row["item"]
-    seed_points = _pairs(row, "seed_rows", "seed_columns")
-    sizes = _pairs(row, "size_rows", "size_columns")
+    seed_points = _pairs(row, "seed")
+    sizes = _pairs(row, "size")
     directions = np.array(numbers(row["direction_for_passages"]), np.int64)
     rooms = len(seed_points)
     if rooms == 0 or len(sizes) not in (0, rooms) or len(directions) not in (0, 2 * (rooms - 1)):
@@ -281,13 +272,13 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
     )
 
 
-def _pairs(row: dict[str, str], first: str, second: str) -> Ints:
-    """Return two lists of the CSV, each with one number per room, as (n, 2)."""
-    one = numbers(row[first])
-    other = numbers(row[second])
-    if len(one) != len(other):
-        raise FormatError(f"{len(one)} {first} and {len(other)} {second} do not fit")
-    return np.array([one, other], np.int64).T
+def _pairs(row: dict[str, str], what: str) -> Ints:
+    """Return two lists of the CSV, rows and columns of each room, as (n, 2)."""
+    rows = numbers(row[f"{what}_rows"])
+    columns = numbers(row[f"{what}_columns"])
+    if len(rows) != len(columns):
+        raise FormatError(f"{len(rows)} {what}_rows and {len(columns)} {what}_columns do not fit")
+    return np.array([rows, columns], np.int64).T
 
 
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")

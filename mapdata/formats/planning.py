@@ -38,10 +38,7 @@ from mapdata.problems.problem_set import Problems
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
-from mapdata.spec import SPLITS, Movement
-
-MOVEMENT = Movement(8, corner_cutting=True, diagonal_cost=1)
-"""Eight neighbours, corners may be cut, and every move costs 1."""
+from mapdata.spec import NEURAL_ASTAR, SPLITS
 
 ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""
@@ -68,7 +65,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad
             goal.
     """
-    found = Collection(movement=MOVEMENT)
+    found = Collection(movement=NEURAL_ASTAR)
     same = 0
     for path in files_of(source, (".npz",), limits, found.left_out):
         # a file that was asked for by name is not left out: its error is the answer
@@ -94,8 +91,6 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
         if archive.shapes.keys().isdisjoint(names):
             continue
         free = archive[names[0]]
-        if free.ndim == 4 and free.shape[1] == 1:
-            free = free[:, 0]
         if free.ndim != 3:
             raise FormatError(f"{path}: {names[0]} has shape {free.shape}, expected (N, H, W)")
         grids = 1 - occupancy(free, f"{path}: {names[0]}")
@@ -116,7 +111,7 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
 
 def hops(grid: Bytes, goal: object) -> Float32s:
     """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W without a path."""
-    distance = distance_field(grid, goal, MOVEMENT)
+    distance = distance_field(grid, goal, NEURAL_ASTAR)
     # 0 - distance rather than -distance: the goal is 0, not -0, in the file
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
@@ -173,7 +168,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     if not grids:
         raise FormatError(f"{source}: has no map of a test split with a problem")
     text = f"{len(starts)} problems of {source}, starts by seed {seed}"
-    return Problems(np.array(grids), np.array(starts), np.array(goals), MOVEMENT, text)
+    return Problems(np.array(grids), np.array(starts), np.array(goals), NEURAL_ASTAR, text)
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:

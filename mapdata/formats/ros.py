@@ -20,7 +20,7 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -164,7 +164,7 @@ def _image(path: Path, fields: dict[str, Any]) -> Path:
     inside = image.is_relative_to(folder)
     if not (inside and image.is_file()):
         what = "is missing" if inside else "lies outside the folder of the yaml"
-        beside = name.replace("\\", "/").rpartition("/")[2]
+        beside = PureWindowsPath(name).name
         if beside != name and (folder / beside).is_file():
             what += f"; say image: {beside}, which lies beside it"
         raise FormatError(f"{path}: image {name[:80]!r} {what}")

@@ -14,15 +14,14 @@ import numpy as np
 from mapdata.arrays import Ints
 from mapdata.generators.maps import Maps
 from mapdata.spec import (
-    MAX_SIDE,
     Movement,
     Range,
     canonical_json,
     check_choice,
     check_fractions,
-    check_integers,
     check_resolution,
     check_seed,
+    check_sides,
     hash_of,
     known_values,
     least_version,
@@ -65,16 +64,11 @@ class Generator(ABC):
         Raises:
             ValueError: a value outside these limits.
         """
-        self._convert(check_integers, "map_size")
+        self._convert(check_sides, "map_size")
         self._convert(check_resolution, "resolution")
         object.__setattr__(self, "splits", check_fractions(self.splits))
         if not isinstance(self.movement, Movement):
             raise ValueError(f"movement: got {self.movement!r}, expected a Movement")
-        rows, columns = self.map_size
-        if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
-            raise ValueError(
-                f"map_size: got {self.map_size}, expected 1 to {MAX_SIDE} rows and columns"
-            )
 
     def _convert(self, check: Callable[[str, Any], object], *names: str) -> None:
         """Replace values of this frozen dataclass by what ``check(name, value)`` makes of them."""

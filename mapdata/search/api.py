@@ -156,8 +156,12 @@ def solve_batch(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,
     movement: Movement,
+    most: int = 0,
 ) -> BatchResult:
-    """Solve B problems by any ``search``; else as `search_batch`."""
+    """Solve B problems by any ``search``; else as `search_batch`.
+
+    Where ``most`` is 1, an end may be occupied: there is no path, and no cell is expanded.
+    """
     array = np.asarray(grids)
     stack = as_grid(array if array.ndim == 3 else array[None], 3)
     begins = np.ascontiguousarray(_whole("starts", starts), np.int64)
@@ -169,7 +173,7 @@ def solve_batch(
         )
     rule = rule_of(movement)
     memory = _scratch_memory(stack, rule)
-    path, found, solved = solve_all(stack, begins, ends, search, rule, memory)
+    path, found, solved = solve_all(stack, begins, ends, most, search, rule, memory)
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         raise ValueError(f"problem {solved}: {_complaint(grid, begins[solved], ends[solved])}")
@@ -233,7 +237,7 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
         return float(straight + diagonal * movement.diagonal_cost)
     if bad == -2:
         raise ValueError(_values_complaint(array))
-    why = _why_not_free(array, cells[bad])
+    why = why_not_free(array, cells[bad])
     if why:
         raise ValueError(f"path: cell {bad}, {why}")
     steps = f"from {_cell_text(cells[bad - 1])} to {_cell_text(cells[bad])}"
@@ -346,11 +350,11 @@ def _complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
     """Return why a problem was refused."""
     if np.any(grid > 1):
         return _values_complaint(grid)
-    why = _why_not_free(grid, start)
-    return f"start: {why}" if why else f"goal: {_why_not_free(grid, goal)}"
+    why = why_not_free(grid, start)
+    return f"start: {why}" if why else f"goal: {why_not_free(grid, goal)}"
 
 
-def _why_not_free(grid: Bytes, cell: Cell) -> str:
+def why_not_free(grid: Bytes, cell: Cell) -> str:
     """Return why ``cell`` cannot be on a path, or nothing."""
     row, column = cell
     if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):

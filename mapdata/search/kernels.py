@@ -581,14 +581,14 @@ def solve_one(
 
 @kernel
 def solve_all(
-    grids: Bytes, starts: Ints, goals: Ints, search: Weights, rule: Rule, memory: Bytes
+    grids: Bytes, starts: Ints, goals: Ints, most: Int, search: Weights, rule: Rule, memory: Bytes
 ) -> tuple[Ints, Ints, Int]:
     """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]``, or on the one grid.
 
     Returns:
         cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1,
         0), iterations, and the end of the path in ``cells``; the number of problems solved before
-        one was found bad: an end outside or occupied, other values than 0 and 1.
+        one was found bad: an end outside or of a value above ``most``, other values than 0 and 1.
     """
     lattice = lattice_of(grids.shape[1:], rule)
     buffers = scratch_in(memory, lattice)
@@ -601,7 +601,7 @@ def solve_all(
         stale = k == 0 or len(grids) > 1 or search == BFS
         if stale and not load(grid, buffers.came):
             return path, found, k
-        if not (is_free(grid, starts[k]) and is_free(grid, goals[k])):
+        if not (is_inside(grid, starts[k], most) and is_inside(grid, goals[k], most)):
             return path, found, k
         start = cell_at(starts[k, 0], starts[k, 1], lattice)
         goal = cell_at(goals[k, 0], goals[k, 1], lattice)
@@ -623,10 +623,10 @@ def solve_all(
 
 
 @inlined
-def is_free(grid: Bytes, cell: Ints) -> Int:
-    """Return whether ``cell`` (row, col) is inside ``grid`` and free."""
+def is_inside(grid: Bytes, cell: Ints, most: Int) -> Int:
+    """Return whether ``cell`` (row, col) is inside ``grid``, with a value of at most ``most``."""
     row, column = cell
-    return 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] == 0
+    return 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] <= most
 
 
 @kernel
@@ -652,7 +652,7 @@ def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
     if not is_binary(grid):
         return -2, 0
     for k in range(len(path)):
-        if not is_free(grid, path[k]):
+        if not is_inside(grid, path[k], 0):
             return k, diagonal
         if k == 0:
             continue

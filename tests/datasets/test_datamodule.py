@@ -639,7 +639,7 @@ REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
     ),
     "batch_size": (
         lambda: MapDataModule("a", batch_size=0),
-        "batch_size: got 0, expected at least 1",
+        "batch_size: got 0, expected an integer of at least 1",
     ),
     "movement": (lambda: MapDataModule("a", movement=(6, False, 1.0)), "connectivity: got 6"),
 }

@@ -717,7 +717,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"fields": ("map", lambda sample: sample.map)},
         "fields: .*use 'def', not 'lambda'",
     ),
-    "fields-number": ({"fields": ("map", 3)}, "fields: got 3, expected a name or a function"),
+    "fields-number": (
+        {"fields": ("map", 3)},
+        "fields: got 3, expected a function or one",
+    ),
     "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, pairs, random"),
     "search": ({"search": "dijkstra"}, "search: got 'dijkstra', expected one of bfs, astar"),
     "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
@@ -755,7 +758,7 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
     """Those that only one of the two has."""
     with pytest.raises(ValueError, match="root: got an empty list"):
         MapDataset([])
-    with pytest.raises(ValueError, match="length: got 0, expected at least 1"):
+    with pytest.raises(ValueError, match="length: got 0, expected an integer of at least 1"):
         OnlineMapDataset(samples.SPEC, length=0)
     with pytest.raises(ValueError, match="seed: got -3"):
         OnlineMapDataset(samples.SPEC, seed=-3)

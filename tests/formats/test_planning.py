@@ -18,9 +18,9 @@ from mapdata import MapDataModule, Problems, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
 from mapdata.formats.files import Npz
-from mapdata.formats.planning import MOVEMENT, has_starts, hops, policy, read
+from mapdata.formats.planning import has_starts, hops, policy, read
 from mapdata.shards import read_manifest
-from mapdata.spec import Movement
+from mapdata.spec import NEURAL_ASTAR, Movement
 
 Floats = npt.NDArray[np.float32]
 MOVES = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
@@ -112,7 +112,7 @@ def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
     export(root, path, "planning-datasets")
     loader = Loader(path, "test")
     found = read_problems(path, seed=1)
-    assert found.movement == MOVEMENT
+    assert found.movement == NEURAL_ASTAR
     assert len(found) == 3 * len(loader.maps) > 3
     for n in range(len(found)):
         k, interval = divmod(n, 3)
@@ -219,7 +219,7 @@ def test_other_peoples_mazes_feed_training_and_evaluation(
         batches = list(loader)
         assert sum(len(batch[0]) for batch in batches) == 12 * 3
         assert batches[0][2].shape == (8, 1, 9, 9)
-    rule = movement or MOVEMENT
+    rule = movement or NEURAL_ASTAR
     table = evaluate(
         classical(rule),
         Problems.read(tmp_path / "mazes", problems=Random(), movement=rule),
