@@ -71,7 +71,8 @@ class ForeignMap:
             )
         # the way to set attributes of a frozen dataclass
         object.__setattr__(self, "shape", cells.shape)
-        object.__setattr__(self, "_bits", np.packbits(cells, axis=1))
+        # contiguous, which kernels need: packed, a transposed grid would stay one
+        object.__setattr__(self, "_bits", np.packbits(np.ascontiguousarray(cells), axis=1))
 
     @property
     def grid(self) -> Bytes:
