@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
-from mapdata.shards import MANIFEST, PROVENANCE, Manifest, read_manifest, write_file
+from mapdata.shards import MANIFEST, PROVENANCE, Manifest, Recipe, read_manifest, write_file
 from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
     LOCK,
@@ -108,6 +108,21 @@ def test_recipe(built: Path) -> None:
     assert recipe["content_hash"] == manifest.content_hash
     with pytest.raises(ValueError, match="imported"):
         replace(manifest, spec=None, seed=None).recipe()
+    assert Recipe.load(recipe).spec == SPEC
+    with pytest.raises(ValueError, match="is not that of its spec and seed"):
+        Recipe.load({**recipe, "seed": 6})
+
+
+def test_a_manifest_is_not_read_beyond_its_limit(
+    built: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its size is looked at first: a file of many gigabytes takes no memory."""
+    size = (built / MANIFEST).stat().st_size
+    monkeypatch.setattr("mapdata.shards.manifest.MOST_BYTES", size)
+    assert read_manifest(built).done == 8
+    monkeypatch.setattr("mapdata.shards.manifest.MOST_BYTES", size - 1)
+    with pytest.raises(ShardError, match=f"larger than {size - 1} bytes"):
+        read_manifest(built)
 
 
 @SETTINGS
@@ -256,6 +271,9 @@ UNCHECKED: dict[str, Callable[[dict[str, Any]], object]] = {
     "bytes a text": lambda values: values["shards"][0].update(bytes="4096"),
     "content hash no hash": lambda values: values["shards"][0].update(content_hash="no"),
     "counts a number": lambda values: values["shards"][0].update(counts=5),
+    "fewer problems than none": lambda values: values["shards"][0]["counts"]["val"].update(
+        route=-1
+    ),
     "counts missing": lambda values: values["shards"][0].update(counts={}),
     "name of another shard": lambda values: values["shards"][0].update(name=shard_name(3, 6)),
 }
