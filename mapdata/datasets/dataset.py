@@ -321,6 +321,8 @@ class MapDataset(ProblemDataset):
         )
         where = self.roots[0] if len(self.roots) == 1 else self.roots
         arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
+        if self.serving.radius:
+            arguments += f", radius={self.serving.radius}"
         content = [each.content_hash[:12] for each in self.reader.manifests]
         known = f"map_size={self.map_size}, content_hash={content}"
         if not all(each.complete for each in self.reader.manifests):

@@ -274,5 +274,5 @@ def _collect(
     index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
     if least:
-        description += f", free from a clearance of {math.sqrt(least) / 2:.3g} cells on"
+        description += f", inflated by {math.sqrt(least) / 2:.3g} cells"
     return Problems(grid, ends[:, :2], ends[:, 2:], movement, description)

@@ -231,7 +231,7 @@ def test_random_problems_are_sampled_on_the_inflated_map(
     np.testing.assert_array_equal(found.grids, batch.map[:, 0])
     np.testing.assert_array_equal(found.starts, batch.start)
     np.testing.assert_array_equal(found.goals, batch.goal)
-    assert found.description.endswith(", free from a clearance of 1 cells on")
+    assert found.description.endswith(", inflated by 1 cells")
     kept = [k for k in maps if generate(samples.SPEC, SEED, [k]).split[0] == 2]
     read = Problems.read(
         roots["square"], seed=SEED, problems=problems, movement=movement, radius=0.1
@@ -325,6 +325,8 @@ def test_the_radius_is_in_metres(tmp_path: Path) -> None:
     other = MapDataset(tmp_path / "coarse", problems="random", radius=0.3)
     assert other[:].map.equal(MapDataset(fine, problems="random", radius=0.15)[:].map)
     assert not other[:].map.equal(MapDataset(fine, problems="random", radius=0.1501)[:].map)
+    assert ", radius=0.3)" in repr(other)
+    assert "radius=" not in repr(MapDataset(fine))
     both = [fine, str(tmp_path / "coarse")]
     assert len(MapDataset(both, problems="random")) == 18
     with pytest.raises(ValueError, match=r"have resolutions 0\.. and 0\..; take those of one"):
