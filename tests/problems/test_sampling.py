@@ -63,6 +63,22 @@ def test_the_kernel_is_the_reference(
     grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement
 ) -> None:
     """Start, goal and cost on any map under any conditions, or none where there is none."""
+    equals_the_reference(grids, seed, epoch, conditions, movement)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+@pytest.mark.parametrize("columns", [63, 64, 65, 128, 130])
+def test_wide_maps(columns: int, movement: Movement) -> None:
+    """Rows of more cells than a word has bits."""
+    grids = (np.random.default_rng(columns).random((6, 4, columns)) < 0.2).astype(np.uint8)
+    for conditions in (Random(), Random(distance=(10, None))):
+        equals_the_reference(grids, 3, 1, conditions, movement)
+
+
+def equals_the_reference(
+    grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement
+) -> None:
+    """Compare the problem of each grid with that of the slow reference."""
     for index, found in enumerate(sample(grids, seed, epoch, conditions, movement).tolist()):
         truth = reference.reference_problem(
             grids[index].tolist(), seed, index, epoch, conditions.bands, movement
