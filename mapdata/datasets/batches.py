@@ -19,10 +19,10 @@ from numba.extending import intrinsic
 from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
 from mapdata.datasets.fields import Paths, Rooms
 from mapdata.generators.maps import WORD, unpack
+from mapdata.generators.points import STEPS
 from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import STEPS
 from mapdata.shards.manifest import Entry, Manifest
 from mapdata.shards.reader import head
 from mapdata.shards.root import Places, Root

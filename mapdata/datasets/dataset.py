@@ -478,11 +478,13 @@ def _reopen(
     In another one, its problems would have other numbers.
     """
     dataset = again()
-    if [manifest.content_hash for manifest in dataset.reader.manifests] != content:
-        raise ValueError(
-            f"root: {dataset.reader.root} holds other maps than when this dataset was opened; open "
-            "it again"
-        )
+    for root, manifest, expected in zip(
+        dataset.roots, dataset.reader.manifests, content, strict=True
+    ):
+        if manifest.content_hash != expected:
+            raise ValueError(
+                f"root: {root} holds other maps than when this dataset was opened; open it again"
+            )
     for conditions in filters:
         dataset = dataset.filter(**conditions)
     return dataset

@@ -11,8 +11,8 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation.metrics import BatchPlanner, Cell, Plan, Planner
+from mapdata.generators.points import STEPS
 from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
-from mapdata.search.lattice import STEPS
 from mapdata.spec import NEURAL_ASTAR, Movement
 
 MAX_ESTIMATE = 2**20

@@ -12,8 +12,8 @@ from mapdata.jit import Int, kernel
 from mapdata.rng import POINTS, block, bounded
 from mapdata.spec import MAX_ROOMS, check_count
 
-STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)])
-"""(row, col) of the moves N, E, S, W, NE, SE, SW, NW."""
+STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
+"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); their numbers are their codes."""
 
 _CANDIDATES = 8
 """Cells that are drawn for each seed point, of which the one farthest from the others is taken."""

@@ -3,6 +3,7 @@
 For kernels of your own: the lattice, its legal moves and its heuristic.
 """
 
+from mapdata.generators.points import STEPS
 from mapdata.search.api import (
     BatchResult,
     SearchResult,
@@ -17,7 +18,6 @@ from mapdata.search.kernels import count_moves, write_cells
 from mapdata.search.labels import Labels, SearchLabels, label
 from mapdata.search.lattice import (
     MAX_CELLS,
-    STEPS,
     WALL,
     Lattice,
     Rule,

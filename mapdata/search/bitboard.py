@@ -22,12 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
+from mapdata.generators.maps import WORD
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.kernels import Scratch, shortest_costs, with_capacity
 from mapdata.search.lattice import Lattice, cell_at, load
-
-WORD = 64
-"""Cells in a word."""
 
 MAX_SIDE = 64
 """Most rows and columns of a map that `bit_labels` searches."""

@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
+from mapdata.generators.points import STEPS
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.lattice import (
     ASTAR,
@@ -39,7 +40,6 @@ from mapdata.search.lattice import (
     FAR,
     LONGEST,
     ROOT,
-    STEPS,
     UNIT,
     UNIT_BITS,
     UNSEEN,

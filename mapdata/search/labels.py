@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Ints, offsets_of, summary
 from mapdata.generators.maps import WORD, Maps
+from mapdata.generators.points import STEPS
 from mapdata.jit import Int, kernel
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_labels, bit_scratch
@@ -29,7 +30,6 @@ from mapdata.search.lattice import (
     ASTAR,
     BFS,
     FAR,
-    STEPS,
     UNIT,
     UNSEEN,
     WALL,

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.generators.points import STEPS
 from mapdata.jit import Int, inlined, kernel
 from mapdata.spec import Movement
 
@@ -47,9 +48,6 @@ DIAGONAL = 3109888511975
 """sqrt(2) * UNIT, rounded; an odd integer."""
 
 _DIAGONAL_INVERSE = pow(DIAGONAL, -1, UNIT)
-
-STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
-"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); their numbers are their codes."""
 
 WALL = np.uint8(255)
 """An occupied cell, or one of the wall around the grid. Differs from UNSEEN in the lowest bit."""
