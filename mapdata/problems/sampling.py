@@ -5,6 +5,8 @@ They are functions of (sampling seed, epoch, index), never of the state of a wor
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
@@ -105,15 +107,20 @@ def _keep_fitting(
 ) -> None:
     """Make ``reached`` the cells from which a problem to ``goal`` meets the conditions."""
     row, column = goal
-    # Without conditions all fit that reach the goal. Straight moves tell which they are, since a
-    # diagonal move between two free cells leads nowhere else.
-    if (
-        bands == _OPEN
-        and lattice.diagonals < 2
-        and search_board(row, column, sum(grid.shape), board)
-    ):
-        board.reached[word_at(row, column, board.stride)] ^= bit_at(column)
-        return
+    distances, ratios, lengths = bands
+    nearest = max(distances[0], lengths[0] - 1, 1.0)  # from 1 on: not the goal itself
+    farthest = min(distances[1], lengths[1] - 1)
+    # Straight moves alone are found by bits, level by level. They tell which cells reach the goal
+    # under diagonal moves, too, since one between two free cells leads nowhere else.
+    straight = lattice.diagonals == 0 and ratios == _OPEN[1]
+    if straight or (lattice.diagonals < 2 and bands == _OPEN):
+        levels = min(farthest + 1, float(sum(grid.shape)))
+        if search_board(row, column, int(levels), board) or levels > farthest:
+            near_enough = board.reached.copy()
+            search_board(row, column, math.ceil(min(nearest, levels)), board)
+            for k in range(len(near_enough)):
+                board.reached[k] = near_enough[k] & ~board.reached[k]
+            return
     search_around(grid, row, column, True, lattice, buffers)
     board.reached.fill(0)
     for k in range(grid.shape[0]):

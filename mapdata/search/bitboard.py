@@ -147,10 +147,10 @@ def board_of(grid: Bytes) -> Board:
 
 @kernel
 def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
-    """Search level by level from (row, column), and write what is ``reached``.
+    """Search level by level from (row, column); under ``most`` moves lead to what is ``reached``.
 
-    Returns whether there are less than ``most`` levels. It gives up where few cells are equally far
-    from the goal, as in a maze: a level takes its time however few they are.
+    Returns whether no further cell can be reached. A search of all levels gives up where few cells
+    are equally far from the goal, as in a maze: a level takes its time however few they are.
     """
     stride = board.stride
     unseen = board.free.copy()
@@ -166,14 +166,15 @@ def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
     for level in range(1, most):
         low, high = _next_level(here, new, unseen, low, high, stride, board.carry)
         if low > high:
-            for k in range(len(unseen)):
-                board.reached[k] = board.free[k] ^ unseen[k]
-            return True
+            break
         if level & 2:
             for k in range(low, high + 1):
                 digit[np.uint64(k)] |= new[np.uint64(k)]
         here, new = new, here
-    return False
+    for k in range(len(unseen)):
+        board.reached[k] = board.free[k] ^ unseen[k]
+    complete: bool = low > high
+    return complete
 
 
 @kernel

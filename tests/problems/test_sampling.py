@@ -44,7 +44,9 @@ def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Mo
     return found
 
 
-bands = st.none() | st.tuples(st.integers(0, 8) | st.none(), st.integers(9, 14) | st.none())
+lowest = st.integers(0, 8) | st.floats(0, 8) | st.none()
+highest = st.integers(9, 14) | st.floats(8, 14) | st.none()
+bands = st.none() | st.tuples(lowest, highest)
 ratios = st.none() | st.tuples(st.floats(1, 1.2), st.floats(1.2, 3) | st.none())
 
 
@@ -71,7 +73,7 @@ def test_the_kernel_is_the_reference(
 def test_wide_maps(columns: int, movement: Movement) -> None:
     """Rows of more cells than a word has bits."""
     grids = (np.random.default_rng(columns).random((6, 4, columns)) < 0.2).astype(np.uint8)
-    for conditions in (Random(), Random(distance=(10, None))):
+    for conditions in (Random(), Random(distance=(10, None)), Random(distance=(2.5, 9.5))):
         equals_the_reference(grids, 3, 1, conditions, movement)
 
 
