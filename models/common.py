@@ -16,7 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -352,9 +352,6 @@ class Model(pl.LightningModule):
     Its hyperparameters have the highest ``learning_rate``.
     """
 
-    saved_dtype: ClassVar[torch.dtype] = torch.float32
-    """Type of the weights in files."""
-
     def configure_optimizers(self) -> Any:
         """Return Muon, since AdamW needs more steps here, and torch's OneCycleLR."""
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
@@ -374,14 +371,17 @@ class Model(pl.LightningModule):
             yield
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write class, arguments and weights, as plain types and tensors."""
+        """Write class, arguments and weights, as plain types and tensors of 16 bits.
+
+        Training rounds to 16 bits, too: no more were learnt.
+        """
         arguments = {}
         for name, value in self.hparams.items():
             if not name.startswith("_"):  # LightningCLI adds one of its own
                 arguments[name] = list(value) if isinstance(value, tuple) else value
         weights = {}
         for name, value in self.state_dict().items():
-            weights[name] = value.to("cpu", self.saved_dtype).contiguous()
+            weights[name] = value.to("cpu", torch.float16).contiguous()
         torch.save({"class": type(self).__name__, "arguments": arguments, "weights": weights}, file)
 
     @classmethod

@@ -77,8 +77,6 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
 class Sampler(common.Model, ABC):
     """Learns where to sample from batches with ``map, start, goal, path``, or with `FIELDS`."""
 
-    saved_dtype = torch.float16  # training rounds to 16 bits: no more were learnt
-
     def __init__(self, targets: str) -> None:
         """Keep the kind of targets."""
         super().__init__()

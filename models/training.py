@@ -15,10 +15,16 @@ from mapdata import MapDataModule, Sample
 
 
 class TrainingCli(LightningCLI):
-    """LightningCLI with the flag ``--weights``; its model has ``save(file)``."""
+    """LightningCLI with ``--weights`` and ``--start_from``, files of a `models.common.Model`."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Add the flag."""
+        """Add the flags."""
+        parser.add_argument(
+            "--start_from",
+            type=str | None,
+            default=None,
+            help="file of weights to begin with, of the same network",
+        )
         parser.add_argument(
             "--weights",
             type=str | None,
@@ -39,6 +45,9 @@ class TrainingCli(LightningCLI):
         """
         if self.config["fit"]["trainer"]["limit_val_batches"] == 1:
             self.trainer.limit_val_batches = 1
+        file = self.config["fit"]["start_from"]
+        if file is not None:
+            self.model.load_state_dict(self.model.load(file).state_dict())
 
     def after_fit(self) -> None:
         """Write the weights."""

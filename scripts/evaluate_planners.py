@@ -2,8 +2,8 @@
 
 python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77, or ROOT.
 
-The trained path predictor comes along where it moves as asked: 8-connected without corner cutting,
-unless --weights names others.
+The trained path predictor comes along where it moves as asked: 8-connected, diagonals at sqrt 2,
+with or without --corner-cutting, unless --weights names others.
 """
 
 import math
@@ -19,7 +19,7 @@ from mapdata.spec import Movement
 from models.learned_planners import planners
 from models.path_predictor import PathPredictor
 
-WEIGHTS = Path(__file__).parent.parent / "models" / "weights" / "path_predictor.pt"
+WEIGHTS = Path(__file__).parent.parent / "models" / "weights"
 
 
 def evaluate_command(
@@ -69,7 +69,8 @@ def evaluate_command(
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
-    model = PathPredictor.load(weights or WEIGHTS)
+    shipped = "path_predictor_cut.pt" if corner_cutting else "path_predictor.pt"
+    model = PathPredictor.load(weights or WEIGHTS / shipped)
     rows: list[Planner] = classical(problems.movement)
     if model.movement == problems.movement:
         rows += planners(model)

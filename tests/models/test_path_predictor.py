@@ -382,14 +382,15 @@ def test_resumes(tmp_path: Path, connectivity: int) -> None:
 
 
 def test_saves_plain_types(tmp_path: Path) -> None:
-    """What is saved loads with the safe default, and is the same model."""
+    """What is saved loads with the safe default, and is the same model, in 16 bits."""
     model = confused(Movement(4))
     model.save(tmp_path / "weights.pt")
     saved = torch.load(tmp_path / "weights.pt", weights_only=True)
     assert saved["arguments"] == {**model.hparams, "widths": [8, 8, 8]}
     again = PathPredictor.load(tmp_path / "weights.pt")
     assert all(
-        torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)
+        torch.equal(a.half(), b.half())
+        for a, b in zip(model.parameters(), again.parameters(), strict=True)
     )
     assert again.movement == Movement(4)
 
@@ -504,7 +505,16 @@ def test_the_script(
     assert "val_hmean=" in bar
     assert "train_time_interval: 0:03:00" in (logs / "config.yaml").read_text()
     assert (logs / "checkpoints" / "last.ckpt").exists()
-    assert PathPredictor.load("weights.pt").hparams["passes"] == 1
+    weights = PathPredictor.load("weights.pt")
+    assert weights.hparams["passes"] == 1
+
+    # further, at a rate that changes nothing
+    again = [*flags, "--model.widths=[8,8,8]", "--model.passes=1", "--model.learning_rate=0"]
+    script(["fit", *again, "--start_from=weights.pt", "--weights=same.pt"])
+    for name, value in PathPredictor.load("same.pt").state_dict().items():
+        assert torch.equal(value, weights.state_dict()[name]), name
+    with pytest.raises(RuntimeError, match="size mismatch"):
+        script(["fit", *flags, "--start_from=weights.pt"])
 
 
 @pytest.mark.parametrize("unsolvable", [False, True])
