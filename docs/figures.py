@@ -43,7 +43,7 @@ from mapdata import (  # noqa: E402
     generate,
     label,
 )
-from mapdata.evaluation import classical  # noqa: E402
+from mapdata.evaluation import Plan, classical  # noqa: E402
 from mapdata.formats import Collection, ForeignMap, import_maps  # noqa: E402
 from mapdata.generators import PRESETS  # noqa: E402
 from mapdata.plotting import (  # noqa: E402
@@ -374,13 +374,49 @@ def fields() -> Figure:
     return figure
 
 
+def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
+    """Return the first hard problem of a family, and the first that is not solved at least cost."""
+    from models.learned_planners import GuidedSearch
+    from models.path_predictor import PathPredictor
+
+    search = GuidedSearch("search", PathPredictor.load(WEIGHTS / "path_predictor.pt"))
+    dataset = OnlineMapDataset(
+        Generator.preset(family),
+        77,
+        length=1000,
+        fields=("map", "start", "goal", "path", "cost"),
+        problems=HARD,
+        movement=DIAGONAL,
+    )
+    first = None
+    for k in range(len(dataset)):
+        sample: Any = dataset[k]
+        plan = search.plan(sample.map[0], sample.start, sample.goal)
+        first = first or (sample, plan)
+        if cost_of(plan.path) > float(sample.cost) + 1e-3:
+            return first, (sample, plan)
+    raise AssertionError(f"all of {len(dataset)} problems of {family} are solved at least cost")
+
+
+def cost_of(path: Any) -> float:
+    """Return the cost of a path: 1 a straight move, the square root of 2 a diagonal one."""
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
 def predictions() -> Figure:
-    """Show what the path predictor answers to hard problems."""
-    figure, axes = new_figure(1, 3, (11.5, 4.2))
-    samples = hard_problems(("map", "start", "goal", "path"))
-    for ax, k in zip(axes, (0, 3, 6), strict=True):
-        prediction(ax, samples[k])
-        ax.set(xlabel="", ylabel="", xticks=[], yticks=[], title="")
+    """Show what the path predictor answers to hard problems of each family, failures included."""
+    families = ("paper", "dungeon", "maze", "cave", "forest", "noise")
+    figure, axes = new_figure(2, 6, (15, 5.8))
+    for column, family in zip(axes.T, families, strict=True):
+        for ax, (sample, plan) in zip(column, answers(family), strict=True):
+            truth = sample.path[sample.path[:, 0] >= 0]
+            plot_prediction(sample.map[0], plan.path, truth, ax)
+            best = astar(np.asarray(sample.map[0]), sample.start, sample.goal, DIAGONAL)
+            cost = cost_of(plan.path) / float(sample.cost)
+            expansions = plan.expansions / best.iterations
+            ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+            title = f"{family}: cost x {cost:.2f},\nexpansions x {expansions:.2f}"
+            ax.set_title(title, fontsize=10)
     return figure
 
 

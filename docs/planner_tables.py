@@ -1,0 +1,194 @@
+"""Measure docs/planner_tables.md: python docs/planner_tables.py [--transfer FILE].
+
+Each set of problems is a recipe: one problem on each map of seed 77, until so many are hard. The
+page has one table a set; docs/planners.md speaks of them. An hour of one core.
+
+With --transfer the table of transfer is measured instead, and written to a file as JSON: networks
+trained on one family each, tested on all of them. The page takes it from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from pathlib import Path
+
+import pandas as pd
+import pytorch_lightning as pl
+import torch
+
+from mapdata import Generator, MapDataModule, MapSpec, Maze, Movement, Problems, evaluate
+from mapdata.evaluation import classical
+from models.learned_planners import GuidedSearch, planners
+from models.path_predictor import FIELDS, PathPredictor
+from models.training import MixedBatches
+
+DOCS = Path(__file__).parent
+WEIGHTS = DOCS.parent / "models" / "weights"
+SEED = 77
+
+WIDE_ROOMS = MapSpec(
+    (256, 256), rooms=(60, 120), room_rows=(8, 30), room_columns=(8, 30), passage_width=(1, 4)
+)
+WORLDS: dict[str, tuple[Generator, int]] = {
+    "paper": (Generator.preset("paper"), 1000),
+    "dungeon": (Generator.preset("dungeon"), 1000),
+    "narrow": (Generator.preset("narrow"), 300),
+    "maze": (Generator.preset("maze"), 300),
+    "loops": (Maze(corridor=2, reopened=0.1), 300),
+    "cave": (Generator.preset("cave"), 300),
+    "forest": (Generator.preset("forest"), 300),
+    "noise": (Generator.preset("noise"), 300),
+    "dungeon128": (Generator.preset("dungeon128"), 300),
+    "dungeon256": (WIDE_ROOMS, 100),
+}
+"""The worlds, and how many hard problems of each are compared."""
+
+RULES = {
+    "": (Movement(8), "path_predictor.pt"),
+    "-cut": (Movement(8, corner_cutting=True), "path_predictor_cut.pt"),
+}
+"""The rules of movement, by what the names of sets have of them, and their weights."""
+
+FAMILIES = ("dungeon", "maze", "cave", "forest", "noise")
+"""Of the table of transfer."""
+
+COLUMNS = {
+    "opt": "Opt",
+    "cost_ratio": "cost",
+    "expansion_ratio": "expansions",
+    "hmean": "Hmean",
+}
+
+
+def problems_of(world: str, movement: Movement) -> Problems:
+    """Return the set of a world under a movement."""
+    generator, hard = WORLDS[world]
+    return Problems.sample(generator, SEED, until_hard=hard, movement=movement)
+
+
+def markdown(rows: list[list[str]]) -> str:
+    """Return a table whose first row is its head."""
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+
+
+def with_interval(row: pd.Series, metric: str) -> str:
+    """Return a metric and half the width of its 95 % interval."""
+    half = (row[f"{metric}_high"] - row[f"{metric}_low"]) / 2
+    return f"{row[metric]:.3f} ±{half:.3f}"
+
+
+def milliseconds(value: float) -> str:
+    """Return a time, or a dash for what a planner cannot do."""
+    return "-" if pd.isna(value) else f"{value:.3f}"
+
+
+def page_of_sets() -> str:
+    """Return the tables of all sets, a summary first."""
+    summary = {}
+    sections = []
+    for ending, (movement, weights) in RULES.items():
+        model = PathPredictor.load(WEIGHTS / weights)
+        for world in WORLDS:
+            problems = problems_of(world, movement)
+            table = evaluate([*classical(movement), *planners(model)], problems)
+            table = table[table["subset"] == "hard"]
+            name = f"{world}{ending}-hard-{WORLDS[world][1]}"
+            print(f"{name}: {problems.content_hash[:12]}", flush=True)
+            rows = [["planner", "success", *COLUMNS.values(), "ms alone", "ms in batches"]]
+            for _, row in table.iterrows():
+                measured = [with_interval(row, metric) for metric in COLUMNS]
+                times = [milliseconds(row["ms"]), milliseconds(row["ms_batched"])]
+                rows.append([row["planner"], f"{row['success']:.3f}", *measured, *times])
+            sections.append(
+                f"## {name}\n\n{len(problems)} problems, {problems.hard.sum()} of them hard, set "
+                f"`{problems.content_hash[:12]}`; {problems.description}.\n\n{markdown(rows)}\n"
+            )
+            summary[name] = table.set_index("planner")["hmean"].map("{:.2f}".format)
+    hmeans = pd.DataFrame(summary)
+    rows = [["set", *hmeans.index]]
+    for name in hmeans.columns:
+        rows.append([name, *hmeans[name]])
+    head = (
+        "# All planners on all sets\n\n"
+        "Made by `python docs/planner_tables.py`; [Planners compared](planners.md) says what the\n"
+        "columns are. Hard problems alone; ± is half the width of the 95 % interval.\n\n"
+        "## Hmean\n\n"
+    )
+    return head + markdown(rows) + "\n\n" + "\n".join(sections)
+
+
+def trained_on(names: list[str], steps: int) -> PathPredictor:
+    """Return a small network after 2,000 steps of 24 maps of these families."""
+    pl.seed_everything(1)
+    parts = []
+    for name in names:
+        recipe = {
+            "seed": 2000,
+            "maps": 4_000_000,
+            "spec": json.loads(Generator.preset(name).to_json()),
+        }
+        parts.append(
+            MapDataModule(
+                None,
+                build=json.dumps(recipe),
+                fields=FIELDS,
+                problems="random",
+                augment=True,
+                movement=(8, False, 2**0.5),
+                batch_size=24 // len(names),
+            )
+        )
+    model = PathPredictor(widths=(32, 48, 48), passes=3)
+    trainer = pl.Trainer(
+        accelerator="cpu",
+        precision="bf16-mixed",
+        max_steps=steps,
+        gradient_clip_val=1.0,
+        limit_val_batches=0,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    trainer.fit(model, MixedBatches(parts))
+    return model.eval()
+
+
+def transfer(steps: int) -> dict[str, dict[str, float]]:
+    """Return Hmean of networks trained on a family each, on two thirds of them, and on all."""
+    movement = Movement(8)
+    trainings = {name: [name] for name in FAMILIES}
+    trainings["all five"] = list(FAMILIES)
+    trainings["all but maze"] = [name for name in FAMILIES if name != "maze"]
+    trainings["all but cave"] = [name for name in FAMILIES if name != "cave"]
+    sets = {name: problems_of(name, movement) for name in FAMILIES}
+    found: dict[str, dict[str, float]] = {}
+    for training, names in trainings.items():
+        model = trained_on(names, steps)
+        found[training] = {}
+        for name, problems in sets.items():
+            table = evaluate([GuidedSearch("search", model)], problems, bootstrap=1)
+            found[training][name] = round(float(table["hmean"].iloc[1]), 3)
+        print(training, found[training], flush=True)
+    return found
+
+
+def main() -> None:
+    """Measure, and write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--transfer", help="file for the table of transfer")
+    parser.add_argument("--steps", type=int, default=2000, help="of each of its trainings")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    torch.set_num_threads(1)
+    if given.transfer:
+        Path(given.transfer).write_text(json.dumps(transfer(given.steps), indent=1) + "\n")
+    else:
+        (DOCS / "planner_tables.md").write_text(page_of_sets(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
