@@ -407,8 +407,8 @@ def predictions() -> Figure:
     """Show what the path predictor answers to hard problems of each family, failures included."""
     families = ("paper", "dungeon", "maze", "cave", "forest", "noise")
     figure, axes = new_figure(2, 6, (15, 5.8))
-    for column, family in zip(axes.T, families, strict=True):
-        for ax, (sample, plan) in zip(column, answers(family), strict=True):
+    for k, family in enumerate(families):
+        for ax, (sample, plan) in zip((axes[k], axes[k + 6]), answers(family), strict=True):
             truth = sample.path[sample.path[:, 0] >= 0]
             plot_prediction(sample.map[0], plan.path, truth, ax)
             best = astar(np.asarray(sample.map[0]), sample.start, sample.goal, DIAGONAL)
