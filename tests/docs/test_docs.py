@@ -34,6 +34,7 @@ ELSEWHERE = {
     "command.md",
     "format.md",
     "formats.md",
+    "howto/ompl.md",
     "howto/robot.md",
     "promises.md",
     "scale.md",
