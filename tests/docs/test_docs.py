@@ -29,7 +29,16 @@ from PIL import Image
 import mapdata
 from mapdata.datasets import FIELDS
 
-ELSEWHERE = {"benchmarks.md", "command.md", "format.md", "formats.md", "promises.md", "scale.md"}
+ELSEWHERE = {
+    "benchmarks.md",
+    "command.md",
+    "format.md",
+    "formats.md",
+    "howto/ompl.md",
+    "howto/robot.md",
+    "promises.md",
+    "scale.md",
+}
 """Pages with a test of their own."""
 
 SLOW = {"tutorial.md"}
