@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pytorch_lightning as pl
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import OneCycleLR
@@ -164,7 +164,7 @@ def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
 
 
 def check_problems(
-    maps: npt.ArrayLike, starts: npt.ArrayLike, goals: npt.ArrayLike
+    maps: ArrayLike, starts: ArrayLike, goals: ArrayLike
 ) -> tuple[Bytes, Ints, Ints]:
     """Return one problem or B of them as new arrays: (B, H, W) of 0 and 1, starts, goals (B, 2).
 
@@ -360,7 +360,7 @@ class Model(pl.LightningModule):
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
         return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
 
-    def tensors(self, *arrays: npt.ArrayLike) -> list[Tensor]:
+    def tensors(self, *arrays: ArrayLike) -> list[Tensor]:
         """Return copies of arrays as tensors on the device of the model."""
         return [torch.from_numpy(np.array(each)).to(self.device) for each in arrays]
 

@@ -30,12 +30,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
+from numpy.typing import ArrayLike
 from torch.utils.data import DataLoader, Dataset, Subset
 from tqdm.auto import tqdm
 
-from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.arrays import Array, Bytes, Floats, Ints
 from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.shards import write_file
 from mapdata.spec import canonical_json
@@ -181,7 +181,7 @@ class Bank:
     """
 
     identity: str
-    arrays: dict[str, npt.NDArray[Any]]
+    arrays: dict[str, Array]
 
     @staticmethod
     def of(
@@ -242,7 +242,7 @@ class Bank:
             raise ValueError(f"{file}: no bank of experience ({error}): remove it") from None
 
     def targets(
-        self, kind: str, problems: Any, ends: npt.ArrayLike | None = None
+        self, kind: str, problems: Any, ends: ArrayLike | None = None
     ) -> tuple[Floats, Ints]:
         """Return the points of each problem one after another, (M, 2), and how many each has, (B,).
 
@@ -276,7 +276,7 @@ class Bank:
         return np.concatenate(found).astype(np.float64), counts[rows]
 
 
-def _all_problems(dataset: Dataset[Sample]) -> list[npt.NDArray[Any]]:
+def _all_problems(dataset: Dataset[Sample]) -> list[Array]:
     """Return maps (N, H, W), starts, goals and numbers of all problems, by their number."""
     names = ("map", "start", "goal", "problem")
     batch = dataset[:]

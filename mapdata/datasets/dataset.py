@@ -10,11 +10,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Array, Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
@@ -46,7 +45,7 @@ the paths, None where they have not been searched."""
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
-CONDITIONS: dict[str, Callable[[Batch], npt.NDArray[Any]]] = {
+CONDITIONS: dict[str, Callable[[Batch], Array]] = {
     "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),
     "path_length": FIELDS["length"],
     "reachable": lambda batch: np.diff(batch.paths.offsets) > 0,

@@ -12,9 +12,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Float32s, Ints, offsets_of, summary
+from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, offsets_of, summary
 from mapdata.datasets.field_kernels import (
     GoalFields,
     count_steps,
@@ -112,7 +111,7 @@ class Batch:
         return self.find_rooms()
 
     @cached_property
-    def costs(self) -> npt.NDArray[np.float64]:
+    def costs(self) -> Floats:
         """(B,) cost of the paths, -1 without one; BFS counts moves."""
         straight, diagonal = count_steps(self.paths.cells, self.paths.offsets)
         step = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
@@ -283,7 +282,7 @@ def problem(batch: Batch) -> Ints:
     return batch.problems
 
 
-Field = Callable[[Batch], npt.NDArray[np.generic]]
+Field = Callable[[Batch], Array]
 
 FIELDS: dict[str, Field] = {
     field.__name__.rstrip("_"): field

@@ -13,15 +13,12 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Array, Bytes
 from mapdata.generators.maps import Maps
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 from mapdata.spec import SPLITS
-
-Array = npt.NDArray[Any]
 
 
 class FormatError(ValueError):

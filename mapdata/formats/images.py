@@ -14,11 +14,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Array, Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
-    Array,
     FormatError,
     Limits,
     Npz,

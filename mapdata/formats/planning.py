@@ -30,9 +30,9 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Array, Bytes, Float32s, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, Array, FormatError, Limits, Npz, files_of, occupancy
+from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
 from mapdata.rng import PROBLEM, block, bounded

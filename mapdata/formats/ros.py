@@ -28,11 +28,10 @@ import numpy.typing as npt
 import yaml
 from PIL import Image
 
-from mapdata.arrays import Bytes, Flags
+from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
-    Array,
     FormatError,
     Limits,
     files_of,

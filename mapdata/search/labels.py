@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Flags, Ints, offsets_of, summary
+from mapdata.arrays import Bytes, Flags, Floats, Ints, Words, offsets_of, summary
 from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.points import STEPS
 from mapdata.jit import Int, kernel
@@ -116,7 +115,7 @@ class Labels:
         first = int(self.maps.segment_offsets[i])
         return self.of(search).iterations[first : first + self._rooms(i) - 1]
 
-    def matrix(self, search: str, i: int) -> npt.NDArray[np.float64]:
+    def matrix(self, search: str, i: int) -> Floats:
         """Return the connection matrix of map i, (n, n) float64.
 
         It holds path costs (BFS: moves), 0 on the diagonal, -1 where there is no path.
@@ -205,7 +204,7 @@ def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
 
 @kernel
 def _label(
-    packed: npt.NDArray[np.uint64],
+    packed: Words,
     columns: Int,
     rooms: Ints,
     seed_points: Ints,
@@ -284,7 +283,7 @@ def _label(
 
 
 @kernel
-def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
+def _unpack(words: Words, columns: Int, fresh: Bytes) -> None:
     """Write one packed map into the padded ``fresh``, as `load` does with a grid."""
     stride = columns + 2
     for row in range(words.shape[0]):

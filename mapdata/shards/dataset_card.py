@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapdata._version import __version__
+from mapdata.arrays import Array
 from mapdata.generators.generator import PRESETS, Generator
 from mapdata.shards.manifest import PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
-from mapdata.shards.shard import Array
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.spec import SPLITS, Movement
 

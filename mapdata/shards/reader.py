@@ -22,14 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Array, Bytes
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
 from mapdata.shards.shard import (
     SEARCHES,
-    Array,
     Header,
     Shard,
     ShardError,

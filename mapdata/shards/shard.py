@@ -17,13 +17,12 @@ from uuid import uuid4
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 if sys.platform != "win32":
     import fcntl
 
 from mapdata._version import __version__
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
@@ -31,7 +30,6 @@ from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
 from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json, least_version
 
-Array = npt.NDArray[Any]
 StrPath: TypeAlias = str | os.PathLike[str]
 
 Span = tuple[int, int]
