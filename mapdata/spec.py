@@ -27,6 +27,10 @@ SPLITS = ("train", "val", "test")
 """Names of the splits, in the order of their codes 0, 1, 2."""
 
 Range = tuple[int, int]
+"""(lowest, highest), both included."""
+
+Size = tuple[int, int]
+"""(rows, columns) of a map."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Movement:
             )
 
 
-def least_version(map_size: Range) -> int:
+def least_version(map_size: Size) -> int:
     """Return the least version of the format that can say a map size."""
     return 1 if max(map_size) <= 1024 else 2
 
@@ -158,7 +162,7 @@ def _is_integer(value: object) -> TypeGuard[SupportsIndex]:
     return hasattr(value, "__index__") and not isinstance(value, bool)
 
 
-def check_sides(name: str, values: object) -> Range:
+def check_sides(name: str, values: object) -> Size:
     """Return ``values`` as the (rows, columns) of a map."""
     sides = check_integers(name, values)
     if not 1 <= min(sides) <= max(sides) <= MAX_SIDE:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import astuple
 from importlib.util import find_spec
@@ -25,6 +24,7 @@ from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
+from mapdata.shards.shard import StrPath
 from mapdata.spec import SPLITS, Movement, check_count
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class MapDataModule(_Base):
 
     def __init__(
         self,
-        root: str | os.PathLike[str] | Sequence[str] | None = "data/maps",
+        root: StrPath | Sequence[str] | None = "data/maps",
         *,
         build: str | dict[str, Any] | None = None,
         batch_size: int = 256,

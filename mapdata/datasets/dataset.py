@@ -31,7 +31,7 @@ from mapdata.problems.sources import Random, Route, Source, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
-from mapdata.spec import SPLITS, Movement, check_choice
+from mapdata.spec import SPLITS, Movement, Range, Size, check_choice
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,7 +70,7 @@ class ProblemDataset(Dataset[Sample], ABC):
     movement: Movement
     """How the served paths move."""
 
-    map_size: tuple[int, int]
+    map_size: Size
     """(rows, columns) of all maps."""
 
     def __init__(
@@ -337,8 +337,8 @@ class MapDataset(ProblemDataset):
     def filter(
         self,
         *,
-        rooms: tuple[int, int] | None = None,
-        path_length: tuple[int, int] | None = None,
+        rooms: Range | None = None,
+        path_length: Range | None = None,
         reachable: bool | None = None,
         all_connected: bool | None = None,
         hardness: tuple[float, float] | None = None,

@@ -44,6 +44,7 @@ from mapdata.spec import (
     MAX_ROOMS,
     MAX_SIDE,
     Movement,
+    Size,
     check_count,
     check_fractions,
     check_resolution,
@@ -99,7 +100,7 @@ def import_maps(
     movement: Movement | None = None,
     resolution: float | None = None,
     splits: tuple[float, float, float] = (0.8, 0.1, 0.1),
-    tile: tuple[int, int] | None = None,
+    tile: Size | None = None,
     shard_size: int | None = None,
     drop_leaks: bool = False,
     progress: bool = False,
@@ -188,7 +189,7 @@ def import_maps(
     return made
 
 
-def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[ForeignMap]:
+def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
     """Yield the maps, or their tiles if they are to be cut."""
     if tile is None:
         yield from source.maps

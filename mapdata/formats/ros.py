@@ -43,6 +43,7 @@ from mapdata.formats.files import (
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.shards.root import Root
+from mapdata.shards.shard import StrPath
 from mapdata.spec import check_resolution
 
 ENDINGS = (".yaml", ".yml")
@@ -81,7 +82,7 @@ class RosMap:
         return x, y
 
 
-def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
+def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     """Return the map of a .yaml file.
 
     Raises:

@@ -28,7 +28,7 @@ from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
-from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json, least_version
+from mapdata.spec import FORMAT_VERSIONS, Movement, Size, canonical_json, least_version
 
 StrPath: TypeAlias = str | os.PathLike[str]
 
@@ -122,7 +122,7 @@ class Origin:
 
     spec: Generator | None
     seed: int | None
-    map_size: tuple[int, int]
+    map_size: Size
     movement: Movement
     resolution: float
 
