@@ -259,7 +259,7 @@ class Bank:
         if kind not in KINDS:
             raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
         numbers = np.asarray(problems, np.int64)
-        rows = pd.Index(self.arrays["problem"]).get_indexer(numbers)  # -1: not there
+        rows = pd.Index(self.arrays["problem"]).get_indexer(pd.Index(numbers))  # -1: not there
         known = rows >= 0
         if ends is not None:
             known &= (self.arrays["ends"][rows] == np.asarray(ends)).all(axis=1)
