@@ -38,7 +38,7 @@ from tqdm.auto import tqdm
 from mapdata.arrays import Array, Bytes, Floats, Ints
 from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.shards import write_file
-from mapdata.spec import canonical_json
+from mapdata.spec import canonical_json, check_choice
 from models.roadmap import between, build_roadmap, halton, radius
 
 KINDS = ("lego", "shortest_path")
@@ -256,8 +256,7 @@ class Bank:
             ValueError: an unknown kind, or a problem that the bank does not know or knows
                 otherwise.
         """
-        if kind not in KINDS:
-            raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
+        check_choice("kind", kind, KINDS)
         numbers = np.asarray(problems, np.int64)
         rows = pd.Index(self.arrays["problem"]).get_indexer(pd.Index(numbers))  # -1: not there
         known = rows >= 0

@@ -38,6 +38,7 @@ from torch import Tensor, nn
 
 from mapdata import Sample
 from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.spec import check_choice
 from models import common
 from models.common import Tensors
 
@@ -82,8 +83,7 @@ class Sampler(common.Model, ABC):
     def __init__(self, targets: str) -> None:
         """Keep the kind of targets."""
         super().__init__()
-        if targets not in TARGETS:
-            raise ValueError(f"targets: got {targets!r}, expected one of {', '.join(TARGETS)}")
+        check_choice("targets", targets, TARGETS)
         self.targets = targets
         self.bank: Any = None  # a `models.experience.Bank`
 
