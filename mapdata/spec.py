@@ -53,7 +53,7 @@ class Movement:
 
     def __post_init__(self) -> None:
         """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
-        if isinstance(self.connectivity, bool) or self.connectivity not in (4, 8):
+        if self.connectivity not in (4, 8):
             raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
         if not isinstance(self.corner_cutting, bool):
             raise ValueError(f"corner_cutting: got {self.corner_cutting!r}, expected True or False")
