@@ -144,9 +144,14 @@ def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
     return dict(values)
 
 
+def items_of(values: object) -> tuple[Any, ...]:
+    """Return the items of a tuple or list; of anything else there are none."""
+    return tuple(values) if isinstance(values, (tuple, list)) else ()
+
+
 def check_integers(name: str, values: object) -> Range:
     """Return ``values`` as two ints; numpy integers are welcome, floats and bools are not."""
-    items = tuple(values) if isinstance(values, (tuple, list)) else ()
+    items = items_of(values)
     if len(items) != 2 or not all(map(_is_integer, items)):
         raise ValueError(f"{name}: got {values!r}, expected 2 integers")
     return index(items[0]), index(items[1])
@@ -198,9 +203,7 @@ def check_resolution(name: str, value: object) -> float:
 
 def check_fractions(values: object) -> tuple[float, ...]:
     """Return ``values`` as the fractions of the splits, which add up to 1."""
-    items: tuple[float, ...] = ()
-    if isinstance(values, (tuple, list)):
-        items = tuple(check_number("splits", item) for item in values)
+    items = tuple(check_number("splits", item) for item in items_of(values))
     inside = len(items) == len(SPLITS) and all(0 <= item <= 1 for item in items)
     if not inside or abs(sum(items) - 1) > 1e-9:
         raise ValueError(
