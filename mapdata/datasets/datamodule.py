@@ -27,21 +27,14 @@ from mapdata.shards.root import is_url, places
 from mapdata.shards.shard import StrPath
 from mapdata.spec import SPLITS, Movement, check_count
 
-if TYPE_CHECKING:
-
-    class _Base(pl.LightningDataModule):
-        """What type checkers see."""
-
-elif (
-    find_spec("lightning") is not None
-):  # the same library under its other name, whose Trainer accepts only its own class
+if TYPE_CHECKING or find_spec("lightning") is None:
+    _Base = pl.LightningDataModule
+else:  # the same library under its other name, whose Trainer accepts only its own class
     from lightning.pytorch import LightningDataModule as _OtherDataModule
 
     class _Base(pl.LightningDataModule, _OtherDataModule):
         """A data module of both packages."""
 
-else:
-    _Base = pl.LightningDataModule
 
 Dataset = MapDataset | OnlineMapDataset
 
