@@ -46,7 +46,6 @@ from mapdata.spec import (
     Movement,
     Size,
     check_count,
-    check_fractions,
     check_resolution,
     check_seed,
     check_sides,
@@ -133,7 +132,7 @@ def import_maps(
     """
     root = folder_of(root)
     check_seed(seed)
-    check_fractions(splits)
+    thresholds = split_thresholds(splits)
     check_seed_points("seed_points", seed_points)
     if shard_size is not None:
         check_count("shard_size", shard_size)
@@ -154,7 +153,6 @@ def import_maps(
         reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
         raise ValueError("no map to import" + "".join(reasons))
     folders = _folders(root, list(groups))
-    thresholds = split_thresholds(splits)
     draws = Draws(seed_points, seed)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
