@@ -142,10 +142,8 @@ def import_maps(
     groups: dict[Group, list[ForeignMap]] = {}
     with bar(progress, len(source.maps), unit=" maps checked") as advance:
         for one in _tiles(source, tile):
-            why = _unusable(one, movement)
-            if why is not None:
-                source.left_out.append((one.name, why))
-            else:
+            with source.leaving_out(one.name):
+                _check_usable(one, movement)
                 metres = resolution or one.resolution or RESOLUTION
                 groups.setdefault((*one.shape, metres), []).append(one)
             advance(1)
@@ -207,24 +205,27 @@ def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
                 yield ForeignMap(name, part, one.split, one.resolution)
 
 
-def _unusable(one: ForeignMap, movement: Movement) -> str | None:
-    """Return why a map cannot be in a dataset, or None."""
+def _check_usable(one: ForeignMap, movement: Movement) -> None:
+    """Refuse a map that cannot be in a dataset.
+
+    Raises:
+        ValueError: the message says why.
+    """
     grid = one.grid
     rows, columns = one.shape
     if not 1 <= min(one.shape) <= max(one.shape) <= MAX_SIDE:
-        return (
+        raise ValueError(
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
         )
     for cell in one.seed_points:
         why = why_not_free(grid, cell)
         if why:
-            return f"seed point {why}"
+            raise ValueError(f"seed point {why}")
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
-        return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
+        raise ValueError(f"{rooms} rooms, expected 1 to {MAX_ROOMS}")
     if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
-        return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
-    return None
+        raise ValueError(f"has no two connected free cells ({(grid == 0).sum()} free in all)")
 
 
 def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
