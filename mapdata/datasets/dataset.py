@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from mapdata.arrays import Array, Bytes, Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
-from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
 from mapdata.datasets.sample import (
     MAPS_AND_MASKS,
     Rows,
@@ -45,7 +45,7 @@ the paths, None where they have not been searched."""
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
-CONDITIONS: dict[str, Callable[[Batch], Array]] = {
+CONDITIONS: dict[str, Field] = {
     "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),
     "path_length": FIELDS["length"],
     "reachable": lambda batch: np.diff(batch.paths.offsets) > 0,

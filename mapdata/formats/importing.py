@@ -7,7 +7,7 @@ the draws of stream 5. An imported dataset has no recipe, so its identity is its
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,7 +39,7 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
-from mapdata.shards.workers import bar, threads
+from mapdata.shards.workers import Advance, bar, threads
 from mapdata.spec import (
     MAX_ROOMS,
     MAX_SIDE,
@@ -264,7 +264,7 @@ def _write(
     maps: list[ForeignMap],
     splits: Bytes,
     draws: Draws,
-    advance: Callable[[int], object],
+    advance: Advance,
     pool: Executor,
 ) -> Imported:
     """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""
