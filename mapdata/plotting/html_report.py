@@ -72,11 +72,9 @@ def _policy(template: str) -> str:
     """Return the content security policy that lets only the template's own script and style run."""
     allowed = []
     for tag in ("script", "style"):
-        sources = f"{tag}-src"
-        for text in re.findall(f"<{tag}>(.*?)</{tag}>", template, re.DOTALL):
-            digest = hashlib.sha256(text.encode()).digest()
-            sources += f" 'sha256-{base64.b64encode(digest).decode()}'"
-        allowed.append(sources)
+        (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", template, re.DOTALL)
+        digest = hashlib.sha256(text.encode()).digest()
+        allowed.append(f"{tag}-src 'sha256-{base64.b64encode(digest).decode()}'")
     rest = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'"
     return "; ".join([*allowed, rest])
 
