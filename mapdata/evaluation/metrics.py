@@ -203,11 +203,11 @@ def _run(planner: Planner, problems: Problems) -> _Run:
     expansions = np.empty(len(problems))
     ms = np.empty(len(problems))
     for k in (0, *range(len(problems))):  # the first twice: kernels compile and caches fill
-        start_row, start_column = problems.starts[k].tolist()
-        goal_row, goal_column = problems.goals[k].tolist()
+        start = tuple(problems.starts[k].tolist())
+        goal = tuple(problems.goals[k].tolist())
         grid = problems.grids[k].copy()  # a planner may write to it
         began = time.perf_counter()
-        plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
+        plan = planner.plan(grid, start, goal)
         ms[k] = 1000 * (time.perf_counter() - began)
         costs[k] = _cost(plan, problems, k)
         expansions[k] = plan.expansions
