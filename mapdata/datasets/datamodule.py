@@ -19,7 +19,7 @@ from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.generators.generator import identity
-from mapdata.problems.sources import Source, problem_source
+from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
@@ -86,7 +86,7 @@ class MapDataModule(_Base):
         prefetch_factor: int | None = None,
         multiprocessing_context: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
-        problems: str | Source | dict[str, Any] = "route",
+        problems: SourceLike = "route",
         search: str = "astar",
         movement: Movement | tuple[int, bool, float] | None = None,
         augment: bool = False,

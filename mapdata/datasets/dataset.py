@@ -27,7 +27,7 @@ from mapdata.datasets.sample import (
     stack,
 )
 from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import Random, Route, Source, problem_source
+from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
@@ -283,7 +283,7 @@ class MapDataset(ProblemDataset):
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
-        problems: str | Source | dict[str, Any] = "route",
+        problems: SourceLike = "route",
         search: str = "astar",
         movement: Movement | None = None,
         augment: bool = False,
