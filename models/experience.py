@@ -214,11 +214,16 @@ class Bank:
         for kind, each in zip(KINDS, zip(*mined, strict=True), strict=True):
             arrays[f"{kind}_points"] = np.concatenate(each).astype(np.float32)
             arrays[f"{kind}_counts"] = np.array([len(some) for some in each])
+        bank = Bank(name, arrays)
+        bank.write(file)
+        return bank
+
+    def write(self, file: Path) -> None:
+        """Write the bank as one file of numpy's, at once or not at all."""
         buffer = BytesIO()
-        np.savez(buffer, identity=np.array(name), **arrays)  # type: ignore[arg-type]
+        np.savez(buffer, identity=np.array(self.identity), **self.arrays)  # type: ignore[arg-type]
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_file(file, buffer.getvalue())  # at once or not at all
-        return Bank(name, arrays)
+        write_file(file, buffer.getvalue())
 
     @staticmethod
     def read(file: Path, identity: str) -> Bank:
