@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import OneCycleLR
 
 from mapdata import Movement
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.search import STEPS
 
 Tensors: TypeAlias = dict[str, Tensor]
@@ -176,12 +176,12 @@ def check_problems(
     grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
     if grids.all(axis=(1, 2)).any():
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
-    ends: list[Ints] = []
+    ends = []
     for name, given in (("start", starts), ("goal", goals)):
         end = np.atleast_2d(np.asarray(given).astype(np.int64))
         # of order 0, the value of a cell itself; outside the map all is occupied
         occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)
-        free: Flags = occupied == 0  # (B,)
+        free = occupied == 0  # (B,)
         if not free.all():
             raise ValueError(
                 f"{name}: got {end[free.argmin()].tolist()}, outside its map or on an occupied "

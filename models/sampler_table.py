@@ -139,7 +139,7 @@ def compare(
     dense, _ = _lengths(partial(alone, halton), problems, DENSE, 10_000_019)
     subsets = {"all": np.ones(len(problems), bool), "hard": problems.hard}
     entries = []
-    outcomes: list[Floats] = []
+    outcomes = []
     for n in sizes:
         for name, contender in rows.items():
             lengths, ms = _lengths(contender, problems, n)

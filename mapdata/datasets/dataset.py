@@ -158,14 +158,14 @@ class ProblemDataset(Dataset[Sample], ABC):
         batch = self._batch(indices, epoch)
         if self.serving.augment:
             batch = _transformed(batch, self.serving.sampling_seed, epoch)
-        values: list[Any] = []
+        values = []
         for field in self.serving.fields:
             if isinstance(field, str):
                 values.append(torch.from_numpy(np.ascontiguousarray(FIELDS[field](batch))))
             else:
                 so_far = sample_class(self.serving.names[: len(values)])(*values)
                 values.append(torch.as_tensor(field(so_far)))
-        sample: Sample = self._class(*values)
+        sample = self._class(*values)
         return sample if self.dtype is None else cast(sample, self.dtype)
 
     @abstractmethod

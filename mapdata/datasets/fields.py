@@ -246,8 +246,7 @@ def heuristic_ratio(batch: Batch) -> Float32s:
 
 def clearance(batch: Batch) -> Float32s:
     """``clearance``: (B, 1, H, W) float32, as `mapdata.clearance`, in cells."""
-    found: Float32s = clearances(batch.grids)[:, None]
-    return found
+    return clearances(batch.grids)[:, None]
 
 
 def path_probability(batch: Batch) -> Float32s:

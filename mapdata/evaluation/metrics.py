@@ -120,11 +120,11 @@ def evaluate(
         problems.optimal.iterations if baseline is None else runs[names.index(baseline)].expansions
     )
     outcomes = np.stack([_outcomes(run, problems, reference) for run in runs], axis=1)
-    rows: list[dict[str, object]] = []
+    rows = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         values, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
         for k, run in enumerate(runs):
-            row: dict[str, object] = {"planner": names[k], "subset": subset, "n": int(mask.sum())}
+            row = {"planner": names[k], "subset": subset, "n": int(mask.sum())}
             row |= dict(zip(METRICS, values[k].tolist(), strict=True))
             row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
             row["ms_batched"] = run.ms_batched

@@ -157,7 +157,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     """
     grids = []
     starts = []
-    goals: list[Ints] = []
+    goals = []
     for k, (one, values) in enumerate(_problems(source, limits, Collection())):
         if one.split == SPLITS.index("test") and has_starts(values):
             words = block(np.uint64(seed), np.uint64(k), 0, PROBLEM, 0)

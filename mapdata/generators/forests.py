@@ -70,9 +70,9 @@ class Forest(Generator):
         return with_seed_points(self, seed, indices, grids)
 
 
-PRESETS: dict[str, Generator] = {
+PRESETS = {
     "forest": Forest(),
-    "noise": Forest(cover=(0.1, 0.4), sizes=(1, 1)),
+    "noise": Forest(sizes=(1, 1)),
 }
 
 

@@ -60,7 +60,7 @@ class Maze(Generator):
         return with_seed_points(self, seed, indices, grids)
 
 
-PRESETS: dict[str, Generator] = {"maze": Maze()}
+PRESETS = {"maze": Maze()}
 
 
 @kernel

@@ -11,7 +11,7 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -188,7 +188,7 @@ def _rebuild(name: str, manifest: Manifest) -> Section:
 def _origin(place: str, rooms_known: bool) -> Section:
     """Say where imported maps came from, as far as the import wrote it down."""
     try:
-        values: dict[str, Any] = dict(json.loads(read_file(place, PROVENANCE)))
+        values = dict(json.loads(read_file(place, PROVENANCE)))
         sources = [str(source) for source in values.get("sources", ())]
     except (OSError, ValueError, TypeError, RecursionError):
         return Section(

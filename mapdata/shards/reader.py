@@ -267,7 +267,7 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
     rooms = _last(arrays["room_offsets"])
     pairs = _last(arrays["pair_offsets"])
     segments = rooms - maps
-    shapes: dict[str, tuple[int, ...]] = {
+    shapes = {
         "maps": (maps, rows, octets),
         "split": (maps,),
         "passage_width": (maps,),

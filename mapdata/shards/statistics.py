@@ -197,9 +197,9 @@ def _grid_columns(maps: Maps, hashes: bool) -> dict[str, Array]:
     """Return the free share of each map and its two digests; those only with ``hashes``."""
     count, rows, _ = maps.packed.shape
     step = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
-    free: list[Floats] = []
-    exact: list[bytes] = []
-    symmetric: list[bytes] = []
+    free = []
+    exact = []
+    symmetric = []
     for packed in np.split(maps.packed, range(step, count, step)):
         grids = unpacked(packed, maps.columns)
         free.append(1 - grids.mean(axis=(1, 2)))
