@@ -106,7 +106,7 @@ def build_roadmap(grid: ArrayLike, points: ArrayLike, reach: float) -> Roadmap:
         ValueError: a point outside the map or in an occupied cell, or a reach that is not positive.
     """
     cells = _grid(grid)
-    places = np.array(points, np.float64).reshape(-1, 2)
+    places = _as_points(points)
     if not reach > 0:
         raise ValueError(f"reach: got {reach}, expected a positive number")
     free = free_at(cells, places)
@@ -130,7 +130,7 @@ def between(grid: ArrayLike, start: ArrayLike, goal: ArrayLike, samples: ArrayLi
         ValueError: a cell or sample outside the map or occupied.
     """
     cells = _grid(grid)
-    inner = np.asarray(samples, np.float64).reshape(-1, 2)
+    inner = _as_points(samples)
     ends = np.array([start, goal], np.int64).reshape(2, 2) + 0.5
     return build_roadmap(cells, np.concatenate([ends, inner]), radius(len(inner), cells.shape))
 
@@ -153,7 +153,7 @@ def path_lengths(grids: Bytes, starts: Ints, goals: Ints, samples: Floats) -> Fl
 
 def free_at(grid: ArrayLike, points: ArrayLike) -> Flags:
     """Return (n,) bool: which points (n, 2) lie in free cells of the map."""
-    cells = np.floor(np.asarray(points, np.float64).reshape(-1, 2))
+    cells = np.floor(_as_points(points))
     # of order 0, the value of a cell itself; outside the map all is occupied
     free: Flags = map_coordinates(np.asarray(grid), cells.T, order=0, cval=1) == 0
     return free
@@ -164,8 +164,12 @@ def sees(grid: ArrayLike, first: ArrayLike, second: ArrayLike) -> Flags:
 
     A segment through the corner of a cell meets it, too. The ends must lie in the map.
     """
-    ends = [np.array(points, np.float64).reshape(-1, 2) for points in (first, second)]
-    return _all_see(_grid(grid), *ends)
+    return _all_see(_grid(grid), _as_points(first), _as_points(second))
+
+
+def _as_points(points: ArrayLike) -> Floats:
+    """Return points as a new array, (n, 2)."""
+    return np.array(points, np.float64).reshape(-1, 2)
 
 
 def _grid(grid: ArrayLike) -> Bytes:
