@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[Any]
 Ints = NDArray[np.int64]
+Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 UInt32s = NDArray[np.uint32]
 Words = NDArray[np.uint64]

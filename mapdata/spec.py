@@ -29,6 +29,9 @@ SPLITS = ("train", "val", "test")
 Range = tuple[int, int]
 """(lowest, highest), both included."""
 
+Cell = tuple[int, int]
+"""(row, col), origin upper left."""
+
 Size = tuple[int, int]
 """(rows, columns) of a map."""
 

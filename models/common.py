@@ -16,7 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pytorch_lightning as pl
@@ -31,7 +31,7 @@ from mapdata import Movement
 from mapdata.arrays import Bytes, Ints
 from mapdata.search import STEPS
 
-Tensors: TypeAlias = dict[str, Tensor]
+Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
 
 # --- the network --------------------------------------------------------------------------------

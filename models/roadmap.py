@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +32,7 @@ from scipy.stats import qmc
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import kernel
 
-Points: TypeAlias = Callable[[ArrayLike, int, int], Floats]
+Points = Callable[[ArrayLike, int, int], Floats]
 """A sampler that sees the map alone: from a grid (H, W), n and a seed to (n, 2) free points."""
 
 REACH = 1.5

@@ -17,15 +17,13 @@ import pandas as pd
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.search.api import check_path
-from mapdata.spec import check_choice
+from mapdata.spec import Cell, check_choice
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
 
 _BATCH = 64
 """Problems that ``plan_batch`` gets at a time."""
-
-Cell = tuple[int, int]
 
 
 class Plan(NamedTuple):

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,7 @@ RESOLUTION = 0.1
 _CELLS_A_SHARD = 2**24
 """Most cells of a shard where its size is not given, so that large maps fit in memory."""
 
-Group: TypeAlias = tuple[int, int, float]
+Group = tuple[int, int, float]
 """Rows, columns and resolution: all that maps of one dataset must share."""
 
 

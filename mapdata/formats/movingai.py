@@ -23,7 +23,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,9 +45,7 @@ from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
 from mapdata.shards.shard import StrPath
 from mapdata.shards.workers import bar
-from mapdata.spec import MAX_ROOMS, Movement, Size, check_count
-
-Cell: TypeAlias = tuple[int, int]
+from mapdata.spec import MAX_ROOMS, Cell, Movement, Size, check_count
 
 MOVEMENT = Movement(8)
 """The benchmark's rule."""

@@ -21,14 +21,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path, PureWindowsPath
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from PIL import Image
 
-from mapdata.arrays import Array, Bytes, Flags
+from mapdata.arrays import Array, Bytes, Flags, Int8s
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -48,8 +47,6 @@ from mapdata.spec import check_resolution
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
-
-Int8s: TypeAlias = npt.NDArray[np.int8]
 
 # pixels as map_saver writes them
 _FREE = 254

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeAlias
+from typing import IO, Any, NamedTuple
 from uuid import uuid4
 
 import h5py
@@ -30,7 +30,7 @@ from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
 from mapdata.spec import FORMAT_VERSIONS, Movement, Size, canonical_json, least_version
 
-StrPath: TypeAlias = str | os.PathLike[str]
+StrPath = str | os.PathLike[str]
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
