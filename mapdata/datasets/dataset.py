@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
 from mapdata.arrays import Bytes, Ints
@@ -124,7 +125,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         sample: Sample = self.__getitems__([i])[0]
         return sample
 
-    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Any:
+    def __getitems__(self, indices: Sequence[int] | Ints | Tensor) -> Any:
         """Return a list of samples; torch's DataLoader calls this.
 
         Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
