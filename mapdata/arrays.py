@@ -6,19 +6,21 @@ from math import prod
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike, NDArray
 
-Ints = npt.NDArray[np.int64]
-Int32s = npt.NDArray[np.int32]
-UInt32s = npt.NDArray[np.uint32]
-Words = npt.NDArray[np.uint64]
-Bytes = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
-Float32s = npt.NDArray[np.float32]
+Array = NDArray[Any]
+Ints = NDArray[np.int64]
+Int8s = NDArray[np.int8]
+Int32s = NDArray[np.int32]
+UInt32s = NDArray[np.uint32]
+Words = NDArray[np.uint64]
+Bytes = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Float32s = NDArray[np.float32]
 
 
-def offsets_of(counts: npt.ArrayLike) -> Ints:
+def offsets_of(counts: ArrayLike) -> Ints:
     """Return where runs of so many values begin, one after another, and where the last ends.
 
     >>> offsets_of([2, 0, 3])

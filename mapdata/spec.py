@@ -27,6 +27,13 @@ SPLITS = ("train", "val", "test")
 """Names of the splits, in the order of their codes 0, 1, 2."""
 
 Range = tuple[int, int]
+"""(lowest, highest), both included."""
+
+Cell = tuple[int, int]
+"""(row, col), origin upper left."""
+
+Size = tuple[int, int]
+"""(rows, columns) of a map."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class Movement:
 
     def __post_init__(self) -> None:
         """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
-        if isinstance(self.connectivity, bool) or self.connectivity not in (4, 8):
+        if self.connectivity not in (4, 8):
             raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
         if not isinstance(self.corner_cutting, bool):
             raise ValueError(f"corner_cutting: got {self.corner_cutting!r}, expected True or False")
@@ -66,7 +73,7 @@ class Movement:
             )
 
 
-def least_version(map_size: Range) -> int:
+def least_version(map_size: Size) -> int:
     """Return the least version of the format that can say a map size."""
     return 1 if max(map_size) <= 1024 else 2
 
@@ -140,9 +147,14 @@ def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
     return dict(values)
 
 
+def items_of(values: object) -> tuple[Any, ...]:
+    """Return the items of a tuple or list; of anything else there are none."""
+    return tuple(values) if isinstance(values, (tuple, list)) else ()
+
+
 def check_integers(name: str, values: object) -> Range:
     """Return ``values`` as two ints; numpy integers are welcome, floats and bools are not."""
-    items = tuple(values) if isinstance(values, (tuple, list)) else ()
+    items = items_of(values)
     if len(items) != 2 or not all(map(_is_integer, items)):
         raise ValueError(f"{name}: got {values!r}, expected 2 integers")
     return index(items[0]), index(items[1])
@@ -158,7 +170,7 @@ def _is_integer(value: object) -> TypeGuard[SupportsIndex]:
     return hasattr(value, "__index__") and not isinstance(value, bool)
 
 
-def check_sides(name: str, values: object) -> Range:
+def check_sides(name: str, values: object) -> Size:
     """Return ``values`` as the (rows, columns) of a map."""
     sides = check_integers(name, values)
     if not 1 <= min(sides) <= max(sides) <= MAX_SIDE:
@@ -194,9 +206,7 @@ def check_resolution(name: str, value: object) -> float:
 
 def check_fractions(values: object) -> tuple[float, ...]:
     """Return ``values`` as the fractions of the splits, which add up to 1."""
-    items: tuple[float, ...] = ()
-    if isinstance(values, (tuple, list)):
-        items = tuple(check_number("splits", item) for item in values)
+    items = tuple(check_number("splits", item) for item in items_of(values))
     inside = len(items) == len(SPLITS) and all(0 <= item <= 1 for item in items)
     if not inside or abs(sum(items) - 1) > 1e-9:
         raise ValueError(

@@ -16,22 +16,22 @@ from collections import defaultdict
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pytorch_lightning as pl
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import OneCycleLR
 
 from mapdata import Movement
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.search import STEPS
 
-Tensors: TypeAlias = dict[str, Tensor]
+Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
 
 # --- the network --------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
 
 
 def check_problems(
-    maps: npt.ArrayLike, starts: npt.ArrayLike, goals: npt.ArrayLike
+    maps: ArrayLike, starts: ArrayLike, goals: ArrayLike
 ) -> tuple[Bytes, Ints, Ints]:
     """Return one problem or B of them as new arrays: (B, H, W) of 0 and 1, starts, goals (B, 2).
 
@@ -176,12 +176,12 @@ def check_problems(
     grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
     if grids.all(axis=(1, 2)).any():
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
-    ends: list[Ints] = []
+    ends = []
     for name, given in (("start", starts), ("goal", goals)):
         end = np.atleast_2d(np.asarray(given).astype(np.int64))
         # of order 0, the value of a cell itself; outside the map all is occupied
         occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)
-        free: Flags = occupied == 0  # (B,)
+        free = occupied == 0  # (B,)
         if not free.all():
             raise ValueError(
                 f"{name}: got {end[free.argmin()].tolist()}, outside its map or on an occupied "
@@ -357,7 +357,7 @@ class Model(pl.LightningModule):
         optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
         return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
 
-    def tensors(self, *arrays: npt.ArrayLike) -> list[Tensor]:
+    def tensors(self, *arrays: ArrayLike) -> list[Tensor]:
         """Return copies of arrays as tensors on the device of the model."""
         return [torch.from_numpy(np.array(each)).to(self.device) for each in arrays]
 

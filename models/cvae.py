@@ -30,7 +30,7 @@ ROUNDS = 8
 
 def hidden_layers(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequential:
     """Return the published encoder or decoder: two hidden layers with ReLU and dropout."""
-    layers: list[nn.Module] = []
+    layers = []
     for size in (inputs, width):
         layers += [nn.Linear(size, width), nn.ReLU(), nn.Dropout(dropout)]
     return nn.Sequential(*layers, nn.Linear(width, outputs))
@@ -84,7 +84,7 @@ class CVAE(Sampler):
         """Make the networks."""
         super().__init__(targets)
         self.save_hyperparameters()
-        layers: list[nn.Module] = []
+        layers = []
         for inputs, outputs, stride in ((4 * 14, 32, 1), (32, 48, 2), (48, 64, 2)):
             layers += [nn.Conv2d(inputs, outputs, 3, stride, padding=1), nn.ReLU()]
         layers += [nn.AdaptiveAvgPool2d(8), nn.Conv2d(64, 32, 1), nn.Flatten()]  # any map size

@@ -30,15 +30,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
+from numpy.typing import ArrayLike
 from torch.utils.data import DataLoader, Dataset, Subset
 from tqdm.auto import tqdm
 
-from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.arrays import Array, Bytes, Floats, Ints
 from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.shards import write_file
-from mapdata.spec import canonical_json
+from mapdata.spec import canonical_json, check_choice
 from models.roadmap import between, build_roadmap, halton, radius
 
 KINDS = ("lego", "shortest_path")
@@ -181,7 +181,7 @@ class Bank:
     """
 
     identity: str
-    arrays: dict[str, npt.NDArray[Any]]
+    arrays: dict[str, Array]
 
     @staticmethod
     def of(
@@ -242,7 +242,7 @@ class Bank:
             raise ValueError(f"{file}: no bank of experience ({error}): remove it") from None
 
     def targets(
-        self, kind: str, problems: Any, ends: npt.ArrayLike | None = None
+        self, kind: str, problems: Any, ends: ArrayLike | None = None
     ) -> tuple[Floats, Ints]:
         """Return the points of each problem one after another, (M, 2), and how many each has, (B,).
 
@@ -256,10 +256,9 @@ class Bank:
             ValueError: an unknown kind, or a problem that the bank does not know or knows
                 otherwise.
         """
-        if kind not in KINDS:
-            raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(KINDS)}")
+        check_choice("kind", kind, KINDS)
         numbers = np.asarray(problems, np.int64)
-        rows = pd.Index(self.arrays["problem"]).get_indexer(numbers)  # -1: not there
+        rows = pd.Index(self.arrays["problem"]).get_indexer(pd.Index(numbers))  # -1: not there
         known = rows >= 0
         if ends is not None:
             known &= (self.arrays["ends"][rows] == np.asarray(ends)).all(axis=1)
@@ -276,7 +275,7 @@ class Bank:
         return np.concatenate(found).astype(np.float64), counts[rows]
 
 
-def _all_problems(dataset: Dataset[Sample]) -> list[npt.NDArray[Any]]:
+def _all_problems(dataset: Dataset[Sample]) -> list[Array]:
     """Return maps (N, H, W), starts, goals and numbers of all problems, by their number."""
     names = ("map", "start", "goal", "problem")
     batch = dataset[:]

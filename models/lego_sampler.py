@@ -38,8 +38,20 @@ from torch import Tensor, nn
 
 from mapdata import Sample
 from mapdata.arrays import Bytes, Floats, Ints
-from models import common
-from models.common import Tensors
+from mapdata.spec import check_choice
+from models.common import (
+    Model,
+    Tensors,
+    Trunk,
+    cell_numbers,
+    check_problems,
+    offsets,
+    padded,
+    random_symmetry,
+    restore_plane,
+    transform_cells,
+    transform_plane,
+)
 
 FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
@@ -59,7 +71,7 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     planes = [free]
     way = torch.zeros_like(free)  # how long the way from start to goal over each cell is
     for cells in (starts, goals):
-        down, right = common.offsets(cells, free.shape[1:])  # (B, H, 1) and (B, 1, W)
+        down, right = offsets(cells, free.shape[1:])  # (B, H, 1) and (B, 1, W)
         distance = torch.hypot(down, right)  # (B, H, W)
         here = (distance == 0).float()
         fine = [(each / 4).clamp(-1, 1) for each in (down, right)]  # for cells nearby
@@ -74,14 +86,13 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
 # --- what all samplers share: targets, training, sampling ---------------------------------------
 
 
-class Sampler(common.Model, ABC):
+class Sampler(Model, ABC):
     """Learns where to sample from batches with ``map, start, goal, path``, or with `FIELDS`."""
 
     def __init__(self, targets: str) -> None:
         """Keep the kind of targets."""
         super().__init__()
-        if targets not in TARGETS:
-            raise ValueError(f"targets: got {targets!r}, expected one of {', '.join(TARGETS)}")
+        check_choice("targets", targets, TARGETS)
         self.targets = targets
         self.bank: Any = None  # a `models.experience.Bank`
 
@@ -116,7 +127,7 @@ class Sampler(common.Model, ABC):
     def training_step(self, batch: Sample, batch_idx: int) -> Tensor:
         """Return the loss of one step."""
         points, owners = self.target_points(batch)
-        fields, points = common.random_symmetry(batch._asdict(), points)
+        fields, points = random_symmetry(batch._asdict(), points)
         values = self.loss(fields, points, owners)
         self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
         return values["loss"]
@@ -142,7 +153,7 @@ class Sampler(common.Model, ABC):
         """Return (B, n, 2) points, as `sample`: grids (B, H, W), starts and goals (B, 2)."""
         if n < 1:
             raise ValueError(f"n: got {n}, expected at least 1 sample")
-        problems = common.check_problems(grids, starts, goals)
+        problems = check_problems(grids, starts, goals)
         with self.inference():
             return self.draw(*problems, n, np.random.default_rng(seed))
 
@@ -180,7 +191,7 @@ class Heatmap(Sampler):
         """Make the network."""
         super().__init__(targets)
         self.save_hyperparameters()
-        self.trunk = common.Trunk(14, 2, widths, passes)
+        self.trunk = Trunk(14, 2, widths, passes)
         nn.init.normal_(self.trunk.head.weight, std=0.02)
 
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
@@ -189,7 +200,7 @@ class Heatmap(Sampler):
         The second one is the logit of lying on a shortest path. Arguments as of `encode`.
         """
         rows, columns = occupied.shape[2:]
-        seen = encode(common.padded(occupied), starts, goals)  # (B, 14, H, W), up to 7 cells more
+        seen = encode(padded(occupied), starts, goals)  # (B, 14, H, W), up to 7 cells more
         scores: Tensor = self.trunk(seen)
         return scores[..., :rows, :columns].float()
 
@@ -199,7 +210,7 @@ class Heatmap(Sampler):
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
         # -30 instead of -inf: a target that rounding puts into a wall costs much, not everything
         log_shares = scores[:, 0].masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
-        cells = common.cell_numbers(points, batch["map"])  # (M,)
+        cells = cell_numbers(points, batch["map"])  # (M,)
         each = -log_shares[owners, cells]  # (M,)
         # the mean over problems of the mean over their targets
         counts = torch.bincount(owners, minlength=len(occupied))  # (B,)
@@ -218,12 +229,12 @@ class Heatmap(Sampler):
         total = torch.zeros(grids.shape, dtype=torch.float64)
         with self.inference():
             for code in views:
-                seen = common.transform_plane(occupied, code)
-                ends = [common.transform_cells(end, code, occupied.shape) for end in (start, goal)]
+                seen = transform_plane(occupied, code)
+                ends = [transform_cells(end, code, occupied.shape) for end in (start, goal)]
                 scores = self(seen, *ends)[:, 0]
                 scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
                 shares = scores.flatten(1).double().softmax(1).view(scores.shape)
-                total += common.restore_plane(shares, code).cpu()
+                total += restore_plane(shares, code).cpu()
                 # what one way needs, the way back needs too: the next view is of that
                 start, goal = goal, start
         return np.asarray(total / len(views))

@@ -20,10 +20,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt, laplace, map_coordinates
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
@@ -33,7 +32,7 @@ from scipy.stats import qmc
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import kernel
 
-Points: TypeAlias = Callable[[npt.ArrayLike, int, int], Floats]
+Points = Callable[[ArrayLike, int, int], Floats]
 """A sampler that sees the map alone: from a grid (H, W), n and a seed to (n, 2) free points."""
 
 REACH = 1.5
@@ -94,7 +93,7 @@ def radius(vertices: int, shape: tuple[int, ...]) -> float:
     return REACH * math.sqrt(math.log(n) / n) * math.sqrt(shape[0] * shape[1])
 
 
-def build_roadmap(grid: npt.ArrayLike, points: npt.ArrayLike, reach: float) -> Roadmap:
+def build_roadmap(grid: ArrayLike, points: ArrayLike, reach: float) -> Roadmap:
     """Return the roadmap of ``points``.
 
     Args:
@@ -106,7 +105,7 @@ def build_roadmap(grid: npt.ArrayLike, points: npt.ArrayLike, reach: float) -> R
         ValueError: a point outside the map or in an occupied cell, or a reach that is not positive.
     """
     cells = _grid(grid)
-    places = np.array(points, np.float64).reshape(-1, 2)
+    places = _as_points(points)
     if not reach > 0:
         raise ValueError(f"reach: got {reach}, expected a positive number")
     free = free_at(cells, places)
@@ -121,9 +120,7 @@ def build_roadmap(grid: npt.ArrayLike, points: npt.ArrayLike, reach: float) -> R
     return Roadmap(places, edges, lengths)
 
 
-def between(
-    grid: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike, samples: npt.ArrayLike
-) -> Roadmap:
+def between(grid: ArrayLike, start: ArrayLike, goal: ArrayLike, samples: ArrayLike) -> Roadmap:
     """Return the roadmap of the centres of two cells and of ``samples``, (n, 2).
 
     It reaches as n vertices do.
@@ -132,7 +129,7 @@ def between(
         ValueError: a cell or sample outside the map or occupied.
     """
     cells = _grid(grid)
-    inner = np.asarray(samples, np.float64).reshape(-1, 2)
+    inner = _as_points(samples)
     ends = np.array([start, goal], np.int64).reshape(2, 2) + 0.5
     return build_roadmap(cells, np.concatenate([ends, inner]), radius(len(inner), cells.shape))
 
@@ -153,24 +150,28 @@ def path_lengths(grids: Bytes, starts: Ints, goals: Ints, samples: Floats) -> Fl
     return np.array([between(*problem).shortest_path()[0] for problem in problems])
 
 
-def free_at(grid: npt.ArrayLike, points: npt.ArrayLike) -> Flags:
+def free_at(grid: ArrayLike, points: ArrayLike) -> Flags:
     """Return (n,) bool: which points (n, 2) lie in free cells of the map."""
-    cells = np.floor(np.asarray(points, np.float64).reshape(-1, 2))
+    cells = np.floor(_as_points(points))
     # of order 0, the value of a cell itself; outside the map all is occupied
     free: Flags = map_coordinates(np.asarray(grid), cells.T, order=0, cval=1) == 0
     return free
 
 
-def sees(grid: npt.ArrayLike, first: npt.ArrayLike, second: npt.ArrayLike) -> Flags:
+def sees(grid: ArrayLike, first: ArrayLike, second: ArrayLike) -> Flags:
     """Return (n,) bool: which segments between points (n, 2) meet no occupied cell.
 
     A segment through the corner of a cell meets it, too. The ends must lie in the map.
     """
-    ends = [np.array(points, np.float64).reshape(-1, 2) for points in (first, second)]
-    return _all_see(_grid(grid), *ends)
+    return _all_see(_grid(grid), _as_points(first), _as_points(second))
 
 
-def _grid(grid: npt.ArrayLike) -> Bytes:
+def _as_points(points: ArrayLike) -> Floats:
+    """Return points as a new array, (n, 2)."""
+    return np.array(points, np.float64).reshape(-1, 2)
+
+
+def _grid(grid: ArrayLike) -> Bytes:
     cells = np.array(grid, np.uint8)
     if cells.ndim != 2 or not cells.size:
         raise ValueError(f"grid: got shape {cells.shape}, expected (rows, columns)")
@@ -227,7 +228,7 @@ def _all_see(grid: Bytes, first: Floats, second: Floats) -> Flags:
 # --- samplers -----------------------------------------------------------------------------------
 
 
-def halton(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+def halton(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2): the first free points of the Halton sequence, randomly shifted on the torus.
 
     Raises:
@@ -244,7 +245,7 @@ def halton(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
         count *= 2
 
 
-def uniform(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+def uniform(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points, uniform over the free cells."""
     free = np.argwhere(_free(grid, n) == 0)
     source = np.random.default_rng(seed)
@@ -252,7 +253,7 @@ def uniform(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     return np.asarray(corners + source.random((n, 2)))
 
 
-def gaussian(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+def gaussian(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points near obstacles: free ones beside which a random point is not free.
 
     Boor, Overmars, van der Stappen, ICRA 1999. The other point is as far as a normal distribution
@@ -265,7 +266,7 @@ def gaussian(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     return _rounds(grid, n, seed, 3.0, choose)
 
 
-def bridge(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+def bridge(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points in narrow passages: free middles of pairs of which neither is free.
 
     Hsu, Jiang, Reif, Sun, ICRA 2003; as `gaussian` otherwise, with 6 cells.
@@ -279,7 +280,7 @@ def bridge(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     return _rounds(grid, n, seed, 6.0, choose)
 
 
-def corners(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+def corners(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points where shortest paths turn: in free cells at obstacles' convex corners.
 
     The vertices of a visibility graph (Lozano-Perez, Wesley, CACM 1979), in farthest-point order:
@@ -294,7 +295,7 @@ def corners(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
     return _farthest_first(cells, places[at_corner], n, seed)
 
 
-def medial_axis(grid: npt.ArrayLike, n: int, seed: int = 0) -> Floats:
+def medial_axis(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points on the ridges of the distance to obstacles, in farthest-point order.
 
     The places to which MAPRM moves its samples (Wilmarth, Amato, Stiller, ICRA 1999).
@@ -333,7 +334,7 @@ def _farthest_first(grid: Bytes, cells: Ints, n: int, seed: int) -> Floats:
 
 
 def _rounds(
-    grid: npt.ArrayLike,
+    grid: ArrayLike,
     n: int,
     seed: int,
     spread: float,
@@ -352,7 +353,7 @@ def _rounds(
     return np.concatenate([found, uniform(cells, n - len(found), seed)])
 
 
-def _free(grid: npt.ArrayLike, n: int) -> Bytes:
+def _free(grid: ArrayLike, n: int) -> Bytes:
     cells = _grid(grid)
     if n < 1:
         raise ValueError(f"n: got {n}, expected at least 1 sample")

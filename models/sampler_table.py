@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -43,7 +43,7 @@ METRICS = ("success", "length_ratio")
 BATCH = 50
 """Problems that a sampler gets at once."""
 
-Contender: TypeAlias = Callable[[Bytes, Ints, Ints, int, Sequence[int]], Floats]
+Contender = Callable[[Bytes, Ints, Ints, int, Sequence[int]], Floats]
 """All vertices of roadmaps: of grids (B, H, W), starts and goals (B, 2), n and B seeds, (B, n, 2)
 points in free cells."""
 
@@ -139,7 +139,7 @@ def compare(
     dense, _ = _lengths(partial(alone, halton), problems, DENSE, 10_000_019)
     subsets = {"all": np.ones(len(problems), bool), "hard": problems.hard}
     entries = []
-    outcomes: list[Floats] = []
+    outcomes = []
     for n in sizes:
         for name, contender in rows.items():
             lengths, ms = _lengths(contender, problems, n)

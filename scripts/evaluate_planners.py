@@ -13,7 +13,7 @@ from typing import Literal
 from matplotlib.figure import Figure
 
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
-from mapdata.evaluation import Planner, classical, evaluate, to_text
+from mapdata.evaluation import classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
 from models.learned_planners import planners
@@ -71,7 +71,7 @@ def evaluate_command(
         problems.save(save)
     shipped = "path_predictor_cut.pt" if corner_cutting else "path_predictor.pt"
     model = PathPredictor.load(weights or WEIGHTS / shipped)
-    rows: list[Planner] = classical(problems.movement)
+    rows = classical(problems.movement)
     if model.movement == problems.movement:
         rows += planners(model)
     elif weights is not None:

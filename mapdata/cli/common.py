@@ -143,7 +143,7 @@ def add_flag(
     flags = ["-o"] if name == "output" else []
     flags.append(f"--{name.replace('_', '-')}")
     metavar = {int: "N", float: "X"}.get(option.kind, name.rpartition(".")[2].upper())
-    how: dict[str, Any] = {"type": option.kind, "metavar": metavar}
+    how = {"type": option.kind, "metavar": metavar}
     if option.kind is bool:
         how = {"action": "store_true"}
     elif option.kind == Literal[True]:  # Literal[True] | str: its value may be left out

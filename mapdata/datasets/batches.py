@@ -12,11 +12,10 @@ from typing import Any
 import llvmlite.ir
 import numba
 import numpy as np
-import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
-from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
+from mapdata.arrays import Bytes, Float32s, Int32s, Ints, offsets_of
 from mapdata.datasets.fields import Paths, Rooms
 from mapdata.generators.maps import WORD, unpack
 from mapdata.generators.points import STEPS
@@ -378,7 +377,7 @@ def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
     return None
 
 
-def problem_rows(shard: Shard, split: str | None, problems: Source) -> npt.NDArray[np.int32]:
+def problem_rows(shard: Shard, split: str | None, problems: Source) -> Int32s:
     """Return (P, 3) of the problems in a shard: map, room, room (-1 where problems are drawn)."""
     arrays = shard.arrays
     rooms = np.diff(arrays["room_offsets"])

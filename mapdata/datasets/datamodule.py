@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import astuple
 from importlib.util import find_spec
@@ -20,28 +19,22 @@ from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.generators.generator import identity
-from mapdata.problems.sources import Source, problem_source
+from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
+from mapdata.shards.shard import StrPath
 from mapdata.spec import SPLITS, Movement, check_count
 
-if TYPE_CHECKING:
-
-    class _Base(pl.LightningDataModule):
-        """What type checkers see."""
-
-elif (
-    find_spec("lightning") is not None
-):  # the same library under its other name, whose Trainer accepts only its own class
+if TYPE_CHECKING or find_spec("lightning") is None:
+    _Base = pl.LightningDataModule
+else:  # the same library under its other name, whose Trainer accepts only its own class
     from lightning.pytorch import LightningDataModule as _OtherDataModule
 
     class _Base(pl.LightningDataModule, _OtherDataModule):
         """A data module of both packages."""
 
-else:
-    _Base = pl.LightningDataModule
 
 Dataset = MapDataset | OnlineMapDataset
 
@@ -83,7 +76,7 @@ class MapDataModule(_Base):
 
     def __init__(
         self,
-        root: str | os.PathLike[str] | Sequence[str] | None = "data/maps",
+        root: StrPath | Sequence[str] | None = "data/maps",
         *,
         build: str | dict[str, Any] | None = None,
         batch_size: int = 256,
@@ -93,7 +86,7 @@ class MapDataModule(_Base):
         prefetch_factor: int | None = None,
         multiprocessing_context: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
-        problems: str | Source | dict[str, Any] = "route",
+        problems: SourceLike = "route",
         search: str = "astar",
         movement: Movement | tuple[int, bool, float] | None = None,
         augment: bool = False,

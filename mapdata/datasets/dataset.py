@@ -10,14 +10,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
+from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.batches import BatchReader
-from mapdata.datasets.fields import FIELDS, Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
 from mapdata.datasets.sample import (
     MAPS_AND_MASKS,
     Rows,
@@ -28,11 +28,11 @@ from mapdata.datasets.sample import (
     stack,
 )
 from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import Random, Route, Source, problem_source
+from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
-from mapdata.spec import SPLITS, Movement, check_choice
+from mapdata.spec import SPLITS, Movement, Range, Size, check_choice
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,7 +46,7 @@ the paths, None where they have not been searched."""
 SUBSTITUTES = 100
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
-CONDITIONS: dict[str, Callable[[Batch], npt.NDArray[Any]]] = {
+CONDITIONS: dict[str, Field] = {
     "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),
     "path_length": FIELDS["length"],
     "reachable": lambda batch: np.diff(batch.paths.offsets) > 0,
@@ -71,7 +71,7 @@ class ProblemDataset(Dataset[Sample], ABC):
     movement: Movement
     """How the served paths move."""
 
-    map_size: tuple[int, int]
+    map_size: Size
     """(rows, columns) of all maps."""
 
     def __init__(
@@ -125,7 +125,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         sample: Sample = self.__getitems__([i])[0]
         return sample
 
-    def __getitems__(self, indices: Sequence[int] | Ints | torch.Tensor) -> Any:
+    def __getitems__(self, indices: Sequence[int] | Ints | Tensor) -> Any:
         """Return a list of samples; torch's DataLoader calls this.
 
         Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
@@ -159,14 +159,14 @@ class ProblemDataset(Dataset[Sample], ABC):
         batch = self._batch(indices, epoch)
         if self.serving.augment:
             batch = _transformed(batch, self.serving.sampling_seed, epoch)
-        values: list[Any] = []
+        values = []
         for field in self.serving.fields:
             if isinstance(field, str):
                 values.append(torch.from_numpy(np.ascontiguousarray(FIELDS[field](batch))))
             else:
                 so_far = sample_class(self.serving.names[: len(values)])(*values)
                 values.append(torch.as_tensor(field(so_far)))
-        sample: Sample = self._class(*values)
+        sample = self._class(*values)
         return sample if self.dtype is None else cast(sample, self.dtype)
 
     @abstractmethod
@@ -285,7 +285,7 @@ class MapDataset(ProblemDataset):
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
-        problems: str | Source | dict[str, Any] = "route",
+        problems: SourceLike = "route",
         search: str = "astar",
         movement: Movement | None = None,
         augment: bool = False,
@@ -342,8 +342,8 @@ class MapDataset(ProblemDataset):
     def filter(
         self,
         *,
-        rooms: tuple[int, int] | None = None,
-        path_length: tuple[int, int] | None = None,
+        rooms: Range | None = None,
+        path_length: Range | None = None,
         reachable: bool | None = None,
         all_connected: bool | None = None,
         hardness: tuple[float, float] | None = None,

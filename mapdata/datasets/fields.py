@@ -12,9 +12,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Float32s, Ints, offsets_of, summary
+from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, offsets_of, summary
 from mapdata.datasets.field_kernels import (
     GoalFields,
     count_steps,
@@ -112,7 +111,7 @@ class Batch:
         return self.find_rooms()
 
     @cached_property
-    def costs(self) -> npt.NDArray[np.float64]:
+    def costs(self) -> Floats:
         """(B,) cost of the paths, -1 without one; BFS counts moves."""
         straight, diagonal = count_steps(self.paths.cells, self.paths.offsets)
         step = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
@@ -247,8 +246,7 @@ def heuristic_ratio(batch: Batch) -> Float32s:
 
 def clearance(batch: Batch) -> Float32s:
     """``clearance``: (B, 1, H, W) float32, as `mapdata.clearance`, in cells."""
-    found: Float32s = clearances(batch.grids)[:, None]
-    return found
+    return clearances(batch.grids)[:, None]
 
 
 def path_probability(batch: Batch) -> Float32s:
@@ -283,7 +281,7 @@ def problem(batch: Batch) -> Ints:
     return batch.problems
 
 
-Field = Callable[[Batch], npt.NDArray[np.generic]]
+Field = Callable[[Batch], Array]
 
 FIELDS: dict[str, Field] = {
     field.__name__.rstrip("_"): field

@@ -17,7 +17,7 @@ from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
 from mapdata.problems.sampling import solve_pairs
-from mapdata.problems.sources import Random, Route, Source, problem_source
+from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import rule_of
@@ -51,7 +51,7 @@ class OnlineMapDataset(ProblemDataset):
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
-        problems: str | Source | dict[str, Any] = "route",
+        problems: SourceLike = "route",
         search: str = "astar",
         movement: Movement | None = None,
         augment: bool = False,

@@ -8,6 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 from torch.nn.functional import pad
 from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
@@ -118,7 +119,7 @@ def stack(samples: Sequence[Sample], collate_fn_map: Any = default_collate_fn_ma
     return kind(*stacked)
 
 
-def _stack_paths(paths: Sequence[torch.Tensor], capacity: int | None) -> torch.Tensor:
+def _stack_paths(paths: Sequence[Tensor], capacity: int | None) -> Tensor:
     longest = max(map(len, paths))
     rows = rows_of_path(longest, capacity)
     stacked = pad_sequence(list(paths), batch_first=True, padding_value=PADDING)

@@ -17,15 +17,13 @@ import pandas as pd
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.search.api import check_path
-from mapdata.spec import check_choice
+from mapdata.spec import Cell, check_choice
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
 
 _BATCH = 64
 """Problems that ``plan_batch`` gets at a time."""
-
-Cell = tuple[int, int]
 
 
 class Plan(NamedTuple):
@@ -120,11 +118,11 @@ def evaluate(
         problems.optimal.iterations if baseline is None else runs[names.index(baseline)].expansions
     )
     outcomes = np.stack([_outcomes(run, problems, reference) for run in runs], axis=1)
-    rows: list[dict[str, object]] = []
+    rows = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         values, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
         for k, run in enumerate(runs):
-            row: dict[str, object] = {"planner": names[k], "subset": subset, "n": int(mask.sum())}
+            row = {"planner": names[k], "subset": subset, "n": int(mask.sum())}
             row |= dict(zip(METRICS, values[k].tolist(), strict=True))
             row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
             row["ms_batched"] = run.ms_batched
@@ -203,11 +201,11 @@ def _run(planner: Planner, problems: Problems) -> _Run:
     expansions = np.empty(len(problems))
     ms = np.empty(len(problems))
     for k in (0, *range(len(problems))):  # the first twice: kernels compile and caches fill
-        start_row, start_column = problems.starts[k].tolist()
-        goal_row, goal_column = problems.goals[k].tolist()
+        start = tuple(problems.starts[k].tolist())
+        goal = tuple(problems.goals[k].tolist())
         grid = problems.grids[k].copy()  # a planner may write to it
         began = time.perf_counter()
-        plan = planner.plan(grid, (start_row, start_column), (goal_row, goal_column))
+        plan = planner.plan(grid, start, goal)
         ms[k] = 1000 * (time.perf_counter() - began)
         costs[k] = _cost(plan, problems, k)
         expansions[k] = plan.expansions

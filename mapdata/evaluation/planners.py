@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.evaluation.metrics import BatchPlanner, Cell, Plan, Planner
+from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
 from mapdata.generators.points import STEPS
 from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
-from mapdata.spec import NEURAL_ASTAR, Movement
+from mapdata.spec import NEURAL_ASTAR, Cell, Movement
 
 MAX_ESTIMATE = 2**20
 """Largest ``weight * (H + W)`` of `BestFirst`: f fits into 64 bits."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.search.labels import Labels
-from mapdata.spec import Movement
+from mapdata.spec import Movement, Size
 
 
 def _no_pairs() -> Ints:
@@ -51,7 +51,7 @@ class ForeignMap:
     directions: Ints = field(default_factory=_no_pairs)
     passage_width: int = -1
     check: Callable[[Labels, int], list[str]] | None = None
-    shape: tuple[int, int] = field(init=False)
+    shape: Size = field(init=False)
     _bits: Bytes = field(init=False, repr=False)
 
     def __repr__(self) -> str:

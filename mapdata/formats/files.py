@@ -13,15 +13,12 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Array, Bytes
 from mapdata.generators.maps import Maps
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 from mapdata.spec import SPLITS
-
-Array = npt.NDArray[Any]
 
 
 class FormatError(ValueError):
@@ -117,7 +114,7 @@ def walk(folder: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftO
     Raises:
         FormatError: more than ``limits.files`` files.
     """
-    found: list[Path] = []
+    found = []
     seen = 0
     inside = folder.resolve()
     for here, folders, names in os.walk(folder):
@@ -139,7 +136,7 @@ def walk(folder: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftO
 def natural(text: str) -> list[Any]:
     """Return a key that sorts numbers inside names by their value."""
     # text and numbers in turn, the text perhaps empty; more digits than 18 are several numbers
-    parts: list[Any] = re.split(r"([0-9]{1,18})", text)
+    parts = re.split(r"([0-9]{1,18})", text)
     parts[1::2] = map(int, parts[1::2])
     return parts
 
@@ -259,7 +256,7 @@ def _array(file: IO[bytes], size: int, what: str) -> Array:
     with refusing(f"{what}: not an array of numbers, and pickled objects are never opened"):
         shape, fortran, dtype = _header(file)
         # no more than the archive states: without a number zipfile unpacks all that is there
-        values: Array = np.frombuffer(file.read(size), dtype)
+        values = np.frombuffer(file.read(size), dtype)
         values = values.reshape(shape, order="F" if fortran else "C")
     if values.dtype.kind not in "biuf":
         raise FormatError(f"{what}: holds {values.dtype}, expected numbers")

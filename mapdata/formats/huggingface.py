@@ -50,7 +50,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         raise ValueError("format huggingface needs pyarrow: pip install pyarrow") from None
     (target / "data").mkdir(parents=True)
     shards = len(root.shards)
-    written: set[str] = set()
+    written = set()
     for number, labels in enumerate(root.labels(progress=progress)):
         for code, split in enumerate(SPLITS):
             indices = np.flatnonzero(labels.maps.split == code).tolist()

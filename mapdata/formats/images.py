@@ -14,11 +14,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Array, Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
-    Array,
     FormatError,
     Limits,
     Npz,
@@ -30,7 +29,7 @@ from mapdata.formats.files import (
     split_of,
 )
 from mapdata.formats.registry import Format
-from mapdata.spec import check_probability, check_sides
+from mapdata.spec import Size, check_probability, check_sides
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
 ARRAYS = (".npy", ".npz")
@@ -166,7 +165,7 @@ def read(
     *,
     threshold: float = 0.5,
     invert: bool = False,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     fit: Literal["resize", "crop"] | None = None,
 ) -> Collection:
     """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
@@ -277,7 +276,7 @@ def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
     return occupancy(values, str(path), threshold).reshape(-1, rows, columns)
 
 
-def _fit(grey: Bytes, size: tuple[int, int] | None, fit: str | None) -> Bytes:
+def _fit(grey: Bytes, size: Size | None, fit: str | None) -> Bytes:
     """Return ``grey``, (H, W), brought to ``size``: its middle under "crop", else scaled."""
     if size is None:
         return grey

@@ -7,11 +7,11 @@ the draws of stream 5. An imported dataset has no recipe, so its identity is its
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,13 +39,13 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
-from mapdata.shards.workers import bar, threads
+from mapdata.shards.workers import Advance, bar, threads
 from mapdata.spec import (
     MAX_ROOMS,
     MAX_SIDE,
     Movement,
+    Size,
     check_count,
-    check_fractions,
     check_resolution,
     check_seed,
     check_sides,
@@ -57,7 +57,7 @@ RESOLUTION = 0.1
 _CELLS_A_SHARD = 2**24
 """Most cells of a shard where its size is not given, so that large maps fit in memory."""
 
-Group: TypeAlias = tuple[int, int, float]
+Group = tuple[int, int, float]
 """Rows, columns and resolution: all that maps of one dataset must share."""
 
 
@@ -99,7 +99,7 @@ def import_maps(
     movement: Movement | None = None,
     resolution: float | None = None,
     splits: tuple[float, float, float] = (0.8, 0.1, 0.1),
-    tile: tuple[int, int] | None = None,
+    tile: Size | None = None,
     shard_size: int | None = None,
     drop_leaks: bool = False,
     progress: bool = False,
@@ -132,7 +132,7 @@ def import_maps(
     """
     root = folder_of(root)
     check_seed(seed)
-    check_fractions(splits)
+    thresholds = split_thresholds(splits)
     check_seed_points("seed_points", seed_points)
     if shard_size is not None:
         check_count("shard_size", shard_size)
@@ -142,10 +142,8 @@ def import_maps(
     groups: dict[Group, list[ForeignMap]] = {}
     with bar(progress, len(source.maps), unit=" maps checked") as advance:
         for one in _tiles(source, tile):
-            why = _unusable(one, movement)
-            if why is not None:
-                source.left_out.append((one.name, why))
-            else:
+            with source.leaving_out(one.name):
+                _check_usable(one, movement)
                 metres = resolution or one.resolution or RESOLUTION
                 groups.setdefault((*one.shape, metres), []).append(one)
             advance(1)
@@ -153,7 +151,6 @@ def import_maps(
         reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
         raise ValueError("no map to import" + "".join(reasons))
     folders = _folders(root, list(groups))
-    thresholds = split_thresholds(splits)
     draws = Draws(seed_points, seed)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
@@ -188,7 +185,7 @@ def import_maps(
     return made
 
 
-def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[ForeignMap]:
+def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
     """Yield the maps, or their tiles if they are to be cut."""
     if tile is None:
         yield from source.maps
@@ -208,24 +205,27 @@ def _tiles(source: Collection, tile: tuple[int, int] | None) -> Iterator[Foreign
                 yield ForeignMap(name, part, one.split, one.resolution)
 
 
-def _unusable(one: ForeignMap, movement: Movement) -> str | None:
-    """Return why a map cannot be in a dataset, or None."""
+def _check_usable(one: ForeignMap, movement: Movement) -> None:
+    """Refuse a map that cannot be in a dataset.
+
+    Raises:
+        ValueError: the message says why.
+    """
     grid = one.grid
     rows, columns = one.shape
     if not 1 <= min(one.shape) <= max(one.shape) <= MAX_SIDE:
-        return (
+        raise ValueError(
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
         )
     for cell in one.seed_points:
         why = why_not_free(grid, cell)
         if why:
-            return f"seed point {why}"
+            raise ValueError(f"seed point {why}")
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
-        return f"{rooms} rooms, expected 1 to {MAX_ROOMS}"
+        raise ValueError(f"{rooms} rooms, expected 1 to {MAX_ROOMS}")
     if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
-        return f"has no two connected free cells ({int((grid == 0).sum())} free in all)"
-    return None
+        raise ValueError(f"has no two connected free cells ({(grid == 0).sum()} free in all)")
 
 
 def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
@@ -264,7 +264,7 @@ def _write(
     maps: list[ForeignMap],
     splits: Bytes,
     draws: Draws,
-    advance: Callable[[int], object],
+    advance: Advance,
     pool: Executor,
 ) -> Imported:
     """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""

@@ -23,7 +23,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,10 +43,9 @@ from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
+from mapdata.shards.shard import StrPath
 from mapdata.shards.workers import bar
-from mapdata.spec import MAX_ROOMS, Movement, check_count
-
-Cell: TypeAlias = tuple[int, int]
+from mapdata.spec import MAX_ROOMS, Cell, Movement, Size, check_count
 
 MOVEMENT = Movement(8)
 """The benchmark's rule."""
@@ -80,7 +79,7 @@ class Problem(NamedTuple):
 
     bucket: int
     map: str
-    size: tuple[int, int] | None
+    size: Size | None
     start: Cell
     goal: Cell
     length: str
@@ -88,7 +87,7 @@ class Problem(NamedTuple):
     unit: float
 
 
-def read_terrain(path: str | Path, limits: Limits = LIMITS) -> Bytes:
+def read_terrain(path: StrPath, limits: Limits = LIMITS) -> Bytes:
     """Return the letters of a .map file, (H, W) uint8 of ASCII codes; text after them is ignored.
 
     Raises:
@@ -141,7 +140,7 @@ def world(terrain: Bytes, letters: str = LAND) -> Bytes:
     return np.asarray(~np.isin(terrain, list(letters.encode())), np.uint8)
 
 
-def read_scen(path: str | Path, limits: Limits = LIMITS) -> list[Problem]:
+def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
     """Return the problems of a .scen file, of either version.
 
     Raises:
@@ -230,8 +229,8 @@ _AT_A_TIME = 256
 
 
 def check_scen(
-    path: str | Path,
-    maps: str | Path | None = None,
+    path: StrPath,
+    maps: StrPath | None = None,
     limits: Limits = LIMITS,
     count: int | None = None,
 ) -> ScenReport:
@@ -345,7 +344,7 @@ def agrees(problem: Problem, found: float) -> bool:
     return least - slack <= stated <= found + slack
 
 
-def find_map(name: str, scen: Path, maps: str | Path | None = None) -> Path:
+def find_map(name: str, scen: Path, maps: StrPath | None = None) -> Path:
     """Return the map that a .scen names: a file below ``maps`` or below the .scen's own folder.
 
     A name with folders that are not there is looked for without the first of them.
@@ -417,7 +416,7 @@ def read(
 
 
 def _end_points(
-    source: Path, limits: Limits, maps: str | Path | None, found: Collection
+    source: Path, limits: Limits, maps: StrPath | None, found: Collection
 ) -> dict[Path, list[Cell]]:
     """Return the end points of the problems of each map that a .scen names, in their order."""
     if source.suffix.lower() == ".map":

@@ -172,8 +172,8 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection()
     files = walk(path.parent, PICTURES, limits, found.left_out)
     pictures = {picture.stem.lower(): picture for picture in files}
-    movements: set[str] = set()
-    items: set[int] = set()
+    movements = set()
+    items = set()
     with bar(limits.progress, len(files)) as advance:
         for row in _rows(path, limits):
             movements.add(row["movement"])

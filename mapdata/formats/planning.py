@@ -30,9 +30,9 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Array, Bytes, Float32s, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, Array, FormatError, Limits, Npz, files_of, occupancy
+from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
 from mapdata.rng import PROBLEM, block, bounded
@@ -157,7 +157,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     """
     grids = []
     starts = []
-    goals: list[Ints] = []
+    goals = []
     for k, (one, values) in enumerate(_problems(source, limits, Collection())):
         if one.split == SPLITS.index("test") and has_starts(values):
             words = block(np.uint64(seed), np.uint64(k), 0, PROBLEM, 0)

@@ -21,18 +21,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path, PureWindowsPath
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from PIL import Image
 
-from mapdata.arrays import Bytes, Flags
+from mapdata.arrays import Array, Bytes, Flags, Int8s
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
-    Array,
     FormatError,
     Limits,
     files_of,
@@ -44,12 +42,11 @@ from mapdata.formats.files import (
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.shards.root import Root
+from mapdata.shards.shard import StrPath
 from mapdata.spec import check_resolution
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
-
-Int8s: TypeAlias = npt.NDArray[np.int8]
 
 # pixels as map_saver writes them
 _FREE = 254
@@ -82,7 +79,7 @@ class RosMap:
         return x, y
 
 
-def read_map(path: str | Path, limits: Limits = LIMITS) -> RosMap:
+def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     """Return the map of a .yaml file.
 
     Raises:

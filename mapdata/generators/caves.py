@@ -65,7 +65,7 @@ class Cave(Generator):
         return with_seed_points(self, seed, indices, grids)
 
 
-PRESETS: dict[str, Generator] = {"cave": Cave()}
+PRESETS = {"cave": Cave()}
 
 
 @kernel

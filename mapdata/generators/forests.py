@@ -19,7 +19,7 @@ from mapdata.generators.maps import Maps
 from mapdata.generators.points import check_seed_points, with_seed_points
 from mapdata.jit import kernel
 from mapdata.rng import MAP, block, bounded
-from mapdata.spec import Range, check_integers, check_number, check_range
+from mapdata.spec import Range, check_integers, check_number, check_range, items_of
 
 _MOST_COVER = 0.5
 """At most half of a map is covered: beyond it no way leads anywhere, and draws run out."""
@@ -45,8 +45,7 @@ class Forest(Generator):
     def __post_init__(self) -> None:
         """Check the values, ValueError if one is out of its limits."""
         super().__post_init__()
-        given = self.cover if isinstance(self.cover, (tuple, list)) else ()
-        cover = tuple(check_number("cover", share) for share in given)
+        cover = tuple(check_number("cover", share) for share in items_of(self.cover))
         if len(cover) != 2 or not 0 <= cover[0] <= cover[1] <= _MOST_COVER:
             raise ValueError(
                 f"cover: got {self.cover!r}, expected (least, most), 0 to {_MOST_COVER}"
@@ -71,9 +70,9 @@ class Forest(Generator):
         return with_seed_points(self, seed, indices, grids)
 
 
-PRESETS: dict[str, Generator] = {
+PRESETS = {
     "forest": Forest(),
-    "noise": Forest(cover=(0.1, 0.4), sizes=(1, 1)),
+    "noise": Forest(sizes=(1, 1)),
 }
 
 

@@ -15,7 +15,7 @@ from mapdata.arrays import Ints
 from mapdata.generators.maps import Maps
 from mapdata.spec import (
     Movement,
-    Range,
+    Size,
     canonical_json,
     check_choice,
     check_fractions,
@@ -53,7 +53,7 @@ class Generator(ABC):
     name: ClassVar[str]
     description: ClassVar[str]
     citation: ClassVar[str] = "The labels are those that this paper computes:"
-    map_size: Range = field(default=(64, 64), kw_only=False)
+    map_size: Size = field(default=(64, 64), kw_only=False)
     resolution: float = 0.1
     movement: Movement = field(default_factory=Movement)
     splits: tuple[float, float, float] = (0.8, 0.1, 0.1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Ints, Words, offsets_of, summary
 from mapdata.jit import Int, kernel
-from mapdata.spec import Movement
+from mapdata.spec import Movement, Size
 
 WORD = 64
 """Columns of a map in one packed word."""
@@ -48,7 +48,7 @@ class Maps:
     split: Bytes
 
     @staticmethod
-    def empty(movement: Movement, map_size: tuple[int, int], index: Ints, most: int) -> Maps:
+    def empty(movement: Movement, map_size: Size, index: Ints, most: int) -> Maps:
         """Return maps to be filled in, each with up to ``most`` rooms; -1 is unknown."""
         rows, columns = map_size
         count = len(index)

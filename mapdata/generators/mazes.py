@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
@@ -41,7 +42,8 @@ class Maze(Generator):
         self._convert(check_count, "corridor", "wall")
         self._convert(check_probability, "reopened")
         pitch = self.corridor + self.wall
-        most = min(int(np.prod([(side - self.wall) // pitch for side in self.map_size])), MAX_ROOMS)
+        cells = math.prod((side - self.wall) // pitch for side in self.map_size)
+        most = min(cells, MAX_ROOMS)
         self._convert(partial(check_seed_points, most=most), "seed_points")
 
     @property
@@ -58,7 +60,7 @@ class Maze(Generator):
         return with_seed_points(self, seed, indices, grids)
 
 
-PRESETS: dict[str, Generator] = {"maze": Maze()}
+PRESETS = {"maze": Maze()}
 
 
 @kernel

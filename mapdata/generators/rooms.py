@@ -102,7 +102,7 @@ class MapSpec(Generator):
         return maps
 
 
-PRESETS: dict[str, Generator] = {
+PRESETS = {
     "paper": MapSpec(),
     "narrow": MapSpec(passage_width=(1, 3)),
     "dungeon": MapSpec(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -186,8 +186,4 @@ WITH_GRID = ("map", "path", "gallery")
 
 def figure_of(axes: Axes) -> Figure:
     """Return the figure that axes are part of."""
-    from matplotlib.figure import Figure
-
-    figure = axes.figure
-    assert isinstance(figure, Figure)
-    return figure
+    return cast("Figure", axes.figure)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from mapdata.search.labels import Labels
+from mapdata.arrays import Array
 from mapdata.spec import check_choice
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
@@ -50,7 +51,7 @@ _LANE = 1.6
 
 
 def plot_grid(
-    occupancy: npt.ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
+    occupancy: ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
 ) -> Axes:
     """Draw a grid: free white and occupied black, or as the paper's Figure 2 the other way round.
 
@@ -207,7 +208,7 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
 
 def plot_cells(
     axes: Axes,
-    path: npt.NDArray[Any],
+    path: Array,
     colour: str,
     label: str,
     style: Any = "-",

@@ -9,8 +9,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
+from mapdata.arrays import Ints
 from mapdata.plotting.plot import COLOURS, head, mark, new_axes, plot_cells, plot_grid
 
 if TYPE_CHECKING:
@@ -81,12 +82,12 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
 
 
 def plot_prediction(
-    occupancy: npt.ArrayLike,
-    predicted: npt.ArrayLike,
-    truth: npt.ArrayLike,
+    occupancy: ArrayLike,
+    predicted: ArrayLike,
+    truth: ArrayLike,
     axes: Axes | None = None,
     *,
-    scores: npt.ArrayLike | None = None,
+    scores: ArrayLike | None = None,
     paper_colours: bool = False,
 ) -> Axes:
     """Draw a predicted path over the true one, and a cross on each predicted cell that is occupied.
@@ -121,12 +122,12 @@ def plot_prediction(
 
 
 def plot_roadmap(
-    occupancy: npt.ArrayLike,
-    vertices: npt.ArrayLike,
-    edges: npt.ArrayLike,
+    occupancy: ArrayLike,
+    vertices: ArrayLike,
+    edges: ArrayLike,
     axes: Axes | None = None,
     *,
-    path: npt.ArrayLike | None = None,
+    path: ArrayLike | None = None,
     paper_colours: bool = False,
 ) -> Axes:
     """Draw a roadmap: its samples and the edges between them.
@@ -156,10 +157,10 @@ def plot_roadmap(
     return axes
 
 
-def _in_words(name: str, path: npt.NDArray[np.int64]) -> str:
+def _in_words(name: str, path: Ints) -> str:
     return f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
 
 
-def _cells(path: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def _cells(path: ArrayLike) -> Ints:
     cells = np.asarray(path).reshape(-1, 2).astype(np.int64)
     return np.asarray(cells[(cells != -1).any(axis=1)])

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, generate, identity
@@ -67,7 +66,7 @@ class Problems:
             if (cost == bad_cost).any():
                 raise ValueError(f"problem {int(np.argmax(cost == bad_cost))} {why}: leave it out")
         for name, dtype in zip(_ARRAYS, (np.uint8, np.int64, np.int64), strict=True):
-            array: npt.NDArray[np.generic] = np.array(getattr(self, name), dtype, order="C")
+            array = np.array(getattr(self, name), dtype, order="C")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 

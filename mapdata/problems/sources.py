@@ -84,6 +84,9 @@ class Random:
 
 Source = Route | Pairs | Random
 
+SourceLike = str | Source | dict[str, Any]
+"""What `problem_source` makes a source of."""
+
 SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
 
 
@@ -99,7 +102,7 @@ def _parsed(text: str) -> Any:
         raise ValueError(f"problems: {text!r} is not sound JSON ({error})") from None
 
 
-def problem_source(value: str | Source | dict[str, Any]) -> Source:
+def problem_source(value: SourceLike) -> Source:
     """Return the source that ``value`` stands for.
 
     Args:

@@ -11,9 +11,9 @@ from operator import index
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
-from mapdata.arrays import Bytes, Ints, summary
+from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
 from mapdata.search.kernels import (
     first_bad_cell,
     narrow,
@@ -65,7 +65,7 @@ class SearchResult(NamedTuple):
 
 
 def bfs(
-    grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
+    grid: ArrayLike, start: object, goal: object, movement: Movement = Movement()
 ) -> SearchResult:
     """Return the path with the fewest moves that breadth-first search finds.
 
@@ -87,7 +87,7 @@ def bfs(
 
 
 def astar(
-    grid: npt.ArrayLike, start: object, goal: object, movement: Movement = Movement()
+    grid: ArrayLike, start: object, goal: object, movement: Movement = Movement()
 ) -> SearchResult:
     """Return a shortest path by A*.
 
@@ -119,7 +119,7 @@ class BatchResult(NamedTuple):
 
     cells: Ints
     offsets: Ints
-    cost: npt.NDArray[np.float64]
+    cost: Floats
     iterations: Ints
 
     def __repr__(self) -> str:
@@ -128,9 +128,9 @@ class BatchResult(NamedTuple):
 
 def search_batch(
     search: str,
-    grids: npt.ArrayLike,
-    starts: npt.ArrayLike,
-    goals: npt.ArrayLike,
+    grids: ArrayLike,
+    starts: ArrayLike,
+    goals: ArrayLike,
     movement: Movement = Movement(),
 ) -> BatchResult:
     """Solve B problems as `bfs` or `astar` would, without the cost of a Python call for each.
@@ -152,9 +152,9 @@ def search_batch(
 
 def solve_batch(
     search: Weights,
-    grids: npt.ArrayLike,
-    starts: npt.ArrayLike,
-    goals: npt.ArrayLike,
+    grids: ArrayLike,
+    starts: ArrayLike,
+    goals: ArrayLike,
     movement: Movement,
     most: int = 0,
 ) -> BatchResult:
@@ -183,9 +183,7 @@ def solve_batch(
     return BatchResult(path, offsets, costs, iterations.copy())
 
 
-def distance_field(
-    grid: npt.ArrayLike, goal: object, movement: Movement = Movement()
-) -> npt.NDArray[np.float32]:
+def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement()) -> Float32s:
     """Return the cost of the shortest path from every cell to ``goal``.
 
     Returns:
@@ -210,7 +208,7 @@ def distance_field(
     return out
 
 
-def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Movement()) -> float:
+def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()) -> float:
     """Return the cost of ``path`` on ``grid``, in cells.
 
     Args:
@@ -245,7 +243,7 @@ def check_path(grid: npt.ArrayLike, path: npt.ArrayLike, movement: Movement = Mo
 
 
 def _search(
-    search: Weights, grid: npt.ArrayLike, start: object, goal: object, movement: Movement
+    search: Weights, grid: ArrayLike, start: object, goal: object, movement: Movement
 ) -> SearchResult:
     array = as_grid(grid, 2)
     begin = _cell("start", start, array)
@@ -281,7 +279,7 @@ def _scratch_memory(grid: Bytes, rule: Rule) -> Bytes:
     return memory
 
 
-def as_grid(grid: npt.ArrayLike, rank: int) -> Bytes:
+def as_grid(grid: ArrayLike, rank: int) -> Bytes:
     """Return ``grid`` as what the kernels are compiled for: writable, contiguous uint8."""
     try:
         array = np.asarray(grid)
@@ -301,7 +299,7 @@ def as_grid(grid: npt.ArrayLike, rank: int) -> Bytes:
     return array
 
 
-def _as_bytes(array: npt.NDArray[np.generic]) -> Bytes:
+def _as_bytes(array: Array) -> Bytes:
     """Return an array of bool, integers or floats, each 0 or 1, as uint8."""
     if array.dtype == np.bool_:
         return array.view(np.uint8)
@@ -333,7 +331,7 @@ def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
     return row, column
 
 
-def _whole(name: str, cells: npt.ArrayLike) -> Ints:
+def _whole(name: str, cells: ArrayLike) -> Ints:
     """Return ``cells`` as an (n, 2) integer array."""
     array = np.asarray(cells)
     if array.size == 0 and array.ndim <= 2:
@@ -362,7 +360,7 @@ def why_not_free(grid: Bytes, cell: Cell) -> str:
     return f"({row}, {column}) is on an occupied cell" if grid[row, column] else ""
 
 
-def _values_complaint(grid: npt.NDArray[np.generic]) -> str:
+def _values_complaint(grid: Array) -> str:
     other = grid[(grid != 0) & (grid != 1)][0]
     return f"grid: got the value {other}, expected 0 free and 1 occupied only"
 
@@ -371,5 +369,5 @@ def _cell_text(cell: Ints) -> str:
     return f"({cell[0]}, {cell[1]})"
 
 
-def _size(grid: npt.NDArray[np.generic]) -> str:
+def _size(grid: Array) -> str:
     return f"{grid.shape[-2]} x {grid.shape[-1]}"

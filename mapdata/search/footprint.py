@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Float32s, Int32s
 from mapdata.jit import Int, inlined, kernel
@@ -13,7 +13,7 @@ from mapdata.search.api import as_grid
 from mapdata.spec import check_number
 
 
-def clearance(grid: npt.ArrayLike) -> Float32s:
+def clearance(grid: ArrayLike) -> Float32s:
     """Return the distance from the middle of each cell to the nearest obstacle.
 
     That is the nearest point of an occupied cell or of the border of the map, in cells: exact, and
@@ -37,7 +37,7 @@ def clearance(grid: npt.ArrayLike) -> Float32s:
     return found
 
 
-def inflate(grid: npt.ArrayLike, radius: float) -> Bytes:
+def inflate(grid: ArrayLike, radius: float) -> Bytes:
     """Return the map on which the middle of a disc moves: its configuration space.
 
     A cell is occupied where ``grid`` is, or where its `clearance` is less than ``radius``: the

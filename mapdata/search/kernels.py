@@ -459,15 +459,12 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
 
 
 @kernel
-def write_moves(
-    came: Bytes, start: Int, goal: Int, lattice: Lattice, moves: Bytes, end: Int
-) -> None:
-    """Write the moves from ``start`` to ``goal``; the last one goes to ``moves[end - 1]``."""
+def write_moves(came: Bytes, goal: Int, lattice: Lattice, moves: Bytes) -> None:
+    """Write the moves of a path that ends at ``goal``, as many as ``moves`` holds."""
     cell = goal
-    while cell != start:
+    for k in range(len(moves) - 1, -1, -1):
         move = np.uint64(came[np.uint64(cell)] & _MOVE)
-        end -= 1
-        moves[end] = move
+        moves[k] = move
         cell -= lattice.offsets[move]
 
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from mapdata.arrays import Bytes, Flags, Ints, offsets_of, summary
-from mapdata.generators.maps import WORD, Maps
+from mapdata.arrays import Bytes, Flags, Floats, Ints, Words, offsets_of, summary
+from mapdata.generators.maps import Maps, unpack
 from mapdata.generators.points import STEPS
 from mapdata.jit import Int, kernel
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
@@ -20,6 +19,7 @@ from mapdata.search.kernels import (
     expansions_until,
     find,
     flood,
+    is_inside,
     scratch,
     shortest_costs,
     wipe,
@@ -31,12 +31,11 @@ from mapdata.search.lattice import (
     BFS,
     FAR,
     UNIT,
-    UNSEEN,
-    WALL,
     Lattice,
     Rule,
     cell_at,
     lattice_of,
+    load,
     parts,
     rule_of,
 )
@@ -116,7 +115,7 @@ class Labels:
         first = int(self.maps.segment_offsets[i])
         return self.of(search).iterations[first : first + self._rooms(i) - 1]
 
-    def matrix(self, search: str, i: int) -> npt.NDArray[np.float64]:
+    def matrix(self, search: str, i: int) -> Floats:
         """Return the connection matrix of map i, (n, n) float64.
 
         It holds path costs (BFS: moves), 0 on the diagonal, -1 where there is no path.
@@ -205,7 +204,7 @@ def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
 
 @kernel
 def _label(
-    packed: npt.NDArray[np.uint64],
+    packed: Words,
     columns: Int,
     rooms: Ints,
     seed_points: Ints,
@@ -224,8 +223,10 @@ def _label(
     Fills the tables, (S, 2), with number of moves and iterations, and the costs, (P, 2), with
     straight and diagonal moves.
     """
-    lattice = lattice_of((packed.shape[1], columns), rule)
-    fresh = np.full(lattice.cells, WALL)
+    rows = packed.shape[1]
+    lattice = lattice_of((rows, columns), rule)
+    grid = np.empty((rows, columns), np.uint8)
+    fresh = np.empty(lattice.cells, np.uint8)
     seed_cells = np.empty(seed_points.shape[1], np.int64)
     flooding = scratch(BFS, lattice)
     searching = scratch(ASTAR, lattice)
@@ -235,17 +236,17 @@ def _label(
     # compiled twice.
     bfs_used = np.int64(0)
     astar_used = np.int64(0)
-    small = lattice.diagonals == 0 and max(packed.shape[1], columns) <= BIT_SIDE
+    small = lattice.diagonals == 0 and max(rows, columns) <= BIT_SIDE
     levels = bit_scratch(small)
     for m in range(len(packed)):
-        _unpack(packed[m], columns, fresh)
+        unpack(packed[m].reshape(-1), 0, grid)
+        load(grid, fresh)
         n = rooms[m]
         for q in range(n):
+            if not is_inside(grid, seed_points[m, q], 0):
+                return bfs_moves, astar_moves, m * len(seed_cells) + q
             row, column = seed_points[m, q]
             seed_cells[q] = cell_at(row, column, lattice)
-            inside = 0 <= row < packed.shape[1] and 0 <= column < columns
-            if not inside or fresh[seed_cells[q]] == WALL:
-                return bfs_moves, astar_moves, m * len(seed_cells) + q
         at = slice(segments[m], segments[m + 1])
         of = slice(pairs[m], pairs[m + 1])
         if small:
@@ -284,23 +285,6 @@ def _label(
 
 
 @kernel
-def _unpack(words: npt.NDArray[np.uint64], columns: Int, fresh: Bytes) -> None:
-    """Write one packed map into the padded ``fresh``, as `load` does with a grid."""
-    stride = columns + 2
-    for row in range(words.shape[0]):
-        for j in range(words.shape[1]):
-            word = words[row, j]
-            base = (row + 1) * stride + 1 + WORD * j
-            count = min(WORD, columns - WORD * j)
-            if row and word == words[row - 1, j]:  # most rows: maps are made of rectangles
-                for k in range(count):
-                    fresh[base + k] = fresh[base + k - stride]
-            else:
-                for k in range(count):
-                    fresh[base + k] = UNSEEN | np.uint8((word >> np.uint64(k)) & np.uint64(1))
-
-
-@kernel
 def _bfs_labels(
     fresh: Bytes,
     cells: Ints,
@@ -332,9 +316,8 @@ def _bfs_labels(
         table[a, 0] = length
         table[a, 1] = expansions_until(buffers.pushed, count, cells[a + 1])
         moves = with_capacity(moves, used, length)
+        write_moves(came, cells[a + 1], lattice, moves[used : used + length])
         used += length
-        if length:
-            write_moves(came, cells[a], cells[a + 1], lattice, moves, used)
     return moves, used
 
 
@@ -366,9 +349,8 @@ def _astar_labels(
         table[a, 0] = length
         table[a, 1] = expansions
         moves = with_capacity(moves, used, length)
+        write_moves(came, cells[a + 1], lattice, moves[used : used + length])
         used += length
-        if length:
-            write_moves(came, cells[a], cells[a + 1], lattice, moves, used)
         wipe(buffers, pushes)
         costs[pair, 0] = straight
         costs[pair, 1] = diagonal

@@ -23,7 +23,7 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.generators.points import STEPS
@@ -169,7 +169,7 @@ def _heuristics(gaps: Ints, rule: Rule) -> Floats:
     return found
 
 
-def heuristics(starts: npt.ArrayLike, goals: npt.ArrayLike, movement: Movement) -> Floats:
+def heuristics(starts: ArrayLike, goals: ArrayLike, movement: Movement) -> Floats:
     """Return the heuristic from ``starts`` to ``goals``, (..., 2), as (...) float64 in cells."""
     # A new array of one dtype and layout: the kernel is compiled once.
     gaps = np.subtract(starts, goals, dtype=np.int64, order="C")

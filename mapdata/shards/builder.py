@@ -199,7 +199,7 @@ def _label_in_pieces(maps: Maps, advance: Advance) -> Labels:
     cells = maps.packed.shape[1] * maps.columns
     count = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // cells)
     names = [field.name for field in fields(maps)[2:]]  # after movement and columns come arrays
-    pieces: list[Labels] = []
+    pieces = []
     for start in range(0, len(maps), count):
         cut = {name: getattr(maps, name)[start : start + count] for name in names}
         pieces.append(label(replace(maps, **cut)))

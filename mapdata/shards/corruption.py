@@ -119,7 +119,7 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
         OSError: the disk is full or may not be written to.
     """
     folders = [folder_of(place) for place in places(root)]  # a URL is refused before any repair
-    left: list[Corruption] = []
+    left = []
     for folder in folders:
         left += repair_found(inspect(folder, progress=progress), progress=progress)
     return [str(fault) for fault in left]
@@ -136,7 +136,7 @@ def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
         manifest = manifest_at(place)
     except (ShardError, DatasetNotFoundError) as error:
         return _inspect_unlisted(place, error, progress)
-    faults: list[Corruption] = []
+    faults = []
     # the hash inside the manifest is of its values, so its text is checked too
     text = read_file(place, MANIFEST)
     if text != f"{json.dumps(json.loads(text), indent=1)}\n".encode():
@@ -177,8 +177,8 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     if manifest is None:
         why = "no sound shard says what it was: delete it and run the same build again"
         return [replace(fault, what=f"{fault.what}; {why}") for fault in findings.faults]
-    left: list[Corruption] = []
-    again: list[Header] = []
+    left = []
+    again = []
     relisted = False
     for fault in findings.faults:
         if fault.header is not None and fault.header.spec is not None:

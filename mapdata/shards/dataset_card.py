@@ -11,15 +11,15 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mapdata._version import __version__
+from mapdata.arrays import Array
 from mapdata.generators.generator import PRESETS, Generator
 from mapdata.shards.manifest import PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
-from mapdata.shards.shard import Array
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.spec import SPLITS, Movement
 
@@ -188,7 +188,7 @@ def _rebuild(name: str, manifest: Manifest) -> Section:
 def _origin(place: str, rooms_known: bool) -> Section:
     """Say where imported maps came from, as far as the import wrote it down."""
     try:
-        values: dict[str, Any] = dict(json.loads(read_file(place, PROVENANCE)))
+        values = dict(json.loads(read_file(place, PROVENANCE)))
         sources = [str(source) for source in values.get("sources", ())]
     except (OSError, ValueError, TypeError, RecursionError):
         return Section(

@@ -23,7 +23,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from mapdata.arrays import Array
 
 _FLAGS = re.DOTALL | re.VERBOSE
 
@@ -118,7 +119,7 @@ def read_root(file: memoryview) -> tuple[dict[str, Any], dict[str, int]]:
     return attributes, addresses
 
 
-def read_dataset(file: memoryview, address: int, dtype: str, rank: int) -> npt.NDArray[Any]:
+def read_dataset(file: memoryview, address: int, dtype: str, rank: int) -> Array:
     """Return the dataset whose header is at ``address``, as a view of the file.
 
     Raises:

@@ -22,14 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from mapdata.arrays import Bytes
+from mapdata.arrays import Array, Bytes
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import WORD
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
 from mapdata.shards.shard import (
     SEARCHES,
-    Array,
     Header,
     Shard,
     ShardError,
@@ -268,7 +267,7 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
     rooms = _last(arrays["room_offsets"])
     pairs = _last(arrays["pair_offsets"])
     segments = rooms - maps
-    shapes: dict[str, tuple[int, ...]] = {
+    shapes = {
         "maps": (maps, rows, octets),
         "split": (maps,),
         "passage_width": (maps,),

@@ -32,7 +32,7 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
-from mapdata.spec import Movement
+from mapdata.spec import Movement, Size
 
 MOST_SILENCE = 20.0
 """Seconds without a byte after which a try to read from a URL is given up."""
@@ -62,7 +62,7 @@ class Root:
 
     places: tuple[str, ...]
     manifests: tuple[Manifest, ...]
-    map_size: tuple[int, int]
+    map_size: Size
     movement: Movement
     shards: tuple[tuple[int, int, Entry], ...]
     maps: int

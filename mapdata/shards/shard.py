@@ -12,27 +12,25 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeAlias
+from typing import IO, Any, NamedTuple
 from uuid import uuid4
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 if sys.platform != "win32":
     import fcntl
 
 from mapdata._version import __version__
-from mapdata.arrays import Bytes, Flags, Ints
+from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
-from mapdata.spec import FORMAT_VERSIONS, Movement, canonical_json, least_version
+from mapdata.spec import FORMAT_VERSIONS, Movement, Size, canonical_json, least_version
 
-Array = npt.NDArray[Any]
-StrPath: TypeAlias = str | os.PathLike[str]
+StrPath = str | os.PathLike[str]
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
@@ -124,7 +122,7 @@ class Origin:
 
     spec: Generator | None
     seed: int | None
-    map_size: tuple[int, int]
+    map_size: Size
     movement: Movement
     resolution: float
 

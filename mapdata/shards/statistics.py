@@ -10,12 +10,12 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Floats, Ints
+from mapdata.arrays import Array, Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import SEARCHES, Array
+from mapdata.shards.shard import SEARCHES
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
@@ -177,11 +177,9 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     np.maximum.at(hardest, owners, hard)
     rooms_known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
     skipped = (~maps.connected & used).any(axis=1)
-    free, exact, symmetric = _grid_columns(maps, hashes)
     return {
         "index": maps.index,
         "rooms": maps.rooms,
-        "free": free,
         "split": maps.split,
         "all_connected": labels.all_connected,
         "redundant": labels.all_connected & skipped & rooms_known,
@@ -191,18 +189,17 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
         "rooms_known": np.array([rooms_known]),
-        "exact": exact,
-        "symmetric": symmetric,
+        **_grid_columns(maps, hashes),
     }
 
 
-def _grid_columns(maps: Maps, hashes: bool) -> tuple[Floats, Array, Array]:
+def _grid_columns(maps: Maps, hashes: bool) -> dict[str, Array]:
     """Return the free share of each map and its two digests; those only with ``hashes``."""
     count, rows, _ = maps.packed.shape
     step = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
-    free: list[Floats] = []
-    exact: list[bytes] = []
-    symmetric: list[bytes] = []
+    free = []
+    exact = []
+    symmetric = []
     for packed in np.split(maps.packed, range(step, count, step)):
         grids = unpacked(packed, maps.columns)
         free.append(1 - grids.mean(axis=(1, 2)))
@@ -210,7 +207,11 @@ def _grid_columns(maps: Maps, hashes: bool) -> tuple[Floats, Array, Array]:
             own, least = digests_of(grids)
             exact += own
             symmetric += least
-    return np.concatenate(free), np.array(exact, _DIGESTS), np.array(symmetric, _DIGESTS)
+    return {
+        "free": np.concatenate(free),
+        "exact": np.array(exact, _DIGESTS),
+        "symmetric": np.array(symmetric, _DIGESTS),
+    }
 
 
 def digests_of(grids: Bytes) -> tuple[list[bytes], list[bytes]]:

@@ -30,7 +30,7 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     seed_rows, seed_columns = maps.seed_points[k, :rooms].T.tolist()
     size_rows, size_columns = maps.sizes[k, :rooms].T.tolist()
     first, last = maps.segment_offsets[k : k + 2]
-    row: dict[str, Any] = {
+    row = {
         "item": int(maps.index[k]),
         "label": f"map{maps.index[k]}",
         "split": SPLITS[maps.split[k]],
