@@ -275,8 +275,7 @@ class MapDataset(ProblemDataset):
     Raises:
         DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
         ShardError: a damaged or hostile file, found at its first touch.
-        ValueError: arguments that do not fit, or that would do nothing; a radius with which no
-            problem has a path.
+        ValueError: arguments that do not fit, or that would do nothing.
     """
 
     def __init__(
@@ -311,9 +310,6 @@ class MapDataset(ProblemDataset):
         self._is_stored = self.movement == self.reader.movement and self.reader.least <= 1
         if self.reader.least > 1 and not isinstance(source, Random) and not source.unsolvable:
             self._kept = self._matching({"reachable": True})
-            count = len(self.reader)
-            if count and not len(self._kept):
-                raise ValueError(f"radius: got {radius} m: none of {count} problems has a path")
 
     def __len__(self) -> int:
         """Return the number of problems."""

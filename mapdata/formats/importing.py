@@ -132,7 +132,7 @@ def import_maps(
     """
     root = folder_of(root)
     check_seed(seed)
-    thresholds = split_thresholds(splits)
+    thresholds = split_thresholds(tuple(splits))
     check_seed_points("seed_points", seed_points)
     if shard_size is not None:
         check_count("shard_size", shard_size)
