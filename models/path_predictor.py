@@ -18,10 +18,11 @@ short. With the fields of ``FIELDS`` every cell knows all of its optimal moves, 
 
     data = MapDataModule("data/maps", fields=FIELDS, problems="random", augment=True, batch_size=64)
 
-So the weights that ship were made, by `python scripts/train_path_predictor.py fit --weights
-models/weights/path_predictor.pt`: 7,000 steps of 39 maps of all families and 4 larger ones, MINUTES.
-Those for unrestricted diagonals, path_predictor_cut.pt, go on from them (docs/planners.md).
-`torch.export.export(model, (map, goal))` and ONNX take the network as it is.
+So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
+scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,000 steps of 39
+maps of all families and 4 larger ones, 50 minutes of one core. Those for unrestricted diagonals,
+path_predictor_cut.pt, go on from them (docs/planners.md). `torch.export.export(model, (map, goal))`
+and ONNX take the network as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
 prediction. models/common.py has the layers, the moves on a map, the optimizer, the files of
