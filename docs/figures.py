@@ -375,7 +375,10 @@ def fields() -> Figure:
 
 
 def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
-    """Return the first hard problem of a family, and the first that is not solved at least cost."""
+    """Return the first hard problem of a family, and the first that is not solved at least cost.
+
+    Where all of 200 are, the one with most expansions is the second.
+    """
     from models.learned_planners import GuidedSearch
     from models.path_predictor import PathPredictor
 
@@ -383,19 +386,19 @@ def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
     dataset = OnlineMapDataset(
         Generator.preset(family),
         77,
-        length=1000,
+        length=200,
         fields=("map", "start", "goal", "path", "cost"),
         problems=HARD,
         movement=DIAGONAL,
     )
-    first = None
+    answered: list[tuple[Any, Plan]] = []
     for k in range(len(dataset)):
         sample: Any = dataset[k]
         plan = search.plan(sample.map[0], sample.start, sample.goal)
-        first = first or (sample, plan)
+        answered.append((sample, plan))
         if cost_of(plan.path) > float(sample.cost) + 1e-3:
-            return first, (sample, plan)
-    raise AssertionError(f"all of {len(dataset)} problems of {family} are solved at least cost")
+            return answered[0], answered[-1]
+    return answered[0], max(answered, key=lambda answer: answer[1].expansions)
 
 
 def cost_of(path: Any) -> float:
@@ -406,17 +409,20 @@ def cost_of(path: Any) -> float:
 def predictions() -> Figure:
     """Show what the path predictor answers to hard problems of each family, failures included."""
     families = ("paper", "dungeon", "maze", "cave", "forest", "noise")
-    figure, axes = new_figure(2, 6, (15, 5.8))
+    figure, axes = new_figure(2, 6, (14, 5.8))
     for k, family in enumerate(families):
         for ax, (sample, plan) in zip((axes[k], axes[k + 6]), answers(family), strict=True):
-            truth = sample.path[sample.path[:, 0] >= 0]
-            plot_prediction(sample.map[0], plan.path, truth, ax)
+            plot_grid(sample.map[0], ax)
+            truth = np.asarray(sample.path[sample.path[:, 0] >= 0])
+            for path, colour, width in ((truth, "astar", 4), (plan.path, "bfs", 1.8)):
+                ax.plot(path[:, 1], path[:, 0], color=COLOURS[colour], linewidth=width)
+            ends = {"o": sample.start, "s": sample.goal}
+            for marker, (row, column) in ends.items():
+                ax.plot(column, row, marker, color="white", markeredgecolor="black", markersize=7)
             best = astar(np.asarray(sample.map[0]), sample.start, sample.goal, DIAGONAL)
             cost = cost_of(plan.path) / float(sample.cost)
             expansions = plan.expansions / best.iterations
-            ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
-            title = f"{family}: cost x {cost:.2f},\nexpansions x {expansions:.2f}"
-            ax.set_title(title, fontsize=10)
+            bare(ax, f"{family}: cost x {cost:.2f},\nexpansions x {expansions:.2f}")
     return figure
 
 

@@ -274,13 +274,13 @@ class Other(nn.Linear):
 
 
 def test_a_sound_model_is_read(tmp_path: Path) -> None:
-    """Equal weights, ready to plan; another class, or no file, is named."""
+    """Equal weights, in 16 bits, ready to plan; another class, or no file, is named."""
     model = PathPredictor(4, widths=(8, 8, 8), passes=1)
     model.save(tmp_path / "model.pt")
     again = load_model(tmp_path / "model.pt", PathPredictor)
     assert not again.training
     for name, value in model.state_dict().items():
-        np.testing.assert_array_equal(again.state_dict()[name].numpy(), value.numpy())
+        np.testing.assert_array_equal(again.state_dict()[name].numpy(), value.half().numpy())
     with pytest.raises(ValueError, match=r"model\.pt: holds no saved Other"):
         load_model(tmp_path / "model.pt", Other)
     with pytest.raises(FileNotFoundError, match=r"none\.pt"):
