@@ -335,7 +335,7 @@ def test_learns_quickly(tmp_path: Path) -> None:
     model = PathPredictor(learning_rate=0.02)
     steps = trainer(
         tmp_path,
-        max_steps=180,
+        max_steps=260,
         limit_val_batches=0,
         gradient_clip_val=1.0,
         enable_checkpointing=False,
