@@ -115,7 +115,7 @@ def test_half_a_turn_of_a_map_turns_the_answer(movement: Movement) -> None:
     grids = (np.random.default_rng(0).random((3, 16, 24)) < 0.3).astype(np.uint8)
     goals = np.array([[0, 0], [5, 7], [15, 23]])
     scores, ratios = model.predict(grids, goals)
-    turned = model.predict(grids[:, ::-1, ::-1], [15, 23] - goals)
+    turned = model.predict(grids[:, ::-1, ::-1], np.array([15, 23]) - goals)
     back = turned[0][:, HALF_TURN[: movement.connectivity], ::-1, ::-1]
     np.testing.assert_allclose(back, scores, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(turned[1][:, ::-1, ::-1], ratios, rtol=1e-3, atol=1e-3)
