@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytorch_lightning as pl
-import torch
 from pytorch_lightning.callbacks import TQDMProgressBar
 from pytorch_lightning.cli import LightningArgumentParser, LightningCLI
 from pytorch_lightning.utilities import CombinedLoader
@@ -44,9 +43,6 @@ class TrainingCli(LightningCLI):
 
         It arrives as 1.0, which means all batches: of maps made online, 10,000 of them.
         """
-        # The momentum of weights that never change fades to the smallest numbers there are, with
-        # which a processor multiplies so slowly that steps took three times as long in the end.
-        torch.set_flush_denormal(True)
         if self.config["fit"]["trainer"]["limit_val_batches"] == 1:
             self.trainer.limit_val_batches = 1
         file = self.config["fit"]["start_from"]
