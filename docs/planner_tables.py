@@ -3,8 +3,8 @@
 Each set of problems is a recipe: one problem on each map of seed 77, until so many are hard. The
 page has one table a set; docs/planners.md speaks of them. A quarter of an hour of one core.
 
-With --transfer the table of transfer is measured instead, and written to a file as JSON: networks
-trained on one family each, tested on all of them. The page takes it from there.
+With --transfer it measures networks trained on one family each instead, tested on all of them, and
+writes their Hmean to a file as JSON.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def page_of_sets() -> str:
 
 
 def trained_on(names: list[str], steps: int) -> PathPredictor:
-    """Return a small network after 2,000 steps of 24 maps of these families."""
+    """Return a small network after so many steps of 24 maps of these families."""
     pl.seed_everything(1)
     parts = []
     for name in names:
@@ -166,7 +166,7 @@ def trained_on(names: list[str], steps: int) -> PathPredictor:
 
 
 def transfer(steps: int) -> dict[str, dict[str, float]]:
-    """Return Hmean of networks trained on a family each, on two thirds of them, and on all."""
+    """Return Hmean of networks trained on a family each, on all, and on all but one."""
     movement = Movement(8)
     trainings = {name: [name] for name in FAMILIES}
     trainings["all five"] = list(FAMILIES)

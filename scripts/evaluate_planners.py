@@ -69,7 +69,8 @@ def evaluate_command(
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
-    shipped = "path_predictor_cut.pt" if corner_cutting else "path_predictor.pt"
+    cut = problems.movement.corner_cutting
+    shipped = "path_predictor_cut.pt" if cut else "path_predictor.pt"
     model = PathPredictor.load(weights or WEIGHTS / shipped)
     rows = classical(problems.movement)
     if model.movement == problems.movement:
