@@ -39,6 +39,7 @@ from mapdata import (  # noqa: E402
     Random,
     astar,
     build,
+    check_path,
     evaluate,
     generate,
     label,
@@ -396,14 +397,9 @@ def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
         sample: Any = dataset[k]
         plan = search.plan(sample.map[0], sample.start, sample.goal)
         answered.append((sample, plan))
-        if cost_of(plan.path) > float(sample.cost) + 1e-3:
+        if check_path(sample.map[0], plan.path, DIAGONAL) > float(sample.cost) + 1e-3:
             return answered[0], answered[-1]
     return answered[0], max(answered, key=lambda answer: answer[1].expansions)
-
-
-def cost_of(path: Any) -> float:
-    """Return the cost of a path: 1 a straight move, the square root of 2 a diagonal one."""
-    return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def predictions() -> Figure:
@@ -420,7 +416,7 @@ def predictions() -> Figure:
             for marker, (row, column) in ends.items():
                 ax.plot(column, row, marker, color="white", markeredgecolor="black", markersize=7)
             best = astar(np.asarray(sample.map[0]), sample.start, sample.goal, DIAGONAL)
-            cost = cost_of(plan.path) / float(sample.cost)
+            cost = check_path(sample.map[0], plan.path, DIAGONAL) / float(sample.cost)
             expansions = plan.expansions / best.iterations
             bare(ax, f"{family}: cost x {cost:.2f},\nexpansions x {expansions:.2f}")
     return figure
