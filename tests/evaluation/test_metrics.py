@@ -407,6 +407,16 @@ def test_the_script_says_what_is_wrong_in_one_line(
     assert captured.err.startswith("mapdata: ")
 
 
+def test_the_weights_go_by_the_problems(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A set where corners may be cut has rows of the predictor, without the flag."""
+    cut = Problems.sample(
+        MapSpec.preset("dungeon"), 77, maps=4, movement=Movement(8, corner_cutting=True)
+    )
+    cut.save(tmp_path / "cut.npz")
+    run(str(tmp_path / "cut.npz"))
+    assert "path_predictor (search)" in capsys.readouterr().out
+
+
 def test_the_figure_shows_every_planner() -> None:
     """One mark with its own shape or colour and one name a planner, and axes that say what they
     are.
