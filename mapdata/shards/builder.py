@@ -8,17 +8,13 @@ import warnings
 from collections.abc import Callable, Generator, Sequence, Set
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing, nullcontext
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from mapdata.arrays import offsets_of
 from mapdata.generators.generator import Generator as MapGenerator
 from mapdata.generators.generator import generate
-from mapdata.generators.maps import Maps
-from mapdata.search.labels import Labels, SearchLabels, label
+from mapdata.search.labels import label
 from mapdata.shards.manifest import (
     MANIFEST,
     Entry,
@@ -43,14 +39,6 @@ _MERGE_EVERY = 2.0
 
 _MERGE_SHARE = 20
 """A pause lasts this many times as long as the last write, which takes longer with more shards."""
-
-_CELLS_AT_ONCE = 2**22
-"""Cells that are labelled between two moves of the bar: 1024 maps of 64 x 64. Pieces of 64 maps
-would cost 7 % more time.
-"""
-
-_LEAST_AT_ONCE = 8
-"""Maps between two moves, however large they are: each piece needs new buffers."""
 
 _UNDER_WAY = 10_000
 """Most shards that an executor is given at once: enough to keep a large cluster busy."""
@@ -188,36 +176,10 @@ def make_shard(
     if header.spec is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
     maps = generate(header.spec, header.seed, range(header.start, header.stop))
-    labels = _label_in_pieces(maps, advance)
+    labels = label(maps, advance)
     image, content = shard_image(labels, header)
     write_file(root / shard_name(*header.limits), image)
     return entry_of(header, content, labels, image)
-
-
-def _label_in_pieces(maps: Maps, advance: Advance) -> Labels:
-    """Return what `label` does, which sees one map at a time; ``advance`` hears of every piece."""
-    cells = maps.packed.shape[1] * maps.columns
-    count = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // cells)
-    names = [field.name for field in fields(maps)[2:]]  # after movement and columns come arrays
-    pieces = []
-    for start in range(0, len(maps), count):
-        cut = {name: getattr(maps, name)[start : start + count] for name in names}
-        pieces.append(label(replace(maps, **cut)))
-        advance(len(pieces[-1].maps))
-    return Labels(
-        maps, _join([piece.bfs for piece in pieces]), _join([piece.astar for piece in pieces])
-    )
-
-
-def _join(pieces: Sequence[SearchLabels]) -> SearchLabels:
-    """Return the labels of all pieces, one after another."""
-    lengths = np.concatenate([np.diff(piece.offsets) for piece in pieces])
-    return SearchLabels(
-        moves=np.concatenate([piece.moves for piece in pieces]),
-        offsets=offsets_of(lengths),
-        iterations=np.concatenate([piece.iterations for piece in pieces]),
-        costs=np.concatenate([piece.costs for piece in pieces]),
-    )
 
 
 def _made(

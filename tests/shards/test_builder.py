@@ -224,7 +224,7 @@ def test_the_bar_moves_within_a_shard(
     spec: Generator, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Labels of pieces, joined, are those of all maps at once."""
-    monkeypatch.setattr("mapdata.shards.builder._CELLS_AT_ONCE", 1)
+    monkeypatch.setattr("mapdata.search.labels._CELLS_AT_ONCE", 1)
     root.mkdir()
     (header,) = headers(
         Manifest(spec, SEED, spec.map_size, spec.movement, spec.resolution, 30, 100)
