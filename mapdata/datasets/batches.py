@@ -23,7 +23,6 @@ from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.shards.manifest import Entry, Manifest
-from mapdata.shards.reader import head
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import Shard, ShardError, bits_of
 from mapdata.spec import MAX_ROOMS, SPLITS
@@ -272,6 +271,8 @@ class BatchReader:
     def open(self, k: int) -> Shard:
         """Return shard ``k``, opened and checked at its first touch.
 
+        A successor of its file may hold more maps, after those of the shard.
+
         Raises:
             ShardError: the file is gone, or not what the manifest says.
             ConnectionError: it lies at a URL, and cannot be fetched.
@@ -288,7 +289,7 @@ class BatchReader:
             successor = _successor(self.manifests[place], now.manifests[0], entry)
             if successor is None:
                 raise
-            shard = head(now.open_shard(successor), entry.maps)
+            shard = now.open_shard(successor)
         if (
             np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points
         ):  # kernels rely on it
@@ -297,6 +298,7 @@ class BatchReader:
                 f"({self.most_seed_points})"
             )
         rows = problem_rows(shard, self._split, self._problems)
+        rows = rows[rows[:, 0] < entry.maps]  # of a successor, too
         first, last = self.offsets[k : k + 2].tolist()
         if len(rows) != last - first:
             raise ShardError(

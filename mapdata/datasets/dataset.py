@@ -403,8 +403,9 @@ class MapDataset(ProblemDataset):
 
         from mapdata.shards.table import map_rows
 
-        shards = map(self.reader.open, range(len(self.reader.shards)))
-        rows = [row for shard in shards for row in map_rows(shard, self.split)]
+        rows = []
+        for k, (_, _, entry) in enumerate(self.reader.shards):
+            rows += map_rows(self.reader.open(k), self.split, entry.maps)
         return pd.DataFrame(rows)
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:

@@ -15,7 +15,6 @@ import re
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -242,21 +241,6 @@ def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:
         if arrays[name].shape != shape:
             raise ShardError(f"dataset {name!r} has shape {arrays[name].shape}, expected {shape}")
     _check_tables(arrays, header)
-
-
-def head(shard: Shard, maps: int) -> Shard:
-    """Return a shard of the first maps of another one, still with the content hash of all."""
-    arrays = dict(shard.arrays)
-    for name in ("room_offsets", "pair_offsets"):
-        arrays[name] = arrays[name][: maps + 1]
-    segments = int(arrays["room_offsets"][maps]) - maps
-    for name in ("bfs_offsets", "astar_offsets"):
-        arrays[name] = arrays[name][: segments + 1]
-    header = replace(shard.header, stop=shard.header.start + maps)
-    # with shorter offsets, the shapes of the other arrays follow
-    for name, shape in _shapes(header, arrays).items():
-        arrays[name] = arrays[name][: shape[0]]
-    return shard._replace(header=header, arrays=arrays)
 
 
 def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:

@@ -59,11 +59,14 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     return row
 
 
-def map_rows(shard: Shard, split: str | None = None) -> list[dict[str, Any]]:
-    """Return the rows of a shard's maps, of one split or all, with spaces in the column names."""
+def map_rows(shard: Shard, split: str | None, maps: int) -> list[dict[str, Any]]:
+    """Return the rows of a shard's first ``maps``, with spaces in the column names.
+
+    Of one split, or all with None.
+    """
     labels = decode(shard)
     rows = []
-    for k, code in enumerate(labels.maps.split.tolist()):
+    for k, code in enumerate(labels.maps.split[:maps].tolist()):
         if split in (None, SPLITS[code]):
             row = map_row(labels, k, shard.header.resolution)
             rows.append({name.replace("_", " "): value for name, value in row.items()})
