@@ -238,7 +238,7 @@ def bit_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by BFS as `labels._bfs_labels` does; 4-connected, at most 64 x 64 cells.
+    """Label one map by BFS as `labels._search_all` does; 4-connected, at most 64 x 64 cells.
 
     Args:
         words: (H, 1) packed map.

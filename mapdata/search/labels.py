@@ -34,6 +34,7 @@ from mapdata.search.lattice import (
     UNIT,
     Lattice,
     Rule,
+    Weights,
     cell_at,
     lattice_of,
     load,
@@ -284,7 +285,8 @@ def _label(
                 bfs_used,
             )
         else:
-            bfs_moves, bfs_used = _bfs_labels(
+            bfs_moves, bfs_used = _search_all(
+                BFS,
                 fresh,
                 seed_cells[:n],
                 lattice,
@@ -294,7 +296,8 @@ def _label(
                 bfs_moves,
                 bfs_used,
             )
-        astar_moves, astar_used = _astar_labels(
+        astar_moves, astar_used = _search_all(
+            ASTAR,
             fresh,
             seed_cells[:n],
             lattice,
@@ -308,7 +311,8 @@ def _label(
 
 
 @kernel
-def _bfs_labels(
+def _search_all(
+    search: Weights,
     fresh: Bytes,
     cells: Ints,
     lattice: Lattice,
@@ -318,8 +322,10 @@ def _bfs_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by BFS: a flood from each of the seed ``cells`` until all later ones are seen.
+    """Label one map: a search for each segment of the seed ``cells``, and the costs of all pairs.
 
+    BFS floods from each seed until all later ones are seen. A* leaves the other pairs to
+    `_fill_costs`, or out under 4-connectivity, where BFS finds the same.
     Returns the moves and their number.
     """
     came = buffers.came
@@ -327,60 +333,32 @@ def _bfs_labels(
     for a in range(len(cells) - 1):
         for k in range(lattice.cells):
             came[k] = fresh[k]
-        count = flood(cells[a], cells[a + 1 :], lattice, buffers)
-        length = 0
-        for b in range(a + 1, len(cells)):
-            straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
-            costs[pair, 0] = straight + diagonal
-            costs[pair, 1] = 0
-            if b == a + 1:
-                length = max(straight + diagonal, 0)
-            pair += 1
-        table[a, 0] = length
-        table[a, 1] = expansions_until(buffers.pushed, count, cells[a + 1])
-        moves = with_capacity(moves, used, length)
-        write_moves(came, cells[a + 1], lattice, moves[used : used + length])
-        used += length
-    return moves, used
-
-
-@kernel
-def _astar_labels(
-    fresh: Bytes,
-    cells: Ints,
-    lattice: Lattice,
-    buffers: Scratch,
-    table: Ints,
-    costs: Ints,
-    moves: Bytes,
-    used: Int,
-) -> tuple[Bytes, Int]:
-    """Label one map by A*: a search for each segment; costs of the other pairs by `_fill_costs`.
-
-    Under 4-connectivity, where BFS finds the same, the costs of the other pairs are left out.
-    Returns the moves and their number.
-    """
-    came = buffers.came
-    pair = 0
-    for a in range(len(cells) - 1):
-        for k in range(lattice.cells):
-            came[k] = fresh[k]
-        straight, diagonal, expansions, pushes = find(
-            cells[a], cells[a + 1], ASTAR, lattice, buffers
-        )
+        goal = cells[a + 1]
+        if search == BFS:
+            count = flood(cells[a], cells[a + 1 :], lattice, buffers)
+            expansions = expansions_until(buffers.pushed, count, goal)
+            straight, diagonal = count_moves(came, cells[a], goal, lattice)
+        else:
+            straight, diagonal, expansions, pushes = find(cells[a], goal, search, lattice, buffers)
         length = max(straight + diagonal, 0)
         table[a, 0] = length
         table[a, 1] = expansions
         moves = with_capacity(moves, used, length)
-        write_moves(came, cells[a + 1], lattice, moves[used : used + length])
+        write_moves(came, goal, lattice, moves[used : used + length])
         used += length
-        wipe(buffers, pushes)
-        costs[pair, 0] = straight
-        costs[pair, 1] = diagonal
-        pair += 1
-        if lattice.diagonals:
-            _fill_costs(cells[a : a + 1], cells[a + 2 :], lattice, buffers, costs[pair:])
-        pair += len(cells) - a - 2
+        if search == BFS:
+            for b in range(a + 1, len(cells)):
+                straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
+                costs[pair, 0] = straight + diagonal
+                costs[pair, 1] = 0
+                pair += 1
+        else:
+            wipe(buffers, pushes)
+            costs[pair, 0] = straight
+            costs[pair, 1] = diagonal
+            if lattice.diagonals:
+                _fill_costs(cells[a : a + 1], cells[a + 2 :], lattice, buffers, costs[pair + 1 :])
+            pair += len(cells) - a - 1
     return moves, used
 
 
