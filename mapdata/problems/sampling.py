@@ -23,7 +23,7 @@ from mapdata.search.bitboard import (
     search_board,
     word_at,
 )
-from mapdata.search.kernels import Scratch, find, scratch, wipe, write_cells
+from mapdata.search.kernels import Scratch, find, scratch, wipe, with_capacity, write_cells
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
@@ -209,10 +209,7 @@ def solve_pairs(
             if length or unsolvable:
                 ends[b, 0], ends[b, 1] = position(start, lattice)
                 ends[b, 2], ends[b, 3] = position(goal, lattice)
-                if used + length > len(cells):
-                    longer = np.empty((2 * (used + length), 2), np.int64)
-                    longer[:used] = cells[:used]
-                    cells = longer
+                cells = with_capacity(cells, used, length)
                 write_cells(buffers.came, goal, lattice, cells[used : used + length])
                 offsets[b + 1] = used + length
                 iterations[b] = expansions

@@ -479,13 +479,13 @@ def write_cells(came: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
 
 
 @kernel
-def with_capacity(moves: Bytes, used: Int, more: Int) -> Bytes:
-    """Return ``moves``, or a larger copy of the ``used`` ones with room for ``more``."""
-    if used + more <= len(moves):
-        return moves
-    larger = np.empty(2 * (used + more), np.uint8)
+def with_capacity(items: Any, used: Int, more: Int) -> Any:
+    """Return ``items`` (n, ...), or a larger copy of the ``used`` ones with room for ``more``."""
+    if used + more <= len(items):
+        return items
+    larger = np.empty((2 * (used + more), *items.shape[1:]), items.dtype)
     for k in range(used):
-        larger[k] = moves[k]
+        larger[k] = items[k]
     return larger
 
 
@@ -603,13 +603,10 @@ def solve_all(
         start = cell_at(starts[k, 0], starts[k, 1], lattice)
         goal = cell_at(goals[k, 0], goals[k, 1], lattice)
         straight, diagonal, expansions, pushes = find(start, goal, search, lattice, buffers)
-        end = used + straight + diagonal + 1  # no path: -1 + 0 + 1 cells
-        if end > len(path):
-            larger = np.empty((2 * end, 2), np.int64)
-            larger[:used] = path[:used]
-            path = larger
-        write_cells(buffers.came, goal, lattice, path[used:end])
-        used = end
+        length = straight + diagonal + 1  # no path: -1 + 0 + 1 cells
+        path = with_capacity(path, used, length)
+        write_cells(buffers.came, goal, lattice, path[used : used + length])
+        used += length
         found[k, 0] = straight
         found[k, 1] = diagonal
         found[k, 2] = expansions
