@@ -21,7 +21,7 @@ import pandas as pd
 from pytorch_lightning import Callback, LightningModule, Trainer
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
-from mapdata.evaluation import confidence_intervals
+from mapdata.evaluation import confidence_intervals, with_interval
 from mapdata.plotting import PALETTE, plot_roadmap
 from mapdata.problems import HARD, Problems
 from models.lego_sampler import Sampler
@@ -190,10 +190,7 @@ def to_text(table: pd.DataFrame) -> str:
     """Return the table for a terminal: a block a subset, a line a sampler."""
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
-        text = {}
-        for metric in METRICS:
-            half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
-            text[metric] = rows[metric].map("{:.3f}".format) + half.map(" ±{:.3f}".format)
+        text = {metric: with_interval(rows, metric) for metric in METRICS}
         shown = rows.assign(**text).pivot(index="sampler", columns="n", values=[*METRICS])
         lines = shown.loc[rows["sampler"].unique()].to_string()
         which = f", hardness at least {HARD}" if subset == "hard" else ""

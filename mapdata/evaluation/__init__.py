@@ -8,6 +8,7 @@ from mapdata.evaluation.metrics import (
     confidence_intervals,
     evaluate,
     to_text,
+    with_interval,
 )
 from mapdata.evaluation.planners import Batched, BestFirst, Limit, Search, classical
 
@@ -24,4 +25,5 @@ __all__ = [
     "confidence_intervals",
     "evaluate",
     "to_text",
+    "with_interval",
 ]

@@ -168,8 +168,7 @@ def to_text(table: pd.DataFrame) -> str:
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
         for metric in METRICS:
-            half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
-            text[metric] = rows[metric].map("{:.3f}".format) + half.map(" ±{:.3f}".format)
+            text[metric] = with_interval(rows, metric)
         for name in ("ms", "ms_batched"):
             text[name] = rows[name].map("{:.3f}".format)
         heading = f"{subset}: {rows['n'].iloc[0]} problems"
@@ -177,6 +176,12 @@ def to_text(table: pd.DataFrame) -> str:
             heading += f", hardness at least {HARD}"
         blocks.append(f"{heading}\n{text.to_string(index=False)}")
     return "\n\n".join(blocks)
+
+
+def with_interval(rows: pd.DataFrame, metric: str) -> pd.Series[str]:
+    """Return a metric as text, with half its interval's width."""
+    half = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
+    return rows[metric].map("{:.3f}".format) + half.map(" ±{:.3f}".format)
 
 
 class _Run(NamedTuple):
