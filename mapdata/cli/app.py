@@ -47,8 +47,7 @@ def build_command(
         recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
         shard_size: maps a shard
         workers: threads (default: all cores)
-        scheduler: build with Dask: tcp://HOST:PORT of a scheduler, or local for processes of this
-            machine
+        scheduler: build with Dask: tcp://HOST:PORT of a scheduler
         part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
     """
     from mapdata.generators import Generator
@@ -66,14 +65,14 @@ def build_command(
     if seed is None:
         seed = wanted.seed
     began = time.perf_counter()
-    with nullcontext() if scheduler is None else executor_of(scheduler, workers) as executor:
+    with nullcontext() if scheduler is None else executor_of(scheduler) as executor:
         manifest = build(
             root,
             wanted.spec,
             maps=maps,
             seed=seed,
             shard_size=shard_size,
-            workers=workers if executor is None else None,
+            workers=workers,
             executor=executor,
             part=(int(match[1]), int(match[2])),
             progress=True,

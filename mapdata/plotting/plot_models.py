@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mapdata.datasets.sample import Sample
 
 
-def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool = False) -> Axes:
+def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch.
 
     Its map, start S, goal G and path, as far as it has these fields, over a shade of its first
@@ -31,7 +31,6 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
     Args:
         sample: what ``dataset[i]`` or a loader gives; with the field ``map`` or ``free``.
         axes: where to draw one sample, not a batch; a new figure without.
-        paper_colours: free black, occupied white.
 
     Returns:
         The axes, of a batch those of its first sample.
@@ -55,11 +54,11 @@ def plot_sample(sample: Sample, axes: Axes | None = None, *, paper_colours: bool
         rows = math.ceil(count / columns)
         places = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
         for k in range(count):
-            plot_sample(row(sample, k), places[k], paper_colours=paper_colours)
+            plot_sample(row(sample, k), places[k])
         for spare in places[count:]:
             spare.set_axis_off()
         return places[0]
-    axes = plot_grid(grid[0], axes, paper_colours=paper_colours)
+    axes = plot_grid(grid[0], axes)
     others = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and bit sets
     dense = [name for name in values if name not in others and values[name].shape == grid.shape]
     for name in dense[:1]:
@@ -88,7 +87,6 @@ def plot_prediction(
     axes: Axes | None = None,
     *,
     scores: ArrayLike | None = None,
-    paper_colours: bool = False,
 ) -> Axes:
     """Draw a predicted path over the true one, and a cross on each predicted cell that is occupied.
 
@@ -98,10 +96,9 @@ def plot_prediction(
         truth: likewise.
         axes: where to draw; a new figure without.
         scores: (H, W), what the model says of each cell, drawn as a shade; from low to high.
-        paper_colours: free black, occupied white.
     """
     grid = np.asarray(occupancy)
-    axes = plot_grid(grid, axes, paper_colours=paper_colours)
+    axes = plot_grid(grid, axes)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
     true = _cells(truth)
@@ -128,7 +125,6 @@ def plot_roadmap(
     axes: Axes | None = None,
     *,
     path: ArrayLike | None = None,
-    paper_colours: bool = False,
 ) -> Axes:
     """Draw a roadmap: its samples and the edges between them.
 
@@ -138,11 +134,10 @@ def plot_roadmap(
         edges: (m, 2) integers, numbers of the vertices that each edge joins.
         axes: where to draw; a new figure without.
         path: (k, 2) cells (row, col), a path found on the roadmap.
-        paper_colours: free black, occupied white.
     """
     from matplotlib.collections import LineCollection
 
-    axes = plot_grid(occupancy, axes, paper_colours=paper_colours)
+    axes = plot_grid(occupancy, axes)
     points = np.asarray(vertices, np.float64).reshape(-1, 2)
     joined = np.asarray(edges, np.int64).reshape(-1, 2)
     label = f"{len(joined):,} edges"

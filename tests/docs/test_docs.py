@@ -44,7 +44,6 @@ ELSEWHERE = {
 SLOW = {"tutorial.md"}
 PAGES = sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 NOTEBOOK = DOCS / "first_look.ipynb"
-LOOPS = sorted(ROOT.glob("scripts/loop_*.py"))
 
 quiet = pytest.mark.filterwarnings(
     "ignore:.*does not have many workers which may be a bottleneck",
@@ -97,7 +96,7 @@ def test_what_cannot_run_is_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_the_loops_are_short() -> None:
-    """20 lines without imports and blank lines; a script is the block of docs/loading.md."""
+    """20 lines without imports and blank lines."""
     page = (DOCS / "loading.md").read_text(encoding="utf-8")
     section = page.split("## Three loops")[1].split("\n## ")[0]
     blocks = [block.partition("\n```")[0] for block in section.split("```python\n")[1:]]
@@ -111,11 +110,6 @@ def test_the_loops_are_short() -> None:
         )
         lines = [line for line in source.splitlines()[first.lineno - 1 :] if line.strip()]
         assert len(lines) <= 20
-    for script in LOOPS:
-        source = script.read_text(encoding="utf-8")
-        docstring = ast.parse(source).body[0]
-        after = "\n".join(source.splitlines()[docstring.end_lineno :]).strip()
-        assert after in loops, script.name
 
 
 def test_the_table_of_fields_is_complete() -> None:

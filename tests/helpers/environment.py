@@ -120,7 +120,11 @@ def parquet() -> None:
 
 def dask() -> None:
     """Build in processes of a cluster."""
-    main(["build", "by-dask", "--maps", "20", "--scheduler", "local", "--workers", "1"])
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        main(["build", "by-dask", "--maps", "20", "--scheduler", address])
     assert read_manifest(Path("by-dask")).content_hash == read_manifest(Path("few")).content_hash
 
 

@@ -98,39 +98,40 @@ def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
     assert verify(tmp_path / "maps") == []
 
 
-def test_the_command_starts_workers(tmp_path: Path, truth: Path) -> None:
-    """``--scheduler local`` brings its own processes, and ends them."""
-    pytest.importorskip("distributed")
+def test_the_command_builds_on_a_cluster(tmp_path: Path, truth: Path) -> None:
+    """``--scheduler`` takes the address of one that runs; its bar counts the maps."""
+    distributed = pytest.importorskip("distributed")
     code = "from mapdata.cli import main; main()"
-    flags = [
-        "--recipe",
-        RECIPE,
-        "--shard-size",
-        str(SHARD),
-        "--scheduler",
-        "local",
-        "--workers",
-        "2",
-    ]
-    command = [sys.executable, "-c", code, "build", str(tmp_path / "maps"), *flags]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert "400/400" in done.stderr
+    flags = ["--recipe", RECIPE, "--shard-size", str(SHARD)]
+    build_maps = [sys.executable, "-c", code, "build", str(tmp_path / "maps"), *flags]
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        protocol="tcp",
+        dashboard_address=None,
+    ) as cluster:
+        build_maps += ["--scheduler", cluster.scheduler_address]
+        done = subprocess.run(build_maps, capture_output=True, text=True, check=False, timeout=300)
+        assert done.returncode == 0, done.stderr
+        assert "400/400" in done.stderr
+        build_maps += ["--workers", "2"]
+        done = subprocess.run(build_maps, capture_output=True, text=True, check=False, timeout=300)
+        assert done.returncode == 2
+        assert "workers: would do nothing beside an executor" in done.stderr
     assert read_manifest(tmp_path / "maps") == read_manifest(truth)
 
 
 def test_schedulers_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each is named: no address, threads beside a cluster, Dask not installed."""
+    """Each is named: no address, Dask not installed."""
     with (
         pytest.raises(ValueError, match="got 'dask', expected tcp://HOST:PORT"),
         executor_of("dask"),
     ):
         pass
-    with (
-        pytest.raises(ValueError, match="workers: would do nothing"),
-        executor_of("tcp://127.0.0.1:1", 2),
-    ):
-        pass
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match="pip install distributed"), executor_of("local"):
+    with (
+        pytest.raises(ValueError, match="pip install distributed"),
+        executor_of("tcp://127.0.0.1:1"),
+    ):
         pass
