@@ -148,29 +148,28 @@ def movement_rows(rounds: int) -> list[Row]:
         room_columns=(8, 20),
         passage_width=(2, 4),
     )
-    specs = {
-        "preset paper": (MapSpec.preset("paper"), 200, ("", "")),
-        "preset dungeon": (MapSpec.preset("dungeon"), 100, ("", "")),
-        "preset dungeon128": (MapSpec.preset("dungeon128"), 10, ("", "12 ms")),
-        "256 x 256, 200 rooms": (halls, 1, ("50 ms", "0.3 s")),
+    # the spec, how many maps, and the limits of time, 4-connected and 8-connected
+    worlds = {
+        "preset paper": (MapSpec.preset("paper"), 200, "", ""),
+        "preset dungeon": (MapSpec.preset("dungeon"), 100, "", ""),
+        "preset dungeon128": (MapSpec.preset("dungeon128"), 10, "", "12 ms"),
+        "256 x 256, 200 rooms": (halls, 1, "50 ms", "0.3 s"),
     }
-    batches = {
-        f"{name}, {movement.connectivity}-connected": (
-            replace(spec, movement=movement),
-            count,
-            target,
-        )
-        for name, (spec, count, targets) in specs.items()
-        for movement, target in zip((Movement(), Movement(8)), targets, strict=True)
-    }
-    times = interleaved(
-        {name: partial(_draw_and_label, spec, count) for name, (spec, count, _) in batches.items()},
-        rounds,
-    )
-    return [
-        Row(f"all labels, {name}, a map", each(times[name], count), target=target)
-        for name, (_, count, target) in batches.items()
-    ]
+    works = {}
+    counts = {}
+    limits = {}
+    for world, (spec, count, limit_4, limit_8) in worlds.items():
+        for movement, limit in ((Movement(4), limit_4), (Movement(8), limit_8)):
+            name = f"{world}, {movement.connectivity}-connected"
+            works[name] = partial(_draw_and_label, replace(spec, movement=movement), count)
+            counts[name] = count
+            limits[name] = limit
+    times = interleaved(works, rounds)
+    rows = []
+    for name, count in counts.items():
+        time = each(times[name], count)
+        rows.append(Row(f"all labels, {name}, a map", time, target=limits[name]))
+    return rows
 
 
 def growth_rows(work: float, rounds: int) -> list[Row]:
@@ -181,32 +180,26 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
         work: how many cells times sources a batch has, about.
         rounds: how often each is timed.
     """
-    batches = [
-        (size, rooms, max(4, round(work / (size * size * rooms))))
-        for size in SIZES
-        for rooms in ROOMS
-    ]
-    times = interleaved(
-        {
-            f"{size} {rooms}": partial(_draw_and_label, table_1(size, (rooms, rooms)), count)
-            for size, rooms, count in batches
-        },
-        rounds,
-    )
-    rows, cost = [], {}
-    for size, rooms, count in batches:
+    works = {}
+    counts = {}
+    for size in SIZES:
+        for rooms in ROOMS:
+            count = max(4, round(work / (size * size * rooms)))
+            counts[size, rooms] = count
+            spec = table_1(size, (rooms, rooms))
+            works[f"{size} {rooms}"] = partial(_draw_and_label, spec, count)
+    times = interleaved(works, rounds)
+    rows = []
+    cost = {}
+    for (size, rooms), count in counts.items():
         seconds = times[f"{size} {rooms}"]
         cost[size, rooms] = statistics.median(seconds) / count
-        free = 1 - generate(table_1(size, (rooms, rooms)), 0, range(count)).occupancy.mean()
+        maps = generate(table_1(size, (rooms, rooms)), 0, range(count))
+        free = 1 - maps.occupancy.mean()
         nanoseconds = cost[size, rooms] * 1e9 / (size * size * rooms)
         note = f"{nanoseconds:.2f} ns a cell and source; {free:.0%} free; {count} maps"
-        rows.append(
-            Row(
-                f"all labels, {size} x {size}, {rooms} rooms, a map",
-                each(seconds, count),
-                note=note,
-            )
-        )
+        name = f"all labels, {size} x {size}, {rooms} rooms, a map"
+        rows.append(Row(name, each(seconds, count), note=note))
     few, many = ROOMS
     for small, large in pairwise(SIZES):
         growth = " and ".join(f"{cost[large, rooms] / cost[small, rooms]:.1f}x" for rooms in ROOMS)
