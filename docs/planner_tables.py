@@ -19,7 +19,7 @@ import pytorch_lightning as pl
 import torch
 
 from mapdata import Generator, MapDataModule, MapSpec, Maze, Movement, Problems, evaluate
-from mapdata.evaluation import classical
+from mapdata.evaluation import classical, with_interval
 from models.learned_planners import GuidedSearch, planners
 from models.path_predictor import FIELDS, PathPredictor
 from models.training import MixedBatches
@@ -48,6 +48,7 @@ WORLDS: dict[str, tuple[Generator, int]] = {
 RULES = {
     "": (Movement(8), "path_predictor.pt"),
     "-cut": (Movement(8, corner_cutting=True), "path_predictor_cut.pt"),
+    "-4": (Movement(4), "path_predictor_4.pt"),
 }
 """The rules of movement, by what the names of sets have of them, and their weights."""
 
@@ -82,12 +83,6 @@ def markdown(rows: list[list[str]]) -> str:
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
-def with_interval(row: pd.Series, metric: str) -> str:
-    """Return a metric and half the width of its 95 % interval."""
-    half = (row[f"{metric}_high"] - row[f"{metric}_low"]) / 2
-    return f"{row[metric]:.3f} ±{half:.3f}"
-
-
 def milliseconds(value: float) -> str:
     """Return a time, or a dash for what a planner cannot do."""
     return "-" if pd.isna(value) else f"{value:.3f}"
@@ -106,8 +101,9 @@ def page_of_sets() -> str:
             name = f"{world}{ending}-hard-{WORLDS[world][1]}"
             print(f"{name}: {problems.content_hash[:12]}", flush=True)
             rows = [["planner", "success", *COLUMNS.values(), "ms alone", "ms in batches"]]
-            for _, row in table.iterrows():
-                measured = [with_interval(row, metric) for metric in COLUMNS]
+            measures = pd.DataFrame({metric: with_interval(table, metric) for metric in COLUMNS})
+            for k, row in enumerate(table.to_dict("records")):
+                measured = measures.iloc[k]
                 times = [milliseconds(row["ms"]), milliseconds(row["ms_batched"])]
                 rows.append([row["planner"], f"{row['success']:.3f}", *measured, *times])
             sections.append(

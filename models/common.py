@@ -13,7 +13,7 @@ import contextlib
 import math
 import zipfile
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,7 +36,7 @@ Tensors = dict[str, Tensor]
 
 # --- the network --------------------------------------------------------------------------------
 
-STRIDE = 8
+STRIDE = 16
 """`Trunk` takes maps whose sides are multiples of this."""
 
 
@@ -59,37 +59,43 @@ class Residual(nn.Module):
 
 
 class Pass(nn.Module):
-    """One exchange between two resolutions: near at stride 4, and far at stride 8."""
+    """One pass down to the coarsest resolution and back; a convolution there reaches further."""
 
-    def __init__(self, width: int, deep: int) -> None:
-        """Take ``width`` channels at stride 4 and ``deep`` ones at stride 8."""
+    def __init__(self, widths: Sequence[int], dilation: int = 1) -> None:
+        """Take the channels at each stride, the finest first."""
         super().__init__()
-        self.local = Residual(width)
-        self.down = nn.Conv2d(width, deep, 2, stride=2)
-        self.far = Residual(deep, dilation=2)
-        self.up = nn.Conv2d(deep, 4 * width, 1)
+        width, *deeper = widths
+        self.local = Residual(width, dilation)
+        self.deeper: Pass | None = None
+        if deeper:
+            self.down = nn.Conv2d(width, deeper[0], 2, stride=2)
+            self.deeper = Pass(deeper, dilation=2)
+            self.up = nn.Conv2d(deeper[0], 4 * width, 1)
 
-    def forward(self, fine: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor]:
-        """Return both states: (B, width, H/4, W/4) and (B, deep, H/8, W/8)."""
-        fine = self.local(fine)  # (B, width, H/4, W/4)
-        coarse = self.far(self.down(F.relu(fine)) + coarse)  # (B, deep, H/8, W/8)
-        back = self.up(F.relu(coarse))  # (B, 4 width, H/8, W/8)
-        return fine + F.pixel_shuffle(back, 2), coarse
+    def forward(self, states: list[Tensor]) -> list[Tensor]:
+        """Return the states of all strides: (B, width, H, W), then (B, next width, H/2, W/2)."""
+        fine, *coarser = states
+        fine = self.local(fine)
+        if self.deeper is None:
+            return [fine]
+        coarser[0] = self.down(F.relu(fine)) + coarser[0]
+        coarser = self.deeper(coarser)
+        back = self.up(F.relu(coarser[0]))  # (B, 4 width, H/2, W/2)
+        return [fine + F.pixel_shuffle(back, 2), *coarser]
 
 
 class Trunk(nn.Module):
-    """Features of every cell from near and far, for maps of any size."""
+    """Features of every cell from near and far, for maps of any size once they are `padded`."""
 
-    def __init__(
-        self, inputs: int, outputs: int, widths: tuple[int, int, int], passes: int
-    ) -> None:
-        """Take channels in and out, the widths at strides 2, 4 and 8, and the number of `Pass`."""
+    def __init__(self, inputs: int, outputs: int, widths: Sequence[int], passes: int) -> None:
+        """Take channels in and out, widths at strides 2, 4, 8 and 16, and how many `Pass`."""
         super().__init__()
-        shallow, width, deep = widths
+        shallow, width = widths[:2]
+        self.coarser = len(widths) - 2
         # the first and the last convolution work on blocks of 2 x 2 cells: half the time
         self.stem = nn.Sequential(nn.Conv2d(4 * inputs, shallow, 3, padding=1), Residual(shallow))
         self.down = nn.Conv2d(shallow, width, 2, stride=2)
-        self.passes = nn.ModuleList(Pass(width, deep) for _ in range(passes))
+        self.passes = nn.ModuleList(Pass(widths[1:]) for _ in range(passes))
         self.end = Residual(width)
         self.up = nn.Conv2d(width, 4 * shallow, 1)
         self.join = nn.Conv2d(2 * shallow, shallow, 3, padding=1)
@@ -103,11 +109,11 @@ class Trunk(nn.Module):
             seen: (B, inputs, H, W), H and W multiples of ``STRIDE``.
         """
         skip = F.relu(self.stem(F.pixel_unshuffle(seen, 2)))  # (B, shallow, H/2, W/2)
-        fine = self.down(skip)  # (B, width, H/4, W/4)
-        coarse = seen.new_zeros(())
+        # the coarser strides begin with nothing
+        states = [self.down(skip)] + [seen.new_zeros(())] * self.coarser
         for each in self.passes:
-            fine, coarse = each(fine, coarse)  # coarse: (B, deep, H/8, W/8)
-        up = self.up(F.relu(self.end(fine)))  # (B, 4 shallow, H/4, W/4)
+            states = each(states)
+        up = self.up(F.relu(self.end(states[0])))  # (B, 4 shallow, H/4, W/4)
         up = F.pixel_shuffle(F.relu(up), 2)  # (B, shallow, H/2, W/2)
         joined = F.relu(self.join(torch.cat([up, skip], dim=1)))  # (B, shallow, H/2, W/2)
         return F.pixel_shuffle(self.head(joined), 2)  # (B, outputs, H, W)
@@ -350,7 +356,7 @@ MOST = 1024
 
 
 class Model(pl.LightningModule):
-    """What both sample models are, besides their network and loss.
+    """What all sample models are, besides their network and loss.
 
     Its hyperparameters have the highest ``learning_rate``.
     """
@@ -366,18 +372,23 @@ class Model(pl.LightningModule):
 
     @contextlib.contextmanager
     def inference(self) -> Iterator[None]:
-        """Predict without gradients; half the time where the processor multiplies bfloat16."""
+        """Predict without gradients; half the time where the processor multiplies bfloat16.
+
+        In evaluation mode, which `fit` leaves: a batch norm would depend on the batch.
+        """
         abilities: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()
         fast = bool(abilities.get("avx512_bf16") or abilities.get("amx_bf16"))
         on_cpu = self.device.type == "cpu"
-        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, on_cpu and fast):
-            yield
+        training = self.training
+        self.eval()
+        try:
+            with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, on_cpu and fast):
+                yield
+        finally:
+            self.train(training)
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write class, arguments and weights, as plain types and tensors of 16 bits.
-
-        Training rounds to 16 bits, too: no more were learnt.
-        """
+        """Write class, arguments and weights, as plain types and float16 tensors: half the size."""
         arguments = {}
         for name, value in self.hparams.items():
             if not name.startswith("_"):  # LightningCLI adds one of its own

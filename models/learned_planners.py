@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
-from mapdata import Movement
+from mapdata import Movement, Problems, Sample, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.evaluation import Batched, BatchPlanner, Plan
+from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import (
     WALL,
@@ -25,9 +25,44 @@ from mapdata.search import (
     load,
     position,
     rule_of,
+    search_batch,
     write_cells,
 )
-from models.common import check_problems
+from models.common import Model, check_problems
+
+
+class LearnedPlanner(Batched, Model):
+    """A model for one movement, whose planner is scored on validation batches."""
+
+    movement: Movement
+
+    def __init__(self) -> None:
+        """Begin without a validation batch."""
+        super().__init__()
+        # number of problems, Opt and Exp of each validation batch
+        self.validated: list[tuple[int, float, float]] = []
+
+    def score(self, planner: Planner, batch: Sample) -> None:
+        """Plan the problems of a batch: `on_validation_epoch_end` logs the results."""
+        grids = batch.map[:, 0].byte().cpu().numpy()
+        starts = batch.start.cpu().numpy()
+        goals = batch.goal.cpu().numpy()
+        cost = search_batch("astar", grids, starts, goals, self.movement).cost
+        asked = cost > 0  # there is a path, of more than one cell
+        if asked.any():
+            problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
+            row = evaluate([planner], problems, bootstrap=1).iloc[0]
+            self.validated.append((len(problems), row["opt"], row["p_exp"]))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log Opt and Hmean of the planner on all validation problems, for the progress bar."""
+        if self.validated:
+            counts, opts, saved = np.array(self.validated).T
+            opt = np.average(opts, weights=counts)
+            exp = np.average(saved, weights=counts)
+            hmean = 2 * opt * exp / max(opt + exp, 1e-9)
+            self.log_dict({"val_opt": opt, "val_hmean": hmean}, prog_bar=True)
+            self.validated.clear()
 
 
 class Predictor(Protocol):
@@ -55,13 +90,13 @@ class GuidedSearch(Batched):
     is expanded once; it finds a path where there is one. A cell that is looked at again takes the
     shorter way as its own, and the path is that of the parents.
 
-    Infinite trust makes it a walk: it goes on from the cell that was expanded last, by the most
-    probable move to a cell that is not, and where it is stuck from the cell before.
+    Infinite trust makes it a walk, a depth-first search: from the cell that was expanded last it
+    takes the most probable move to an unexpanded one, and goes back where there is none.
 
     Attributes:
         name: its name in the table.
         model: what predicts moves and ratios.
-        trust: cells that a factor e of probability is worth.
+        trust: cost, in cells, of a move that is e times less probable than the best one.
     """
 
     name: str

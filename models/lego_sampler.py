@@ -200,7 +200,7 @@ class Heatmap(Sampler):
         The second one is the logit of lying on a shortest path. Arguments as of `encode`.
         """
         rows, columns = occupied.shape[2:]
-        seen = encode(padded(occupied), starts, goals)  # (B, 14, H, W), up to 7 cells more
+        seen = encode(padded(occupied), starts, goals)  # (B, 14, H, W), up to 15 cells more
         scores: Tensor = self.trunk(seen)
         return scores[..., :rows, :columns].float()
 

@@ -20,9 +20,9 @@ short. With the fields of ``FIELDS`` every cell knows all of its optimal moves, 
 
 So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
 scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,000 steps of 39
-maps of all families and 4 larger ones, 50 minutes of one core. Those for unrestricted diagonals,
-path_predictor_cut.pt, go on from them (docs/planners.md). `torch.export.export(model, (map, goal))`
-and ONNX take the network as it is.
+maps of all families and 4 larger ones, 50 minutes of one core. Those of other rules,
+path_predictor_cut.pt and path_predictor_4.pt, are by its side (docs/planners.md).
+`torch.export.export(model, (map, goal))` and ONNX take the network as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
 prediction. models/common.py has the layers, the moves on a map, the optimizer, the files of
@@ -39,12 +39,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from mapdata import Movement, Problems, Sample, evaluate
+from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.search import STEPS, search_batch
+from mapdata.search import STEPS
 from models import common
 from models.common import Tensors, Trunk, heuristic, legal_moves, offsets
-from models.learned_planners import GuidedSearch
+from models.learned_planners import GuidedSearch, LearnedPlanner
 
 FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The richer fields, which teach more than ``map, start, goal, path``."""
@@ -129,7 +129,7 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
 # --- network, loss and training -----------------------------------------------------------------
 
 
-class PathPredictor(common.Model):
+class PathPredictor(LearnedPlanner):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
     A batch has the fields ``map, start, goal, path`` or ``FIELDS``; its paths move as the model
@@ -139,8 +139,8 @@ class PathPredictor(common.Model):
         connectivity: 4 or 8 moves.
         corner_cutting: whether diagonal moves pass beside occupied cells.
         diagonal_cost: of a diagonal move, sqrt(2) or 1.
-        widths: channels at strides 2, 4 and 8.
-        passes: exchanges between strides 4 and 8: how far information travels.
+        widths: channels at strides 2, 4, 8 and so on; 16 is the last.
+        passes: exchanges between strides from 4 on: how far information travels.
         learning_rate: the highest; it rises over 100 steps and falls until the last step.
         ratio_weight: weight of the heuristic ratio's squared error.
         detour_weight: how much more cells count where the heuristic is more than 2 % too low.
@@ -151,7 +151,7 @@ class PathPredictor(common.Model):
         connectivity: int = 8,
         corner_cutting: bool = False,
         diagonal_cost: float = math.sqrt(2),
-        widths: tuple[int, int, int] = (32, 48, 48),
+        widths: tuple[int, ...] = (32, 48, 48),
         passes: int = 3,
         learning_rate: float = 0.004,
         ratio_weight: float = 5.0,
@@ -163,8 +163,6 @@ class PathPredictor(common.Model):
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.network = Trunk(8, connectivity + 1, widths, passes)
         nn.init.zeros_(self.network.head.weight)
-        # number of problems, Opt and Exp of each validation batch
-        self.validated: list[tuple[int, float, float]] = []
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W) in [0, 1].
@@ -175,7 +173,7 @@ class PathPredictor(common.Model):
         """
         rows, columns = occupied.shape[2:]
         seen, detour = encode(common.padded(occupied), goals, self.movement)
-        out = self.network(seen)  # (B, moves + 1, H, W) and up to 7 cells more
+        out = self.network(seen)  # (B, moves + 1, H, W) and up to 15 cells more
         out = out[..., :rows, :columns].float()
         # before it has learned anything, the most probable moves lead straight to the goal
         scores = out[:, :-1] - PRIOR * detour[..., :rows, :columns]
@@ -232,25 +230,7 @@ class PathPredictor(common.Model):
         """Log the losses, and search: `on_validation_epoch_end` logs what comes of it."""
         values = {f"val_{name}": value for name, value in self.losses(batch).items()}
         self.log_dict(values, batch_size=len(batch.map))
-        grids = batch.map[:, 0].byte().cpu().numpy()
-        starts = batch.start.cpu().numpy()
-        goals = batch.goal.cpu().numpy()
-        cost = search_batch("astar", grids, starts, goals, self.movement).cost
-        asked = cost > 0  # there is a path, of more than one cell
-        if asked.any():
-            problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
-            row = evaluate([GuidedSearch("search", self)], problems, bootstrap=1).iloc[0]
-            self.validated.append((len(problems), row["opt"], row["p_exp"]))
-
-    def on_validation_epoch_end(self) -> None:
-        """Log Opt and Hmean of `GuidedSearch` on all validation problems, for the progress bar."""
-        if self.validated:
-            counts, opts, saved = np.array(self.validated).T
-            opt = np.average(opts, weights=counts)
-            exp = np.average(saved, weights=counts)
-            hmean = 2 * opt * exp / max(opt + exp, 1e-9)
-            self.log_dict({"val_opt": opt, "val_hmean": hmean}, prog_bar=True)
-            self.validated.clear()
+        self.score(GuidedSearch("search", self), batch)
 
     # --- prediction -----------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What the training scripts share: a command line that writes weights, a bar, mixed batches."""
+"""What the training scripts share: a command line that writes weights, a progress bar, batches."""
 
 from __future__ import annotations
 
@@ -7,15 +7,31 @@ from typing import Any
 
 import pytorch_lightning as pl
 from pytorch_lightning.callbacks import TQDMProgressBar
-from pytorch_lightning.cli import LightningArgumentParser, LightningCLI
+from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
 from pytorch_lightning.utilities import CombinedLoader
 from torch.utils.data import DataLoader
 
 from mapdata import MapDataModule, Sample
+from models.common import Model
 
 
 class TrainingCli(LightningCLI):
     """LightningCLI with ``--weights`` and ``--start_from``, files of a `models.common.Model`."""
+
+    def __init__(
+        self, model: type[Model], config: Path, callback: pl.Callback, arguments: ArgsType
+    ) -> None:
+        """Run the command line: a subclass of ``model`` on any data, by default as a file says."""
+        super().__init__(
+            model,
+            pl.LightningDataModule,
+            subclass_mode_model=True,
+            subclass_mode_data=True,
+            parser_kwargs={"fit": {"default_config_files": [str(config)]}},
+            trainer_defaults={"callbacks": [callback]},
+            save_config_kwargs={"overwrite": True},
+            args=arguments,
+        )
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Add the flags."""
@@ -41,7 +57,7 @@ class TrainingCli(LightningCLI):
     def before_fit(self) -> None:
         """Begin with the weights of ``--start_from``, and let ``limit_val_batches 1`` be one batch.
 
-        It arrives as 1.0, which means all batches: of maps made online, 10,000 of them.
+        The command line makes it 1.0, which Lightning takes for all batches: 10,000 of online maps.
         """
         if self.config["fit"]["trainer"]["limit_val_batches"] == 1:
             self.trainer.limit_val_batches = 1

@@ -1,9 +1,10 @@
 """Compare planners in one table.
 
-python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77, or ROOT.
+python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77
+python scripts/evaluate_planners.py ROOT
 
-The trained path predictor comes along where it moves as asked: 8-connected, diagonals at sqrt 2,
-with or without --corner-cutting, unless --weights names others.
+The trained path predictor comes along: there are weights for 4 moves, and for 8 with diagonals at
+sqrt 2, with or without --corner-cutting. For other rules --weights names your own.
 """
 
 import math
@@ -16,10 +17,17 @@ from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
+from models.common import load_model
 from models.learned_planners import planners
+from models.neural_astar import NeuralAstar
 from models.path_predictor import PathPredictor
 
 WEIGHTS = Path(__file__).parent.parent / "models" / "weights"
+SHIPPED = {
+    Movement(4): WEIGHTS / "path_predictor_4.pt",
+    Movement(8): WEIGHTS / "path_predictor.pt",
+    Movement(8, corner_cutting=True): WEIGHTS / "path_predictor_cut.pt",
+}
 
 
 def evaluate_command(
@@ -49,7 +57,7 @@ def evaluate_command(
     Args:
         root: in place of --preset: datasets, of which the test split is taken; or a file, which is
             a MovingAI .scen, an .npz of planning-datasets, or one of --save
-        preset: paper, narrow, dungeon, dungeon128 or maze (default: dungeon)
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default: dungeon)
         seed: 64-bit seed of maps and problems (default: 77), or of planning-datasets' starts
         maps: how many maps (default: 600; of a dataset or file, all), or problems of a .scen
         until_hard: stop at the map with this many hard problems
@@ -61,7 +69,7 @@ def evaluate_command(
         csv: write the table to a file
         json: write the table as a list of rows
         figure: draw cost ratio against expansions on the hard problems
-        weights: of the path predictor (default: those that ship)
+        weights: of a path predictor or Neural A* (default: those that ship)
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
@@ -69,16 +77,18 @@ def evaluate_command(
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
-    cut = problems.movement.corner_cutting
-    shipped = "path_predictor_cut.pt" if cut else "path_predictor.pt"
-    model = PathPredictor.load(weights or WEIGHTS / shipped)
     rows = classical(problems.movement)
-    if model.movement == problems.movement:
-        rows += planners(model)
-    elif weights is not None:
-        raise ValueError(
-            f"weights: {weights} are for {model.movement}, the problems for {problems.movement}"
-        )
+    file = weights or SHIPPED.get(problems.movement)
+    if file is not None:
+        model = load_model(file, PathPredictor, NeuralAstar)
+        if model.movement != problems.movement:
+            raise ValueError(
+                f"weights: {file} are for {model.movement}, the problems for {problems.movement}"
+            )
+        if isinstance(model, PathPredictor):
+            rows += planners(model)
+        elif isinstance(model, NeuralAstar):
+            rows.append(model)
     table = evaluate(rows, problems, baseline=baseline)
     print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
     print(to_text(table))

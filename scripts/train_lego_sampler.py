@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pytorch_lightning import LightningDataModule
 from pytorch_lightning.cli import ArgsType
 
 import models.cvae  # noqa: F401  (so that --model knows each sampler by its name)
@@ -41,16 +40,7 @@ CONFIG = Path(__file__).with_suffix(".yaml")
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    TrainingCli(
-        Sampler,
-        LightningDataModule,
-        subclass_mode_model=True,
-        subclass_mode_data=True,
-        parser_kwargs={"fit": {"default_config_files": [str(CONFIG)]}},
-        trainer_defaults={"callbacks": [RoadmapSuccess()]},
-        save_config_kwargs={"overwrite": True},
-        args=arguments,
-    )
+    TrainingCli(Sampler, CONFIG, RoadmapSuccess(), arguments)
 
 
 if __name__ == "__main__":

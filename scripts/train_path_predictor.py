@@ -1,4 +1,4 @@
-"""Train the path predictor: python scripts/train_path_predictor.py fit --weights FILE.
+"""Train a planner: python scripts/train_path_predictor.py fit --weights FILE.
 
 All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
 Checkpoints and metrics.csv lie under runs/path_predictor: a checkpoint after every validation, and
@@ -11,6 +11,8 @@ More flags after fit:
     --model.connectivity 4       the moves; the data follows
     --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps;
         its fields are map, start, goal, path, unless --data.fields asks for richer ones
+    --model NeuralAstar          another model: its rate, moves and fields are to be named, too,
+        since those of the file stay; docs/planners.md has the command
 """
 
 from __future__ import annotations
@@ -18,10 +20,10 @@ from __future__ import annotations
 from dataclasses import astuple, replace
 from pathlib import Path
 
-from pytorch_lightning import LightningDataModule
 from pytorch_lightning.cli import ArgsType
 
-from models.path_predictor import PathPredictor
+import models.neural_astar  # noqa: F401  (so that --model knows it by its name)
+from models.learned_planners import LearnedPlanner
 from models.training import RunBar, TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
@@ -44,15 +46,7 @@ class Cli(TrainingCli):
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    Cli(
-        PathPredictor,
-        LightningDataModule,
-        subclass_mode_data=True,
-        parser_kwargs={"fit": {"default_config_files": [str(CONFIG)]}},
-        trainer_defaults={"callbacks": [RunBar()]},
-        save_config_kwargs={"overwrite": True},
-        args=arguments,
-    )
+    Cli(LearnedPlanner, CONFIG, RunBar(), arguments)
 
 
 if __name__ == "__main__":

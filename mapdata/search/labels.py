@@ -44,7 +44,7 @@ from mapdata.search.lattice import (
 from mapdata.spec import check_choice
 
 _MANY = 3
-"""From so many rooms on, one search of the whole map costs less than an A* to each."""
+"""From so many remaining rooms on, one search of the whole map costs less than an A* to each."""
 
 _CELLS_AT_ONCE = 2**22
 """Cells that are labelled between two reports of progress: 1024 maps of 64 x 64. Pieces of 64 maps
@@ -160,9 +160,9 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     """Return routes, iterations and connection matrices of ``maps`` by BFS and by A*.
 
     One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
-    the iterations. A* searches each segment; what it would cost between the other rooms is found by
-    one search a room, where the shortest paths of a pair of rooms can have only one number of
-    straight and diagonal moves.
+    the iterations. A* searches each segment. Its costs of the other pairs are those of BFS on
+    4-connected maps; with diagonals at sqrt(2), where shortest paths of a pair have one number of
+    straight and of diagonal moves, one search a room gives them; else A* searches each pair.
 
     Source: arXiv 2110.13242, section 4 (Characterization).
 

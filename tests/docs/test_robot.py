@@ -83,7 +83,7 @@ def test_the_plan_is_that_of_torch(robot: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("shape", [(8, 8), (45, 69), (130, 70)])
 def test_maps_of_any_size(robot: dict[str, Any], shape: tuple[int, int]) -> None:
-    """Several maps at once, of sides that are no multiples of 8."""
+    """Several maps at once, of sides that are no multiples of 16."""
     model = PathPredictor.load(ROOT / "models" / "weights" / "path_predictor.pt")
     source = np.random.default_rng(0)
     blocked = (source.random((3, 1, *shape)) < 0.2).astype(np.uint8)

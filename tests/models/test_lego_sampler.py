@@ -332,12 +332,12 @@ def test_what_is_refused(kind: type[Any]) -> None:
 
 
 def test_padding_changes_nothing() -> None:
-    """A map that was walled in to a multiple of 8 has the same shares, seen one way."""
+    """A map that was walled in to a multiple of 16 has the same shares, seen one way."""
     model = small(Heatmap, views=1)
     assert isinstance(model, Heatmap)
     grid = (np.random.default_rng(1).random((21, 30)) < 0.4).astype(np.uint8)
     ends = np.argwhere(grid == 0)[[0, -1]]
-    walled = np.pad(grid, ((0, 3), (0, 2)), constant_values=1)
+    walled = np.pad(grid, ((0, 11), (0, 2)), constant_values=1)
     shares = [model.heat_map(each[None], ends[:1], ends[1:])[0] for each in (grid, walled)]
     np.testing.assert_allclose(shares[0], shares[1][:21, :30], rtol=1e-3)
     assert shares[0].sum() == pytest.approx(1)
