@@ -24,7 +24,6 @@ from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
-from mapdata.shards.shard import StrPath
 from mapdata.spec import SPLITS, Movement, check_count
 
 if TYPE_CHECKING or find_spec("lightning") is None:
@@ -76,7 +75,7 @@ class MapDataModule(_Base):
 
     def __init__(
         self,
-        root: StrPath | Sequence[str] | None = "data/maps",
+        root: str | Path | Sequence[str] | None = "data/maps",
         *,
         build: str | dict[str, Any] | None = None,
         batch_size: int = 256,

@@ -726,6 +726,21 @@ def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
     run_cli(["validate", *QUIET[:4], f"--config={config}"])
 
 
+def test_cli_takes_several_roots(root: str, tmp_path: Path) -> None:
+    """As a list, of a flag or a file; null stands for none of them, and not for a name."""
+    config = tmp_path / "config.yaml"
+    config.write_text(f"data:\n  root: [{root}, {root}]\n")
+    short = ["--trainer.max_steps=1", "--data.fields=[map,start,goal,problem]"]
+    for flag in (f"--data.root=[{root},{root}]", f"--config={config}"):
+        cli = run_cli(["fit", *QUIET, *short, flag])
+        assert isinstance(cli.datamodule, MapDataModule)
+        assert cli.datamodule.roots == (root, root)
+    online = ["--data.root=null", '--data.build={"maps": 100}', "--trainer.limit_val_batches=0"]
+    cli = run_cli(["fit", *QUIET, *short, *online])
+    assert isinstance(cli.datamodule, MapDataModule)
+    assert cli.datamodule.roots == ()
+
+
 def test_cli_checkpoints_come_back(root: str, tmp_path: Path) -> None:
     """A checkpoint of a run by flags loads like any other."""
     flags = [f"--data.root={root}", "--data.batch_size=8", "--data.fields=[map,start,goal,problem]"]
