@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from mapdata import (
     Problems,
     Random,
     check_path,
+    distance_field,
     evaluate,
     search,
 )
@@ -169,6 +170,45 @@ def test_the_gradient_is_that_of_the_shares() -> None:
     torch.testing.assert_close(costs.grad, free.grad, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.parametrize("movement", [NEURAL_ASTAR, Movement(8), Movement(4)])
+def test_random_paths_are_shortest(movement: Movement) -> None:
+    """Each leads from start to goal over cells of shortest paths, one for each distance."""
+    caves = Generator.preset("cave")
+    fields = ("map", "start", "goal", "optimal_moves")
+    data = OnlineMapDataset(caves, length=20, fields=fields, problems="random", movement=movement)
+    batch = data[:]
+    paths = neural_astar.random_paths(batch.start, batch.optimal_moves)
+    assert set(paths.unique().tolist()) == {0.0, 1.0}
+    for k, path in enumerate(paths.numpy()):
+        grid = batch.map[k, 0].numpy()
+        start, goal = (tuple(end[k].tolist()) for end in (batch.start, batch.goal))
+        from_start, to_goal = (distance_field(grid, end, movement) for end in (start, goal))
+        cells = np.argwhere(path)
+        at = (cells[:, 0], cells[:, 1])
+        np.testing.assert_allclose(from_start[at] + to_goal[at], to_goal[start], rtol=1e-6)
+        in_order = cells[np.argsort(from_start[at])]
+        assert check_path(grid, in_order, movement) == pytest.approx(float(to_goal[start]))
+        assert tuple(in_order[0]) == start
+        assert tuple(in_order[-1]) == goal
+
+
+def test_random_paths_take_every_way() -> None:
+    """Each of three first moves that are equally good in a third of 3,000 paths."""
+    grid = np.zeros((3, 3), np.uint8)
+    to_goal = distance_field(grid, (1, 2), NEURAL_ASTAR)
+    moves = np.zeros((3, 3), np.uint8)
+    for (row, column), bit in product(np.ndindex(3, 3), range(8)):
+        to = row + STEPS[bit, 0], column + STEPS[bit, 1]
+        if min(to) >= 0 and max(to) < 3 and to_goal[to] == to_goal[row, column] - 1:
+            moves[row, column] |= 1 << bit
+    many = torch.from_numpy(moves).expand(3000, 1, 3, 3)
+    starts = torch.tensor([1, 0]).expand(3000, 2)
+    torch.manual_seed(0)
+    middle = neural_astar.random_paths(starts, many)[:, :, 1].sum(dim=0)  # of three rows
+    assert middle.sum() == 3000
+    np.testing.assert_allclose(middle, 1000, atol=5 * math.sqrt(3000 * 2 / 9))
+
+
 @pytest.fixture(scope="module")
 def trained() -> NeuralAstar:
     """A model after 60 steps of the same 24 mazes."""
@@ -181,7 +221,7 @@ def trained() -> NeuralAstar:
         movement=NEURAL_ASTAR,
     )
     batch = data[:]
-    model = NeuralAstar(budget=1.0)
+    model = NeuralAstar()
     optimizer = model.configure_optimizers()
     losses = []
     for _ in range(60):
