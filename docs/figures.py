@@ -60,6 +60,7 @@ from mapdata.plotting import (  # noqa: E402
     plot_path,
     plot_planners,
     plot_prediction,
+    plot_roadmap,
     report,
 )
 from mapdata.problems import Problems  # noqa: E402
@@ -494,17 +495,29 @@ def samplers() -> Figure:
 
 
 def roadmaps() -> Figure:
-    """Show the roadmaps of two samplers on one problem."""
+    """Show the roadmaps of two samplers on one problem, the first hard one."""
     from models.lego_sampler import Heatmap
-    from models.sampler_table import contenders, plot_roadmaps
+    from models.roadmap import between
+    from models.sampler_table import contenders
 
-    names = ("halton", "lego_heatmap")
     rows = contenders({"lego_heatmap": Heatmap.load(WEIGHTS / "lego_heatmap.pt")})
     problems = Problems.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)
+    k = int(problems.hard.argmax())
+    grid = problems.grids[k]
+    start = problems.starts[k]
+    goal = problems.goals[k]
     figure = Figure(figsize=(10, 5.2), layout="constrained")
-    plot_roadmaps({name: rows[name] for name in names}, problems, 50, figure, maps=1)
-    for ax in figure.axes:
-        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+    for ax, name in zip(figure.subplots(1, 2), ("halton", "lego_heatmap"), strict=True):
+        samples = rows[name](grid[None], start[None], goal[None], 50, [k])[0]
+        roadmap = between(grid, start, goal, samples)
+        length, path = roadmap.shortest_path()
+        # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
+        points = roadmap.points - 0.5
+        plot_roadmap(grid, points, roadmap.edges, ax, path=points[path])
+        ax.plot(points[:2, 1], points[:2, 0], "*", color="#009E73", markersize=12, zorder=4)
+        found = f"{length:.1f} cells" if len(path) else "no path"
+        ax.set(title=f"{name}, {found}", xlabel="", ylabel="", xticks=[], yticks=[])
+        ax.get_legend().remove()
     return figure
 
 

@@ -28,11 +28,15 @@ ROUNDS = 8
 """How often `CVAE` draws until its points are free."""
 
 
-def hidden_layers(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequential:
-    """Return the published encoder or decoder: two hidden layers with ReLU and dropout."""
+DIVERGENCE_WEIGHT = 4e-4
+"""Of the divergence from the prior, in the loss."""
+
+
+def hidden_layers(inputs: int, width: int, outputs: int) -> nn.Sequential:
+    """Return the published encoder or decoder: two hidden layers with ReLU."""
     layers = []
     for size in (inputs, width):
-        layers += [nn.Linear(size, width), nn.ReLU(), nn.Dropout(dropout)]
+        layers += [nn.Linear(size, width), nn.ReLU()]
     return nn.Sequential(*layers, nn.Linear(width, outputs))
 
 
@@ -64,10 +68,7 @@ class CVAE(Sampler):
         latent: its numbers.
         width: of the hidden layers.
         code: numbers of the convolutional code of map, start and goal.
-        dropout: share of hidden units left out.
-        divergence_weight: of the divergence from the prior.
         learning_rate: the highest.
-        experience: folder of banks.
     """
 
     def __init__(
@@ -76,10 +77,7 @@ class CVAE(Sampler):
         latent: int = 2,
         width: int = 512,
         code: int = 128,
-        dropout: float = 0.0,
-        divergence_weight: float = 4e-4,
         learning_rate: float = 1e-3,
-        experience: str = "runs/experience",
     ) -> None:
         """Make the networks."""
         super().__init__(targets)
@@ -90,8 +88,8 @@ class CVAE(Sampler):
         layers += [nn.AdaptiveAvgPool2d(8), nn.Conv2d(64, 32, 1), nn.Flatten()]  # any map size
         layers += [nn.Linear(32 * 8 * 8, code), nn.ReLU()]
         self.condition = nn.Sequential(*layers)
-        self.encoder = hidden_layers(2 + code + 4, width, 2 * latent, dropout)
-        self.decoder = hidden_layers(latent + code + 4, width, 2, dropout)
+        self.encoder = hidden_layers(2 + code + 4, width, 2 * latent)
+        self.decoder = hidden_layers(latent + code + 4, width, 2)
 
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
         """Return the condition of each problem, (B, code + 4): its code and its ends in [0, 1]."""
@@ -110,7 +108,7 @@ class CVAE(Sampler):
         count = max(len(points), 1)  # a batch may have no point: no NaN
         error = ((decoded.float() - unit) ** 2).mean(dim=1).sum() / count
         divergence = divergences.sum() / count
-        loss = error + self.hparams["divergence_weight"] * divergence
+        loss = error + DIVERGENCE_WEIGHT * divergence
         return {"loss": loss, "error": error, "divergence": divergence}
 
     def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:

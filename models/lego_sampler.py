@@ -36,9 +36,9 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from mapdata import Sample
+from mapdata import Sample, inflate
 from mapdata.arrays import Bytes, Floats, Ints
-from mapdata.spec import check_choice
+from mapdata.spec import check_choice, check_count, check_resolution
 from models.common import (
     Model,
     Tensors,
@@ -58,6 +58,9 @@ FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 
 TARGETS = ("path", "lego", "shortest_path")
 """Where to sample: on the path's cells, or, of roadmaps, at bottlenecks or on shortest paths."""
+
+HELP_WEIGHT = 4.0
+"""Of the loss of the second prediction, which helps the features to form."""
 
 # --- data: what the network sees ----------------------------------------------------------------
 
@@ -105,13 +108,16 @@ class Sampler(Model, ABC):
         """Return (B, n, 2) points in free cells, for problems that are known to be sound."""
 
     def on_fit_start(self) -> None:
-        """Mine the bank of experience of the training problems, or read it if it is there."""
+        """Mine the bank of the training problems into runs/experience, or read it from there.
+
+        For another folder, set ``bank`` before.
+        """
         if self.targets != "path" and self.bank is None:
             data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
             if not hasattr(data, "mine"):
                 expected = "models.experience.FixedProblems, or targets='path'"
                 raise ValueError(f"targets: got {self.targets!r}, which need {expected}")
-            self.bank = data.mine(self.hparams["experience"])
+            self.bank = data.mine("runs/experience")
 
     def target_points(self, batch: Sample) -> tuple[Tensor, Tensor]:
         """Return where to sample, points (M, 2), and to which problem each belongs, (M,)."""
@@ -136,23 +142,55 @@ class Sampler(Model, ABC):
         """Leave it to `models.sampler_table.RoadmapSuccess` to judge the batch."""
 
     def sample(
-        self, map: ArrayLike, start: ArrayLike, goal: ArrayLike, n: int, seed: int = 0
+        self,
+        map: ArrayLike,
+        start: ArrayLike,
+        goal: ArrayLike,
+        n: int,
+        seed: int = 0,
+        *,
+        radius: float = 0.0,
+        resolution: float | None = None,
+        origin: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:
         """Return (n, 2) points in free cells: where the roadmap of this problem wants its vertices.
 
-        Of a map (H, W) or (1, H, W), 0 free and 1 occupied, and of two of its cells.
+        A point is (row, col), 0.5 more than a cell in its middle. With a ``resolution`` it is
+        (x, y) in metres, y upwards, as in ROS.
+
+        Args:
+            map: (H, W) or (1, H, W), 0 free and anything else occupied.
+            start: its cell.
+            goal: its cell.
+            n: number of points.
+            seed: of the draws.
+            radius: of the robot, in metres with a ``resolution``, else in cells; points are in
+                cells that it may be at.
+            resolution: metres a cell.
+            origin: (x, y) of the map's lower left corner, in metres; a map that is turned by a yaw
+                needs its points turned, too.
 
         Raises:
-            ValueError: a start or goal outside the map or on an occupied cell, or n below 1.
+            ValueError: a start or goal outside the map or on an occupied cell, for a robot of the
+                radius; n below 1; what `mapdata.inflate` refuses; a resolution of 0 or less.
         """
-        return self.sample_batch(map, start, goal, n, seed).squeeze(0)
+        unit = 1.0 if resolution is None else check_resolution("resolution", resolution)
+        plane = np.asarray(map).reshape(np.shape(map)[-2:]) != 0
+        grid = inflate(plane, radius / unit)
+        points = self.sample_batch(grid, start, goal, n, seed).squeeze(0)
+        if resolution is None:
+            return points
+        x0, y0 = origin
+        rows, columns = points.T
+        x = x0 + unit * columns
+        y = y0 + unit * (len(grid) - rows)
+        return np.column_stack([x, y])
 
     def sample_batch(
         self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
     ) -> Floats:
         """Return (B, n, 2) points, as `sample`: grids (B, H, W), starts and goals (B, 2)."""
-        if n < 1:
-            raise ValueError(f"n: got {n}, expected at least 1 sample")
+        check_count("n", n)
         problems = check_problems(grids, starts, goals)
         with self.inference():
             return self.draw(*problems, n, np.random.default_rng(seed))
@@ -169,11 +207,9 @@ class Heatmap(Sampler):
         widths: channels at strides 2, 4 and 8.
         passes: exchanges between strides 4 and 8.
         learning_rate: the highest.
-        help_weight: of the second prediction's loss, which helps the features to form.
         temperature: 1 draws cells by their shares, 0 takes the likeliest: it solves more problems.
         spacing: cells around a sample within which further ones are less likely.
         views: 1 to 8 symmetries of the map, whose mean the shares are; each takes as long.
-        experience: folder of banks.
     """
 
     def __init__(
@@ -182,11 +218,9 @@ class Heatmap(Sampler):
         widths: tuple[int, int, int] = (32, 48, 64),
         passes: int = 3,
         learning_rate: float = 0.003,
-        help_weight: float = 4.0,
         temperature: float = 0.0,
         spacing: float = 1.25,
         views: int = 4,
-        experience: str = "runs/experience",
     ) -> None:
         """Make the network."""
         super().__init__(targets)
@@ -219,7 +253,7 @@ class Heatmap(Sampler):
             return {"loss": heat}
         on_path = batch["optimal_mask"].flatten(1)[~occupied].float()
         path = F.binary_cross_entropy_with_logits(scores[:, 1][~occupied], on_path)
-        return {"loss": heat + self.hparams["help_weight"] * path, "heat": heat, "path": path}
+        return {"loss": heat + HELP_WEIGHT * path, "heat": heat, "path": path}
 
     def heat_map(self, grids: Bytes, starts: Ints, goals: Ints) -> Floats:
         """Return (B, H, W) shares of the cells, 0 in occupied ones."""

@@ -31,6 +31,7 @@ from scipy.stats import qmc
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import kernel
+from mapdata.spec import check_count
 
 Points = Callable[[ArrayLike, int, int], Floats]
 """A sampler that sees the map alone: from a grid (H, W), n and a seed to (n, 2) free points."""
@@ -355,8 +356,7 @@ def _rounds(
 
 def _free(grid: ArrayLike, n: int) -> Bytes:
     cells = _grid(grid)
-    if n < 1:
-        raise ValueError(f"n: got {n}, expected at least 1 sample")
+    check_count("n", n)
     if cells.all():
         raise ValueError(
             f"grid: got a map of {cells.shape} without a free cell, expected one to sample in"

@@ -22,14 +22,13 @@ from pytorch_lightning import Callback, LightningModule, Trainer
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals, with_interval
-from mapdata.plotting import PALETTE, plot_roadmap
+from mapdata.plotting import PALETTE
 from mapdata.problems import HARD, Problems
 from models.lego_sampler import Sampler
-from models.roadmap import SAMPLERS, Points, between, halton, path_lengths, uniform
+from models.roadmap import SAMPLERS, Points, halton, path_lengths, uniform
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SIZES = (24, 50, 100)
 """Vertices of a roadmap, without start and goal."""
@@ -218,27 +217,3 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
         grid=True,
     )
     return axes
-
-
-def plot_roadmaps(
-    rows: Mapping[str, Contender], problems: Problems, n: int, figure: Figure, maps: int = 3
-) -> None:
-    """Draw every sampler's roadmaps and paths on the first hard problems, a line a problem."""
-    chosen = np.argsort(~problems.hard, kind="stable")[:maps]  # the hard ones come first
-    grid_of_axes = figure.subplots(len(chosen), len(rows), squeeze=False)
-    for line, k in zip(grid_of_axes, chosen, strict=True):
-        grid = problems.grids[k]
-        start = problems.starts[k]
-        goal = problems.goals[k]
-        for axes, (name, contender) in zip(line, rows.items(), strict=True):
-            samples = contender(grid[None], start[None], goal[None], n, [int(k)])[0]
-            roadmap = between(grid, start, goal, samples)
-            length, path = roadmap.shortest_path()
-            # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
-            points = roadmap.points - 0.5
-            plot_roadmap(grid, points, roadmap.edges, axes, path=points[path])
-            axes.plot(points[:2, 1], points[:2, 0], "*", color="#009E73", markersize=12, zorder=4)
-            found = f"{length:.1f} cells" if len(path) else "no path"
-            axes.set_title(f"{name}, {found}")
-            if legend := axes.get_legend():
-                legend.remove()

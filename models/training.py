@@ -38,13 +38,11 @@ class TrainingCli(LightningCLI):
         parser.add_argument(
             "--start_from",
             type=str | None,
-            default=None,
             help="file of weights to begin with, of the same network",
         )
         parser.add_argument(
             "--weights",
             type=str | None,
-            default=None,
             help="file for the weights after the last step",
         )
 

@@ -15,11 +15,11 @@ from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from models.common import load_model
 from models.cvae import CVAE
 from models.lego_sampler import Heatmap, Sampler
-from models.sampler_table import SIZES, compare, contenders, plot_roadmaps, plot_success, to_text
+from models.sampler_table import SIZES, compare, contenders, plot_success, to_text
 
 WEIGHTS = Path(__file__).parent.parent / "models" / "weights"
 SHOWN = ("halton", "bridge", "corners_alone", "lego_cvae", "lego_heatmap", "lego_heatmap_alone")
-"""Rows in figures; the table has all."""
+"""Rows in the figure; the table has all."""
 
 
 def evaluate_command(
@@ -32,7 +32,6 @@ def evaluate_command(
     csv: str | None = None,
     json: str | None = None,
     figure: str | None = None,
-    pictures: str | None = None,
     weights: str | None = None,
 ) -> None:
     """Compare samplers of roadmaps on one problem a map: of new maps, or of a dataset's test split.
@@ -50,10 +49,9 @@ def evaluate_command(
         csv: write the table to a file
         json: write the table as a list of rows
         figure: draw success against the number of vertices
-        pictures: draw roadmaps of 50 vertices with their samples
         weights: folder of the trained samplers (default: those that ship)
     """
-    check_outputs(csv, json, figure, pictures)
+    check_outputs(csv, json, figure)
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
@@ -71,11 +69,6 @@ def evaluate_command(
         shown = table[table["sampler"].isin(SHOWN)]
         plot_success(shown, canvas.add_subplot(), "hard" if problems.hard.any() else "all")
         canvas.savefig(figure, dpi=150)
-    if pictures is not None:
-        pictured = {name: rows[name] for name in SHOWN if name in rows}
-        canvas = Figure(figsize=(5 * len(pictured), 15), layout="constrained")
-        plot_roadmaps(pictured, problems, 50, canvas)
-        canvas.savefig(pictures, dpi=90)
 
 
 def learned_samplers(folder: Path) -> dict[str, Sampler]:

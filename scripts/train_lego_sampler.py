@@ -1,25 +1,31 @@
 r"""Train a sampler of roadmaps: python scripts/train_lego_sampler.py fit --weights FILE.
 
-The weights that ship, in models/weights, were made by these commands:
+The weights that ship, in models/weights, were made by these commands, the heat maps from six
+families of maps:
 
     S=scripts/train_lego_sampler.py
-    python $S fit --weights lego_heatmap.pt
-    python $S fit --weights shortest_path_heatmap.pt --model.targets shortest_path
+    for family in dungeon narrow cave forest noise; do
+        mapdata build data/$family --preset $family --maps 2500 --seed 4001
+    done
+    mapdata build data/loops --maps 2500 --seed 4001 \
+        --recipe '{"spec": {"generator": "maze", "corridor": 2, "reopened": 0.1}}'
+    ROOTS="[data/dungeon,data/narrow,data/loops,data/cave,data/forest,data/noise]"
+    python $S fit --weights lego_heatmap.pt --data.build null --data.root "$ROOTS"
+    python $S fit --weights shortest_path_heatmap.pt --data.build null --data.root "$ROOTS" \
+        --model.targets shortest_path
     python $S fit --weights lego_cvae.pt --model CVAE --model.learning_rate 1e-3 \
         --data.build '{"seed": 4001, "maps": 6250, "spec": {"rooms": [8, 16],
             "room_rows": [6, 14], "room_columns": [6, 14], "passage_width": [1, 3]}}' \
         --data.batch_size 24 --data.fields "[map,start,goal,problem]" \
         --trainer.gradient_clip_val null --trainer.max_steps 60000 \
         --trainer.val_check_interval 5000 --trainer.limit_val_batches 2
-    python $S fit --weights shortest_path_cvae.pt --model CVAE --model.targets shortest_path \
-        --model.learning_rate 1e-3 --model.dropout 0.5 --model.divergence_weight 2e-4 \
-        --trainer.max_steps 3000
 
 All arguments are in scripts/train_lego_sampler.yaml, and each is a flag too (fit --help). A change
-of the model keeps the arguments that both have: say the learning rate. The first command mines the
-bank of experience into runs/experience, the others read it. Checkpoints and metrics.csv lie under
-runs/lego_sampler. A step of a heat map takes 0.14 s of one core, so that 7,000 steps are 16
-minutes, or 10 of two; of a CVAE 0.07 s. Without a bank, from paths alone:
+of the model keeps the arguments that both have: say the learning rate. A bank of experience is
+mined into runs/experience, once for the same maps: of six families in 10 minutes of one core.
+Checkpoints and metrics.csv lie under runs/lego_sampler. A step of a heat map takes 0.14 s of one
+core, so that 7,000 steps are 16 minutes, or 10 of two; of a CVAE 0.07 s. Without a bank, from paths
+alone:
 
     python $S fit --model.targets path --data.fields "[map,start,goal,path]"
 """

@@ -189,7 +189,7 @@ def test_samplers_give_free_points(name: str) -> None:
     lonely[8, 16] = 0
     for cells in (lonely, np.zeros((1, 1), np.uint8)):
         assert free_at(cells, SAMPLERS[name](cells, 20, 0)).all()
-    with pytest.raises(ValueError, match="n: got 0, expected at least 1 sample"):
+    with pytest.raises(ValueError, match="n: got 0, expected an integer of at least 1"):
         SAMPLERS[name](grid, 0, 0)
     with pytest.raises(ValueError, match="without a free cell"):
         SAMPLERS[name](np.ones((5, 5)), 3, 0)
