@@ -113,7 +113,9 @@ def kernel(function: F) -> F:
     if not COMPILED:
         # Integers wrap without a warning, as in compiled code.
         return np.errstate(all="ignore")(function)
-    dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
+    dispatcher = numba.njit(  # type: ignore[call-overload]  # whose stub knows not all options
+        nogil=True, error_model="numpy", no_cfunc_wrapper=True
+    )(function)
     if _CACHED:
         # numba reads its cache folder from a process-wide setting, when caching is enabled.
         before = _CONFIG.CACHE_DIR

@@ -1,12 +1,10 @@
-"""What the training scripts share: a command line that writes weights, a progress bar, batches."""
+"""What the training scripts share: a command line that writes weights, and mixed batches."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytorch_lightning as pl
-from pytorch_lightning.callbacks import TQDMProgressBar
 from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
 from pytorch_lightning.utilities import CombinedLoader
 from torch.utils.data import DataLoader
@@ -18,9 +16,7 @@ from models.common import Model
 class TrainingCli(LightningCLI):
     """LightningCLI with ``--weights`` and ``--start_from``, files of a `models.common.Model`."""
 
-    def __init__(
-        self, model: type[Model], config: Path, callback: pl.Callback, arguments: ArgsType
-    ) -> None:
+    def __init__(self, model: type[Model], config: Path, arguments: ArgsType) -> None:
         """Run the command line: a subclass of ``model`` on any data, by default as a file says."""
         super().__init__(
             model,
@@ -28,7 +24,6 @@ class TrainingCli(LightningCLI):
             subclass_mode_model=True,
             subclass_mode_data=True,
             parser_kwargs={"fit": {"default_config_files": [str(config)]}},
-            trainer_defaults={"callbacks": [callback]},
             save_config_kwargs={"overwrite": True},
             args=arguments,
         )
@@ -68,20 +63,6 @@ class TrainingCli(LightningCLI):
         file = self.config["fit"]["weights"]
         if file is not None and self.trainer.is_global_zero:
             self.model.save(file)
-
-
-class RunBar(TQDMProgressBar):
-    """One bar for all steps of a run; Lightning's own begins anew each epoch."""
-
-    def on_train_epoch_start(self, trainer: pl.Trainer, *_: Any) -> None:
-        """Say how many steps there are."""
-        self.train_progress_bar.total = trainer.estimated_stepping_batches
-
-    def on_train_batch_end(
-        self, trainer: pl.Trainer, module: pl.LightningModule, outputs: Any, batch: Any, _: int
-    ) -> None:
-        """Count the steps of all epochs."""
-        super().on_train_batch_end(trainer, module, outputs, batch, trainer.global_step - 1)
 
 
 class MixedBatches(pl.LightningDataModule):

@@ -38,7 +38,6 @@ from pytorch_lightning.cli import ArgsType
 
 import models.cvae  # noqa: F401  (so that --model knows each sampler by its name)
 from models.lego_sampler import Sampler
-from models.sampler_table import RoadmapSuccess
 from models.training import TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
@@ -46,7 +45,7 @@ CONFIG = Path(__file__).with_suffix(".yaml")
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    TrainingCli(Sampler, CONFIG, RoadmapSuccess(), arguments)
+    TrainingCli(Sampler, CONFIG, arguments)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from pytorch_lightning.cli import ArgsType
 
 import models.neural_astar  # noqa: F401  (so that --model knows it by its name)
 from models.learned_planners import LearnedPlanner
-from models.training import RunBar, TrainingCli
+from models.training import TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")
 
@@ -46,7 +46,7 @@ class Cli(TrainingCli):
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    Cli(LearnedPlanner, CONFIG, RunBar(), arguments)
+    Cli(LearnedPlanner, CONFIG, arguments)
 
 
 if __name__ == "__main__":

@@ -124,15 +124,9 @@ def unpack(words: Words, first: Int, grid: Bytes) -> None:
             cells[k] = (octets[k // 8] >> np.uint8(k % 8)) & np.uint8(1)
 
 
-@kernel
-def unpacked(packed: Words, columns: Int) -> Bytes:
+def unpacked(packed: Words, columns: int) -> Bytes:
     """Return packed maps, (N, H, words), as (N, H, W) grids: undo `pack`."""
-    count, rows, words = packed.shape
-    grids = np.empty((count, rows, columns), np.uint8)
-    flat = packed.reshape(-1)
-    for m in range(count):
-        unpack(flat, m * rows * words, grids[m])
-    return grids
+    return np.unpackbits(packed.view(np.uint8), axis=2, count=columns, bitorder="little")
 
 
 def pack(grids: Bytes) -> Words:

@@ -229,7 +229,7 @@ def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()
         cells = cells.copy()  # one flavour for the kernel
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
-    bad, diagonal = first_bad_cell(array, cells, rule_of(movement))
+    bad, diagonal = first_bad_cell(array, cells, rule_of(movement)[0])
     if bad == -1:
         straight = len(cells) - 1 - diagonal
         return float(straight + diagonal * movement.diagonal_cost)

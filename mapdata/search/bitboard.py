@@ -5,7 +5,7 @@ word c // 64. A level of the search, all cells equally far from where it began, 
 next level is the current one shifted by one cell in the four directions, less what was seen
 before.
 
-`search_around` gives all moves that lead nearer to a goal. `bit_labels` gives the paths of the
+`search_around` gives all moves that lead nearer to a goal. `bit_search` gives the paths of the
 queue on maps of one word a row. Its order, first in, first out, seems lost in a set of bits, but it
 is not. Within a level, cells stand in the order of their paths, compared move by move (N < E < S <
 W), because a cell's parent is the first of its neighbours and neighbours are seen in the order of
@@ -28,7 +28,7 @@ from mapdata.search.kernels import Scratch, shortest_costs, with_capacity
 from mapdata.search.lattice import Lattice, cell_at, load
 
 MAX_SIDE = 64
-"""Most rows and columns of a map that `bit_labels` searches."""
+"""Most rows and columns of a map that `bit_search` searches."""
 
 _EDGE = 3
 """Empty rows above and below a board: a level reads two beyond what the one before it wrote."""
@@ -219,16 +219,40 @@ def _eight_cells(word: np.uint64) -> Int:
 
 
 @kernel
-def bit_scratch(needed: bool) -> Words:
-    """Return room for the levels of two searches, (2, words), touched only as far as they are used.
+def bit_search(
+    packed: Words,
+    columns: Int,
+    rooms: Ints,
+    seed_points: Ints,
+    segments: Ints,
+    pairs: Ints,
+    table: Ints,
+    costs: Ints,
+) -> Bytes:
+    """Label every map by BFS; arguments and result are those of `labels._flood_maps`.
 
-    The words are those of level 0, then of level 1, and so on.
+    For packed maps, (N, H, 1), without diagonals and of at most 64 x 64 cells.
     """
-    return np.empty((2, _LEVELS * _LEVEL if needed else 0), np.uint64)
+    moves = np.empty(1024, np.uint8)
+    used = np.int64(0)
+    # The words of level 0, then of level 1, and so on; touched only as far as they are used.
+    levels = np.empty((2, _LEVELS * _LEVEL), np.uint64)
+    for m in range(len(packed)):
+        moves, used = _label_map(
+            packed[m],
+            columns,
+            seed_points[m, : rooms[m]],
+            levels,
+            table[segments[m] :],
+            costs[pairs[m] :],
+            moves,
+            used,
+        )
+    return moves[:used]
 
 
-@kernel
-def bit_labels(
+@inlined
+def _label_map(
     words: Words,
     columns: Int,
     seed_points: Ints,
@@ -238,13 +262,13 @@ def bit_labels(
     moves: Bytes,
     used: Int,
 ) -> tuple[Bytes, Int]:
-    """Label one map by BFS as `labels._search_all` does; 4-connected, at most 64 x 64 cells.
+    """Label one map.
 
     Args:
         words: (H, 1) packed map.
         columns: W.
         seed_points: (n, 2) seed points.
-        levels: what `bit_scratch` gave.
+        levels: room for the levels of two searches.
         table: (n - 1, 2), filled with number of moves and iterations of each segment.
         costs: (pairs, 2), filled with moves between seeds and 0, or (-1, 0).
         moves: the moves of all segments so far, ``used`` of them.

@@ -459,13 +459,20 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
 
 
 @kernel
-def write_moves(came: Bytes, goal: Int, lattice: Lattice, moves: Bytes) -> None:
-    """Write the moves of a path that ends at ``goal``, as many as ``moves`` holds."""
+def append_moves(
+    came: Bytes, goal: Int, length: Int, lattice: Lattice, moves: Bytes, used: Int
+) -> Bytes:
+    """Write the ``length`` moves of a path that ends at ``goal`` to ``moves[used:]``.
+
+    Returns ``moves``, or a larger copy of it.
+    """
+    moves = with_capacity(moves, used, length)
     cell = goal
-    for k in range(len(moves) - 1, -1, -1):
+    for k in range(used + length - 1, used - 1, -1):
         move = np.uint64(came[np.uint64(cell)] & _MOVE)
         moves[k] = move
         cell -= lattice.offsets[move]
+    return moves
 
 
 @kernel
@@ -499,8 +506,11 @@ def scratch(search: Weights, lattice: Lattice) -> Scratch:
     pushes = len(lattice.offsets) * lattice.cells
     if search == BFS:
         pushes = lattice.cells
-    # Two more: the start, and the entry 0 that does not exist.
-    return scratch_in(np.empty(9 * lattice.cells + 16 * (pushes + 2), np.uint8), lattice)
+    pushes += 2  # the start, and the entry 0 that does not exist
+    came = np.empty(lattice.cells, np.uint8)
+    g = np.empty(lattice.cells, np.int64)
+    pushed = np.empty(pushes, np.uint32)
+    return Scratch(came, g, pushed, np.empty(pushes, np.uint32), np.empty(pushes, np.int64))
 
 
 @kernel
@@ -635,13 +645,12 @@ def narrow(values: Any, out: Bytes) -> Int:
 
 
 @kernel
-def first_bad_cell(grid: Bytes, path: Ints, rule: Rule) -> tuple[Int, Int]:
+def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
     """Return where ``path`` breaks the rule, and how many of its moves are diagonal.
 
     The first is the least k whose cell is not free or not one move from cell k - 1; -1 when all is
     well; -2 when ``grid`` is not of 0 and 1.
     """
-    diagonals, _ = rule
     diagonal = 0
     if not is_binary(grid):
         return -2, 0

@@ -8,24 +8,24 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Floats, Ints, Words, offsets_of, summary
-from mapdata.generators.maps import Maps, unpack
+from mapdata.arrays import Bytes, Flags, Floats, Ints, offsets_of, summary
+from mapdata.generators.maps import Maps, unpacked
 from mapdata.generators.points import STEPS
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined, kernel
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
-from mapdata.search.bitboard import bit_labels, bit_scratch
+from mapdata.search.bitboard import bit_search
 from mapdata.search.kernels import (
     Scratch,
+    append_moves,
+    astar_manhattan,
+    best_first,
     count_moves,
     expansions_until,
-    find,
     flood,
     is_inside,
     scratch,
     shortest_costs,
     wipe,
-    with_capacity,
-    write_moves,
 )
 from mapdata.search.lattice import (
     ASTAR,
@@ -34,7 +34,6 @@ from mapdata.search.lattice import (
     UNIT,
     Lattice,
     Rule,
-    Weights,
     cell_at,
     lattice_of,
     load,
@@ -184,36 +183,37 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     bfs_table = np.empty((segments, 2), np.int64)
     bfs_costs = np.empty((pairs, 2), np.int64)
     astar_table = np.empty_like(bfs_table)
-    astar_costs = np.empty_like(bfs_costs)
+    # Without diagonals both searches are optimal, and each move costs 1: what BFS finds is it.
+    astar_costs = np.empty_like(bfs_costs) if maps.movement.connectivity == 8 else None
     rule = rule_of(maps.movement)
+    rows = maps.packed.shape[1]
     bfs_moves = []
     astar_moves = []
-    most = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (maps.packed.shape[1] * maps.columns))
+    most = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (rows * maps.columns))
     for first in range(0, max(len(maps), 1), most):  # once for no maps, too
         part = slice(first, first + most)
-        *moves, bad = _label(
-            maps.packed[part],
-            maps.columns,
+        packed = maps.packed[part]
+        grids = unpacked(packed, maps.columns)
+        work = (
             maps.rooms[part],
             maps.seed_points[part],
             maps.segment_offsets[first:],
             maps.pair_offsets[first:],
-            rule,
-            bfs_table,
-            bfs_costs,
-            astar_table,
-            astar_costs,
         )
+        moves, bad = _astar_maps(grids, *work, rule, astar_table, astar_costs)
         if bad >= 0:
             k, q = divmod(bad, maps.seed_points.shape[1])
             cell = tuple(maps.seed_points[first + k, q].tolist())
             raise ValueError(f"seeds: {cell} of map {maps.index[first + k]} is not a free cell")
-        bfs_moves.append(moves[0])
-        astar_moves.append(moves[1])
+        astar_moves.append(moves)
+        if astar_costs is None and max(rows, maps.columns) <= BIT_SIDE:
+            moves = bit_search(packed, maps.columns, *work, bfs_table, bfs_costs)
+        else:
+            moves = _flood_maps(grids, *work, rule, bfs_table, bfs_costs)
+        bfs_moves.append(moves)
         if advance:
             advance(len(maps.rooms[part]))
-    if maps.movement.connectivity == 4:
-        # Both searches are optimal, and each move costs 1: what BFS found is it.
+    if astar_costs is None:
         astar_costs = bfs_costs.copy()
     bfs = _search_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
     astar = _search_labels(np.concatenate(astar_moves), astar_table, astar_costs)
@@ -221,145 +221,132 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
 
 
 def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
-    """Return the labels of one search from what `_label` gave."""
+    """Return the labels of one search from what its kernel gave."""
     offsets = offsets_of(table[:, 0])
     return SearchLabels(moves, offsets, np.ascontiguousarray(table[:, 1]), costs)
 
 
 @kernel
-def _label(
-    packed: Words,
-    columns: Int,
+def _flood_maps(
+    grids: Bytes,
     rooms: Ints,
     seed_points: Ints,
     segments: Ints,
     pairs: Ints,
     rule: Rule,
-    bfs_table: Ints,
-    bfs_costs: Ints,
-    astar_table: Ints,
-    astar_costs: Ints,
-) -> tuple[Bytes, Bytes, Int]:
-    """Label every map; return the moves of BFS and of A*, and -1.
-
-    If seed point q of map m is not a free cell, the last is m * (most rooms) + q.
-
-    Fills the tables, (S, 2), with number of moves and iterations, and the costs, (P, 2), with
-    straight and diagonal moves.
-    """
-    rows = packed.shape[1]
-    lattice = lattice_of((rows, columns), rule)
-    grid = np.empty((rows, columns), np.uint8)
-    fresh = np.empty(lattice.cells, np.uint8)
-    seed_cells = np.empty(seed_points.shape[1], np.int64)
-    flooding = scratch(BFS, lattice)
-    searching = scratch(ASTAR, lattice)
-    bfs_moves = np.empty(1024, np.uint8)
-    astar_moves = np.empty(1024, np.uint8)
-    # Numbers that are handed on get their final type at once: else the kernels that take them are
-    # compiled twice.
-    bfs_used = np.int64(0)
-    astar_used = np.int64(0)
-    small = lattice.diagonals == 0 and max(rows, columns) <= BIT_SIDE
-    levels = bit_scratch(small)
-    for m in range(len(packed)):
-        unpack(packed[m].reshape(-1), 0, grid)
-        load(grid, fresh)
-        n = rooms[m]
-        for q in range(n):
-            if not is_inside(grid, seed_points[m, q], 0):
-                return bfs_moves, astar_moves, m * len(seed_cells) + q
-            row, column = seed_points[m, q]
-            seed_cells[q] = cell_at(row, column, lattice)
-        at = slice(segments[m], segments[m + 1])
-        of = slice(pairs[m], pairs[m + 1])
-        if small:
-            bfs_moves, bfs_used = bit_labels(
-                packed[m],
-                columns,
-                seed_points[m, :n],
-                levels,
-                bfs_table[at],
-                bfs_costs[of],
-                bfs_moves,
-                bfs_used,
-            )
-        else:
-            bfs_moves, bfs_used = _search_all(
-                BFS,
-                fresh,
-                seed_cells[:n],
-                lattice,
-                flooding,
-                bfs_table[at],
-                bfs_costs[of],
-                bfs_moves,
-                bfs_used,
-            )
-        astar_moves, astar_used = _search_all(
-            ASTAR,
-            fresh,
-            seed_cells[:n],
-            lattice,
-            searching,
-            astar_table[at],
-            astar_costs[of],
-            astar_moves,
-            astar_used,
-        )
-    return bfs_moves[:bfs_used], astar_moves[:astar_used], -1
-
-
-@kernel
-def _search_all(
-    search: Weights,
-    fresh: Bytes,
-    cells: Ints,
-    lattice: Lattice,
-    buffers: Scratch,
     table: Ints,
     costs: Ints,
-    moves: Bytes,
-    used: Int,
-) -> tuple[Bytes, Int]:
-    """Label one map: a search for each segment of the seed ``cells``, and the costs of all pairs.
+) -> Bytes:
+    """Label every map by BFS, which floods from each seed until all later ones are seen.
 
-    BFS floods from each seed until all later ones are seen. A* leaves the other pairs to
-    `_fill_costs`, or out under 4-connectivity, where BFS finds the same.
-    Returns the moves and their number.
+    Args:
+        grids: (N, H, W).
+        rooms: (N,) number of rooms.
+        seed_points: (N, most rooms, 2), all free cells.
+        segments: (N,) the first segment of each map.
+        pairs: (N,) the first pair of each map.
+        rule: of movement.
+        table: (S, 2), filled with number of moves and iterations of each segment.
+        costs: (P, 2), filled with moves between the seeds of each pair and 0, or (-1, 0).
+
+    Returns:
+        The moves of all segments.
     """
+    lattice = lattice_of(grids.shape[1:], rule)
+    fresh = np.empty(lattice.cells, np.uint8)
+    buffers = scratch(BFS, lattice)
     came = buffers.came
-    pair = 0
-    for a in range(len(cells) - 1):
-        for k in range(lattice.cells):
-            came[k] = fresh[k]
-        goal = cells[a + 1]
-        if search == BFS:
-            count = flood(cells[a], cells[a + 1 :], lattice, buffers)
-            expansions = expansions_until(buffers.pushed, count, goal)
-            straight, diagonal = count_moves(came, cells[a], goal, lattice)
-        else:
-            straight, diagonal, expansions, pushes = find(cells[a], goal, search, lattice, buffers)
-        length = max(straight + diagonal, 0)
-        table[a, 0] = length
-        table[a, 1] = expansions
-        moves = with_capacity(moves, used, length)
-        write_moves(came, goal, lattice, moves[used : used + length])
-        used += length
-        if search == BFS:
-            for b in range(a + 1, len(cells)):
-                straight, diagonal = count_moves(came, cells[a], cells[b], lattice)
+    moves = np.empty(1024, np.uint8)
+    # A number that is handed on gets its final type at once: else the kernels that take it are
+    # compiled twice.
+    used = np.int64(0)
+    for m in range(len(grids)):
+        load(grids[m], fresh)
+        n = rooms[m]
+        cells = _cells_of(seed_points[m, :n], lattice)
+        pair = pairs[m]
+        for q in range(n - 1):
+            for k in range(lattice.cells):
+                came[k] = fresh[k]
+            count = flood(cells[q], cells[q + 1 :], lattice, buffers)
+            for k in range(q + 1, n):
+                straight, diagonal = count_moves(came, cells[q], cells[k], lattice)
                 costs[pair, 0] = straight + diagonal
                 costs[pair, 1] = 0
                 pair += 1
-        else:
-            wipe(buffers, pushes)
-            costs[pair, 0] = straight
-            costs[pair, 1] = diagonal
-            if lattice.diagonals:
-                _fill_costs(cells[a : a + 1], cells[a + 2 :], lattice, buffers, costs[pair + 1 :])
-            pair += len(cells) - a - 1
-    return moves, used
+            goal = cells[q + 1]
+            straight, diagonal = count_moves(came, cells[q], goal, lattice)
+            length = max(straight + diagonal, 0)
+            table[segments[m] + q, 0] = length
+            table[segments[m] + q, 1] = expansions_until(buffers.pushed, count, goal)
+            moves = append_moves(came, goal, length, lattice, moves, used)
+            used += length
+    return moves[:used]
+
+
+@kernel
+def _astar_maps(
+    grids: Bytes,
+    rooms: Ints,
+    seed_points: Ints,
+    segments: Ints,
+    pairs: Ints,
+    rule: Rule,
+    table: Ints,
+    costs: Ints | None,
+) -> tuple[Bytes, Int]:
+    """Label every map by A*; return the moves of all segments, and -1.
+
+    If seed point q of map m is not a free cell, the last is m * (most rooms) + q. Arguments are
+    those of `_flood_maps`, but ``costs`` are straight and diagonal moves, or None without
+    diagonals: then numba compiles no branch that needs them, which shortens what a first build of
+    such maps waits for.
+    """
+    lattice = lattice_of(grids.shape[1:], rule)
+    fresh = np.empty(lattice.cells, np.uint8)
+    buffers = scratch(ASTAR, lattice)
+    came = buffers.came
+    moves = np.empty(1024, np.uint8)
+    used = np.int64(0)
+    for m in range(len(grids)):
+        load(grids[m], fresh)
+        n = rooms[m]
+        for q in range(n):
+            if not is_inside(grids[m], seed_points[m, q], 0):
+                return moves, m * seed_points.shape[1] + q
+        cells = _cells_of(seed_points[m, :n], lattice)
+        pair = pairs[m]
+        for q in range(n - 1):
+            goal = cells[q + 1]
+            for k in range(lattice.cells):
+                came[k] = fresh[k]
+            if costs is None:
+                expansions, _ = astar_manhattan(cells[q], goal, lattice, buffers)
+            else:
+                expansions, pushes = best_first(cells[q], goal, ASTAR, lattice, buffers)
+            straight, diagonal = count_moves(came, cells[q], goal, lattice)
+            length = max(straight + diagonal, 0)
+            table[segments[m] + q, 0] = length
+            table[segments[m] + q, 1] = expansions
+            moves = append_moves(came, goal, length, lattice, moves, used)
+            used += length
+            if costs is not None:
+                costs[pair, 0] = straight
+                costs[pair, 1] = diagonal
+                wipe(buffers, pushes)
+                others = cells[q + 2 :]
+                _fill_costs(cells[q : q + 1], others, lattice, buffers, costs[pair + 1 :])
+                pair += 1 + len(others)
+    return moves[:used], -1
+
+
+@inlined
+def _cells_of(seed_points: Ints, lattice: Lattice) -> Ints:
+    """Return the lattice's cells of (n, 2) points."""
+    cells = np.empty(len(seed_points), np.int64)
+    for q in range(len(cells)):
+        cells[q] = cell_at(seed_points[q, 0], seed_points[q, 1], lattice)
+    return cells
 
 
 @kernel
@@ -376,7 +363,6 @@ def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, buffers: Scratch, c
                 costs[k, 0], costs[k, 1] = parts(buffers.g[cells[k]])
     else:
         for k in range(len(cells)):
-            straight, diagonal, _, pushes = find(source[0], cells[k], ASTAR, lattice, buffers)
-            costs[k, 0] = straight
-            costs[k, 1] = diagonal
+            _, pushes = best_first(source[0], cells[k], ASTAR, lattice, buffers)
+            costs[k, 0], costs[k, 1] = count_moves(buffers.came, source[0], cells[k], lattice)
             wipe(buffers, pushes)

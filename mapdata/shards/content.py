@@ -126,23 +126,23 @@ def _write(
         for k in range(7):
             words[at] = header[m, k]
             at += 1
-        at = _copy_pairs(words, at, seed_points[m], 0, rooms)
-        at = _copy_pairs(words, at, room_sizes[m], 0, rooms)
-        at = _copy_pairs(words, at, directions[m], 0, rooms - 1)
+        at = _copy_pairs(words, at, seed_points[m, :rooms])
+        at = _copy_pairs(words, at, room_sizes[m, :rooms])
+        at = _copy_pairs(words, at, directions[m, : rooms - 1])
         for _, _, counts, costs in searches:
-            at = _copy_pairs(words, at, counts, segment, next_segment)
-            at = _copy_pairs(words, at, costs, pair, next_pair)
+            at = _copy_pairs(words, at, counts[segment:next_segment])
+            at = _copy_pairs(words, at, costs[pair:next_pair])
         # from here on ``at`` counts bytes
         at *= 4
-        at = _copy_bytes(records, at, packed[m], 0, packed.shape[1])
+        at = _copy_bytes(records, at, packed[m])
         for moves, begins, _, _ in searches:
-            at = _copy_bytes(records, at, moves, begins[segment], begins[next_segment])
+            at = _copy_bytes(records, at, moves[begins[segment] : begins[next_segment]])
 
 
 @kernel
-def _copy_pairs(words: Int32s, at: int, rows: Ints, first: int, last: int) -> int:
+def _copy_pairs(words: Int32s, at: int, rows: Ints) -> int:
     """Copy rows of two numbers to ``words`` from ``at`` on; return where the next word goes."""
-    for k in range(first, last):
+    for k in range(len(rows)):
         words[at] = rows[k, 0]
         words[at + 1] = rows[k, 1]
         at += 2
@@ -150,9 +150,9 @@ def _copy_pairs(words: Int32s, at: int, rows: Ints, first: int, last: int) -> in
 
 
 @kernel
-def _copy_bytes(records: Bytes, at: int, data: Bytes, first: int, last: int) -> int:
+def _copy_bytes(records: Bytes, at: int, data: Bytes) -> int:
     """Copy bytes to ``records`` from ``at`` on; return where the next one goes."""
-    for k in range(first, last):
+    for k in range(len(data)):
         records[at] = data[k]
         at += 1
     return at

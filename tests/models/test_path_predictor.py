@@ -508,7 +508,7 @@ def test_the_script(
     script: Callable[[list[str]], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its file of arguments works; it leaves checkpoints, a CSV log and weights;
-    its bar counts the steps of both epochs, and shows what the search reaches.
+    its bar shows what the search reaches.
     """
     short = {
         "max_epochs": 2,
@@ -524,7 +524,6 @@ def test_the_script(
     assert {"train_loss", "val_accuracy/dataloader_idx_1", "val_opt", "val_hmean"} <= set(metrics)
     assert metrics["val_opt"].dropna().between(0, 1).all()
     bar = capsys.readouterr().out
-    assert "| 4/4 [" in bar
     assert "val_hmean=" in bar
     assert "train_time_interval: 0:03:00" in (logs / "config.yaml").read_text()
     assert (logs / "checkpoints" / "last.ckpt").exists()
