@@ -113,7 +113,9 @@ def kernel(function: F) -> F:
     if not COMPILED:
         # Integers wrap without a warning, as in compiled code.
         return np.errstate(all="ignore")(function)
-    dispatcher = numba.njit(  # type: ignore[call-overload]  # whose stub knows not all options
+    # Nothing calls kernels from C, and the wrappers for that take time to compile. numba's stub
+    # does not know the option.
+    dispatcher = numba.njit(  # type: ignore[call-overload]
         nogil=True, error_model="numpy", no_cfunc_wrapper=True
     )(function)
     if _CACHED:
