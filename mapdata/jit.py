@@ -113,20 +113,7 @@ def kernel(function: F) -> F:
     if not COMPILED:
         # Integers wrap without a warning, as in compiled code.
         return np.errstate(all="ignore")(function)
-    # Nothing calls kernels from C, and the wrappers for that take time to compile. numba's stub
-    # does not know the option.
-    dispatcher = numba.njit(  # type: ignore[call-overload]
-        nogil=True, error_model="numpy", no_cfunc_wrapper=True
-    )(function)
-    if _CACHED:
-        # numba reads its cache folder from a process-wide setting, when caching is enabled.
-        before = _CONFIG.CACHE_DIR
-        _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
-        try:
-            dispatcher.enable_caching()
-        finally:
-            _CONFIG.CACHE_DIR = before
-    return cast(F, dispatcher)
+    return _cached(function, "never")
 
 
 def inlined(function: F) -> F:
@@ -135,4 +122,22 @@ def inlined(function: F) -> F:
     A real call with array arguments counts their references, which costs more than what a small
     helper does.
     """
-    return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))
+    return _cached(function, "always")
+
+
+def _cached(function: F, inline: str) -> F:
+    """Return ``function`` as numba compiles it, into the cache folder."""
+    # Nothing calls kernels from C, and the wrappers for that take time to compile. numba's stub
+    # does not know the option.
+    dispatcher = numba.njit(  # type: ignore[call-overload]
+        nogil=True, error_model="numpy", no_cfunc_wrapper=True, inline=inline
+    )(function)
+    if _CACHED and COMPILED:
+        # numba reads its cache folder from a process-wide setting, when caching is enabled.
+        before = _CONFIG.CACHE_DIR
+        _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
+        try:
+            dispatcher.enable_caching()
+        finally:
+            _CONFIG.CACHE_DIR = before
+    return cast(F, dispatcher)

@@ -51,6 +51,7 @@ class TrainingCli(LightningCLI):
         """Begin with the weights of ``--start_from``, and let ``limit_val_batches 1`` be one batch.
 
         The command line makes it 1.0, which Lightning takes for all batches: 10,000 of online maps.
+        All of them are those without the flag.
         """
         if self.config["fit"]["trainer"]["limit_val_batches"] == 1:
             self.trainer.limit_val_batches = 1

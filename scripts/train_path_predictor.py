@@ -2,8 +2,8 @@
 
 All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
 Checkpoints and metrics.csv lie under runs/path_predictor: a checkpoint after every validation, and
-one every three minutes, so that an interrupted run goes on. The bar is of all steps; it shows
-val_opt and val_hmean, what the search reaches on the validation problems.
+one every three minutes, so that an interrupted run goes on. The bar shows val_opt and val_hmean,
+what the search reaches on the validation problems.
 More flags after fit:
 
     --ckpt_path FILE             go on from a checkpoint

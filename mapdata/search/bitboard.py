@@ -1,7 +1,7 @@
 """Breadth-first search of 4-connected maps, 64 cells at a time.
 
-A set of cells is a board: a row of the map is one word or several, with column c in bit c % 64 of
-word c // 64. A level of the search, all cells equally far from where it began, is such a set. The
+In a set of cells, a row of the map is one word or several, with column c in bit c % 64 of word
+c // 64. A level of the search, all cells equally far from where it began, is such a set. The
 next level is the current one shifted by one cell in the four directions, less what was seen
 before.
 
@@ -31,7 +31,9 @@ MAX_SIDE = 64
 """Most rows and columns of a map that `bit_search` searches."""
 
 _EDGE = 3
-"""Empty rows above and below a board: a level reads two beyond what the one before it wrote."""
+"""Empty rows above and below: a level reads two beyond what the one before it wrote, and clears a
+third.
+"""
 
 _LEVEL = MAX_SIDE + 2 * _EDGE
 """Words of a level."""
@@ -80,8 +82,9 @@ def search_around(
 ) -> None:
     """Write to ``came`` which moves lead to (row, column) by shortest paths, as bit sets.
 
-    With ``costs_too``, their costs go to ``g``, as from `shortest_costs`. Moves alone are found by
-    bits, on 4-connected maps.
+    With ``costs_too``, their costs go to ``g``, as from `shortest_costs`; else what ``g`` holds is
+    not defined. Moves alone are found by bits on 4-connected maps, where that is faster: not on
+    narrow ones, since `_write_moves` writes eight cells at a time, nor in mazes.
     """
     by_bits = lattice.diagonals == 0 and not costs_too and grid.shape[1] >= _BYTE
     if by_bits and grid[row, column] == 0:
@@ -147,10 +150,10 @@ def board_of(grid: Bytes) -> Board:
 
 @kernel
 def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
-    """Search level by level from (row, column); under ``most`` moves lead to what is ``reached``.
+    """Search level by level: ``reached`` becomes what is within ``most`` - 1 moves of a cell.
 
-    Returns whether no further cell can be reached. A search of all levels gives up where few cells
-    are equally far from the goal, as in a maze: a level takes its time however few they are.
+    Returns whether no further cell can be reached. Callers choose ``most`` so that they can turn to
+    `shortest_costs` in a maze: a level takes its time however few cells it has.
     """
     stride = board.stride
     unseen = board.free.copy()
@@ -195,12 +198,12 @@ def _write_moves(
         odd = _PAIRS if (row + goal) % 2 else ~_PAIRS
         for first in range(0, shape[1], WORD):
             i = np.uint64(word_at(row, first, board.stride))
-            # A neighbour whose digit 1 is not as here is nearer.
-            same = digit[i] ^ odd
-            north = reached[i] & reached[i - stride] & (digit[i - stride] ^ same)
-            south = reached[i] & reached[i + stride] & (digit[i + stride] ^ same)
-            east = reached[i] & _eastern(reached, i, carry) & (_eastern(digit, i, carry) ^ same)
-            west = reached[i] & _western(reached, i, carry) & (_western(digit, i, carry) ^ same)
+            # What digit 1 of a neighbour is where that is farther away: nearer ones differ.
+            farther = digit[i] ^ odd
+            north = reached[i] & reached[i - stride] & (digit[i - stride] ^ farther)
+            south = reached[i] & reached[i + stride] & (digit[i + stride] ^ farther)
+            east = reached[i] & _eastern(reached, i, carry) & (_eastern(digit, i, carry) ^ farther)
+            west = reached[i] & _western(reached, i, carry) & (_western(digit, i, carry) ^ farther)
             cell = np.uint64(cell_at(row, first, lattice))
             # Eight cells at a time, which may go beyond the row: the next one is written later.
             for k in range(0, min(WORD, shape[1] - first), _BYTE):
@@ -229,9 +232,9 @@ def bit_search(
     table: Ints,
     costs: Ints,
 ) -> Bytes:
-    """Label every map by BFS; arguments and result are those of `labels._flood_maps`.
+    """Label every map by BFS: packed maps, (N, H, 1), without diagonals, of at most 64 x 64 cells.
 
-    For packed maps, (N, H, 1), without diagonals and of at most 64 x 64 cells.
+    The other arguments and the result are those of `labels._flood_maps`.
     """
     moves = np.empty(1024, np.uint8)
     used = np.int64(0)
@@ -291,7 +294,7 @@ def _label_map(
         depth = 0
         pending = n - 1 - s
         for r in range(len(words)):
-            unseen[r + _EDGE] = ~words[r, 0] & (_ALL >> np.uint64(MAX_SIDE - columns))
+            unseen[r + _EDGE] = ~words[r, 0] & (_ALL >> np.uint64(WORD - columns))
         free = count_bits(unseen, 0, _LEVEL)
         low = seed_points[s, 0] + _EDGE
         high = low

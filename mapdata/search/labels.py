@@ -67,8 +67,8 @@ class SearchLabels:
         offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves,
             like one from a cell to itself.
         iterations: (S,) int64, cells expanded.
-        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair, (-1, 0)
-            without a path.
+        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair (BFS: all
+            moves, and 0), (-1, 0) without a path.
     """
 
     moves: Bytes
@@ -161,7 +161,8 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
     the iterations. A* searches each segment. Its costs of the other pairs are those of BFS on
     4-connected maps; with diagonals at sqrt(2), where shortest paths of a pair have one number of
-    straight and of diagonal moves, one search a room gives them; else A* searches each pair.
+    straight and of diagonal moves, one search a room gives three or more; else A* searches each
+    pair.
 
     Source: arXiv 2110.13242, section 4 (Characterization).
 
@@ -183,7 +184,8 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     bfs_table = np.empty((segments, 2), np.int64)
     bfs_costs = np.empty((pairs, 2), np.int64)
     astar_table = np.empty_like(bfs_table)
-    # Without diagonals both searches are optimal, and each move costs 1: what BFS finds is it.
+    # Without diagonals both searches are optimal, and each move costs 1: the costs of A* are those
+    # of BFS.
     astar_costs = np.empty_like(bfs_costs) if maps.movement.connectivity == 8 else None
     rule = rule_of(maps.movement)
     rows = maps.packed.shape[1]
@@ -200,11 +202,14 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
             maps.segment_offsets[first:],
             maps.pair_offsets[first:],
         )
+        # A* first: it checks the seed points, on which the others rely.
         moves, bad = _astar_maps(grids, *work, rule, astar_table, astar_costs)
         if bad >= 0:
             k, q = divmod(bad, maps.seed_points.shape[1])
             cell = tuple(maps.seed_points[first + k, q].tolist())
-            raise ValueError(f"seeds: {cell} of map {maps.index[first + k]} is not a free cell")
+            raise ValueError(
+                f"seed_points: {cell} of map {maps.index[first + k]} is not a free cell"
+            )
         astar_moves.append(moves)
         if astar_costs is None and max(rows, maps.columns) <= BIT_SIDE:
             moves = bit_search(packed, maps.columns, *work, bfs_table, bfs_costs)
@@ -243,8 +248,8 @@ def _flood_maps(
         grids: (N, H, W).
         rooms: (N,) number of rooms.
         seed_points: (N, most rooms, 2), all free cells.
-        segments: (N,) the first segment of each map.
-        pairs: (N,) the first pair of each map.
+        segments: (N or more,) the first segment of each map.
+        pairs: (N or more,) the first pair of each map.
         rule: of movement.
         table: (S, 2), filled with number of moves and iterations of each segment.
         costs: (P, 2), filled with moves between the seeds of each pair and 0, or (-1, 0).
@@ -253,7 +258,7 @@ def _flood_maps(
         The moves of all segments.
     """
     lattice = lattice_of(grids.shape[1:], rule)
-    fresh = np.empty(lattice.cells, np.uint8)
+    fresh = np.empty(lattice.cells, np.uint8)  # the map before a search, which changes ``came``
     buffers = scratch(BFS, lattice)
     came = buffers.came
     moves = np.empty(1024, np.uint8)
@@ -295,12 +300,15 @@ def _astar_maps(
     table: Ints,
     costs: Ints | None,
 ) -> tuple[Bytes, Int]:
-    """Label every map by A*; return the moves of all segments, and -1.
+    """Label every map by A*, and check that seed points are free cells.
 
-    If seed point q of map m is not a free cell, the last is m * (most rooms) + q. Arguments are
-    those of `_flood_maps`, but ``costs`` are straight and diagonal moves, or None without
-    diagonals: then numba compiles no branch that needs them, which shortens what a first build of
-    such maps waits for.
+    Arguments are those of `_flood_maps`, but ``costs`` are straight and diagonal moves, or None
+    without diagonals: then numba compiles no branch that needs them, which shortens what a first
+    build of such maps waits for.
+
+    Returns:
+        The moves of all segments; -1, or m * (most rooms) + q for the first seed point q of a map m
+        that is not a free cell.
     """
     lattice = lattice_of(grids.shape[1:], rule)
     fresh = np.empty(lattice.cells, np.uint8)
@@ -351,7 +359,7 @@ def _cells_of(seed_points: Ints, lattice: Lattice) -> Ints:
 
 @kernel
 def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, buffers: Scratch, costs: Ints) -> None:
-    """Write what A* finds costs from ``source`` (1,) to each of ``cells``, by the least work."""
+    """Write the costs of A* from ``source`` (1,) to each of ``cells``, by the least work."""
     if lattice.step != UNIT and len(cells) >= _MANY:
         # sqrt(2) is irrational: only one pair of numbers of straight and diagonal moves has the
         # least cost, so that any optimal search finds that of A*.

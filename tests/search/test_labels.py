@@ -239,10 +239,10 @@ def test_a_seed_point_outside_is_refused(cell: reference.Cell) -> None:
     assert not maps.occupancy[:, 1:-1, 1:-1].all()
     maps.packed[:] = 0  # all is free
     maps.seed_points[1, 1] = cell
-    with pytest.raises(ValueError, match=f"seeds: {re.escape(str(cell))} of map 1 is not a free"):
+    with pytest.raises(ValueError, match=f"{re.escape(str(cell))} of map 1 is not a free"):
         label(maps)
     maps.seed_points[0, 0] = cell
-    with pytest.raises(ValueError, match=f"seeds: {re.escape(str(cell))} of map 0 is not a free"):
+    with pytest.raises(ValueError, match=f"{re.escape(str(cell))} of map 0 is not a free"):
         label(maps)
 
 
@@ -252,7 +252,7 @@ def test_a_seed_point_in_a_wall_is_refused() -> None:
     maps.packed[:] = 0
     maps.packed[0, 5] = 1 << 7
     maps.seed_points[0, 1] = (5, 7)
-    with pytest.raises(ValueError, match=r"seeds: \(5, 7\) of map 4 is not a free cell"):
+    with pytest.raises(ValueError, match=r"seed_points: \(5, 7\) of map 4 is not a free cell"):
         label(maps)
 
 
