@@ -358,7 +358,7 @@ MOST = 1024
 class Model(pl.LightningModule):
     """What all sample models are, besides their network and loss.
 
-    Its hyperparameters have the highest ``learning_rate``.
+    Its hyperparameters hold ``learning_rate``, the highest of the schedule.
     """
 
     def configure_optimizers(self) -> Any:

@@ -10,8 +10,8 @@ Of the original, the sparse roadmap is one of 200 vertices, whatever the size of
 
     from models.experience import FixedProblems
 
-    data = FixedProblems(None, build="dungeon", problems="random", movement=(8, False, 2**0.5),
-        fields=("map", "start", "goal", "problem"))
+    data = FixedProblems(None, build={"spec": "dungeon", "maps": 100}, problems="random",
+        movement=(8, False, 2**0.5), fields=("map", "start", "goal", "problem"))
     data.setup("fit")
     bank = data.mine("runs/experience")  # mined once, read the next time
     points, counts = bank.targets("lego", [0, 1, 2])

@@ -86,7 +86,8 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 class GuidedSearch(Batched):
     """Best-first search by the cost so far, the predicted cost to go, and improbable moves.
 
-    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio. A cell
+    f = g + ``trust`` * (sum over the moves of log P(best move) - log P(move)) + h / ratio, where a
+    ratio below 0.05 counts as that; less 0.001 g, so that of equals the farthest is first. A cell
     is expanded once; it finds a path where there is one. A cell that is looked at again takes the
     shorter way as its own, and the path is that of the parents.
 

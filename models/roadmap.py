@@ -99,8 +99,8 @@ def build_roadmap(grid: ArrayLike, points: ArrayLike, reach: float) -> Roadmap:
 
     Args:
         grid: (H, W), 0 free and 1 occupied.
-        points: (n, 2), in free cells.
-        reach: longest edge.
+        points: (n, 2), row and column, in free cells; a cell's centre is at + 0.5.
+        reach: longest edge, in cells.
 
     Raises:
         ValueError: a point outside the map or in an occupied cell, or a reach that is not positive.

@@ -204,14 +204,16 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
     """Draw success against the number of vertices, a line a sampler, with its interval."""
     names = table["sampler"].unique()
     rows = table[table["subset"] == subset].pivot(index="n", columns="sampler")
-    half = (rows["success_high"] - rows["success_low"]) / 2
-    rows["success"][names].plot(
+    success = rows["success"][names]
+    below = success - rows["success_low"][names]
+    above = rows["success_high"][names] - success
+    success.plot(
         ax=axes,
-        yerr=half[names],
+        yerr=np.stack([below.T, above.T], axis=1),
         color=[*PALETTE],
         marker="o",
         xlabel="vertices of the roadmap",
-        ylabel="problems solved",
+        ylabel="share of problems solved",
         title=f"{subset} problems",
         xticks=[*rows.index],
         grid=True,

@@ -1,6 +1,6 @@
 """Compare samplers of roadmaps in one table.
 
-python scripts/evaluate_sampler.py --preset dungeon --maps 1000 --seed 77.
+    python scripts/evaluate_sampler.py --preset dungeon --maps 1000 --seed 77
 
 The trained samplers in models/weights come along: lego_*.pt and shortest_path_*.pt. Roadmaps have n
 vertices in all; half of them are Halton's, but in the rows halton and uniform and in those that end

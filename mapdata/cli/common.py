@@ -146,7 +146,7 @@ def add_flag(
     how = {"type": option.kind, "metavar": metavar}
     if option.kind is bool:
         how = {"action": "store_true"}
-    elif option.kind == Literal[True]:  # Literal[True] | str: its value may be left out
+    elif option.kind == Literal[True]:  # or a text: its value may be left out
         how = {"nargs": "?", "const": True, "metavar": metavar}
     elif get_origin(option.kind) is list:
         how = {"nargs": "+", "type": get_args(option.kind)[0], "metavar": "N"}

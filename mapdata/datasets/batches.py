@@ -271,7 +271,7 @@ class BatchReader:
     def open(self, k: int) -> Shard:
         """Return shard ``k``, opened and checked at its first touch.
 
-        A successor of its file may hold more maps, after those of the shard.
+        A larger file may have taken its place since: its first maps are the same.
 
         Raises:
             ShardError: the file is gone, or not what the manifest says.
@@ -290,9 +290,8 @@ class BatchReader:
             if successor is None:
                 raise
             shard = now.open_shard(successor)
-        if (
-            np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points
-        ):  # kernels rely on it
+        # Kernels rely on it.
+        if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points:
             raise ShardError(
                 f"{shard.path}: holds a map of more rooms than the manifest says "
                 f"({self.most_seed_points})"
@@ -304,10 +303,9 @@ class BatchReader:
             raise ShardError(
                 f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}"
             )
-        self._rows[first:last] = rows
-        shard = self._open.setdefault(
-            k, shard
-        )  # of two threads, the first one's: its addresses may be in use
+        self._rows[first:last] = rows  # which has room for the problems of all shards
+        # Of two threads, the first one's: a kernel may be using its addresses.
+        shard = self._open.setdefault(k, shard)
         self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
         return shard
 

@@ -169,7 +169,9 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
     """
     # a class that is not decorated has the fields of the one above it only
     if "__dataclass_fields__" not in vars(family) or isabstract(family):
-        raise ValueError(f"{family.__name__}: expected a frozen dataclass")
+        raise ValueError(
+            f"{family.__name__}: expected a frozen dataclass with `draw` and `most_seed_points`"
+        )
     # The same class once more is fine: a notebook runs its cells again.
     taken = GENERATORS.setdefault(family.name, family)
     if taken.__qualname__ != family.__qualname__:

@@ -140,7 +140,7 @@ def _tags(tag: str, cells: Sequence[str]) -> str:
 
 
 def _chart(name: str, values: Floats) -> str:
-    """Return a histogram as a picture, with words for those who do not see it."""
+    """Return a histogram as HTML: a picture, with words for those who do not see it."""
     import matplotlib
 
     (ax,) = new_axes(1, 1, (4.6, 3))

@@ -77,13 +77,14 @@ def finished(
     """Yield each task with its result as it is finished, in any order.
 
     At most ``most`` tasks are submitted at a time; those left are cancelled when the caller stops.
+    An error of a task is raised here.
     """
     done: SimpleQueue[Future[_Result]] = SimpleQueue()
     left = iter(tasks)
     under_way: dict[Future[_Result], _Task] = {}
     try:
         while True:
-            for task in left:
+            for task in left:  # goes on where it stopped
                 future = pool.submit(function, task)
                 under_way[future] = task
                 future.add_done_callback(done.put)
