@@ -243,7 +243,8 @@ class BatchReader:
         if radius:  # only then must all roots have one resolution
             self.least = least_squared(radius, self.root.resolution)
         self.offsets = offsets_of([self._count(entry) for _, _, entry in self.shards])
-        self._table = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
+        # of the arrays of each shard, for the kernels; 0 before it is opened
+        self._addresses = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._open: dict[int, Shard] = {}
         # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when
         # it is opened.
@@ -262,7 +263,7 @@ class BatchReader:
     def find(self, indices: Ints) -> tuple[Ints, Ints, Ints, Ints]:
         """Return (shard, map in the shard, room, room) of each problem, and open its shard."""
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
-        unopened = shards[self._table[shards, 0] == 0]
+        unopened = shards[self._addresses[shards, 0] == 0]
         for k in set(unopened.tolist()):
             self.open(k)
         maps, first, second = np.ascontiguousarray(self._rows[indices].T, np.int64)
@@ -306,7 +307,7 @@ class BatchReader:
         self._rows[first:last] = rows  # which has room for the problems of all shards
         # Of two threads, the first one's: a kernel may be using its addresses.
         shard = self._open.setdefault(k, shard)
-        self._table[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
+        self._addresses[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
         return shard
 
     def _count(self, entry: Entry) -> int:
@@ -324,13 +325,13 @@ class BatchReader:
     def grids(self, shards: Ints, maps: Ints) -> Bytes:
         """Return the maps for a robot of the radius, (B, H, W)."""
         grids = np.empty((len(shards), *self.map_size), np.uint8)
-        read_maps(self._table, shards, maps, grids)
+        read_maps(self._addresses, shards, maps, grids)
         inflate_all(grids, self.least)
         return grids
 
     def seed_points(self, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
         """Return the seed of one room of each map, (B, 2)."""
-        return read_seed_points(self._table, shards, maps, rooms)
+        return read_seed_points(self._addresses, shards, maps, rooms)
 
     def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> Paths:
         """Return the stored paths from each room to the next.
@@ -341,7 +342,7 @@ class BatchReader:
         bits = bits_of(self.movement)
         column = ARRAYS.index(f"{search}_offsets")
         cells, offsets, iterations, bad = read_paths(
-            self._table, shards, maps, rooms, column, bits, self.map_size
+            self._addresses, shards, maps, rooms, column, bits, self.map_size
         )
         if bad >= 0:
             place, _, entry = self.shards[shards[bad]]
@@ -353,7 +354,7 @@ class BatchReader:
     def rooms(self, shards: Ints, maps: Ints, search: str) -> Rooms:
         """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
         found = read_rooms(
-            self._table,
+            self._addresses,
             shards,
             maps,
             ARRAYS.index(f"{search}_straight"),

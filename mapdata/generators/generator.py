@@ -168,9 +168,10 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
         ValueError: it is no frozen dataclass, or a name is taken.
     """
     # a class that is not decorated has the fields of the one above it only
-    if "__dataclass_fields__" not in vars(family) or isabstract(family):
+    is_named = hasattr(family, "name")
+    if "__dataclass_fields__" not in vars(family) or isabstract(family) or not is_named:
         raise ValueError(
-            f"{family.__name__}: expected a frozen dataclass with `draw` and `most_seed_points`"
+            f"{family.__name__}: expected a frozen dataclass with name, most_seed_points and draw"
         )
     # The same class once more is fine: a notebook runs its cells again.
     taken = GENERATORS.setdefault(family.name, family)

@@ -307,7 +307,7 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
             resolution=check_number("resolution", values["resolution"]),
             shards=entries,
         )
-        # Shards begin at multiples of their size. One may be missing or short in an unfinished build.
+        # Shards begin at multiples of their size; of an unfinished build some are missing or short.
         before = -1
         for entry in entries:
             whole = min(entry.start + manifest.shard_size, manifest.maps)

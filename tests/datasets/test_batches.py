@@ -126,7 +126,7 @@ def test_of_two_threads_the_first_ones_mapping_stays(
     monkeypatch.setattr(Root, "open_shard", meanwhile)
     assert reader.open(0) is opened[0] is reader.open(0)
     addresses = [opened[0].arrays[name].__array_interface__["data"][0] for name in ARRAYS]
-    assert reader._table[0].tolist() == addresses
+    assert reader._addresses[0].tolist() == addresses
 
 
 # --- replaced while somebody reads --------------------------------------------------------------
