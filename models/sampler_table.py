@@ -209,7 +209,7 @@ def plot_success(table: pd.DataFrame, axes: Axes, subset: str = "hard") -> Axes:
     above = rows["success_high"][names] - success
     success.plot(
         ax=axes,
-        yerr=np.stack([below.T, above.T], axis=1),
+        yerr=np.stack([below.T, above.T], axis=1).clip(min=0),
         color=[*PALETTE],
         marker="o",
         xlabel="vertices of the roadmap",

@@ -596,13 +596,21 @@ def test_every_row_has_n_free_points() -> None:
 
 
 def test_the_figure() -> None:
-    """Success against n, a line a sampler."""
+    """Success against n, a line a sampler, with its interval: no bar goes beyond what it states."""
+    from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
     rows = contenders({})
-    table = compare(rows, drawn(), [10, 20], bootstrap=5)
+    table = compare(rows, drawn(), [10, 20], bootstrap=50)
     axes = plot_success(table, Figure().add_subplot(), "all")
     assert len(axes.lines) == len(rows) == 10
+    shown = table[table["subset"] == "all"].pivot(index="n", columns="sampler")
+    bars = [each for each in axes.collections if isinstance(each, LineCollection)]
+    for name, bar in zip(table["sampler"].unique(), bars, strict=True):
+        ends = np.array([segment[:, 1] for segment in bar.get_segments()])
+        success = shown["success"][name]
+        assert np.allclose(ends[:, 0], np.minimum(shown["success_low"][name], success))
+        assert np.allclose(ends[:, 1], np.maximum(shown["success_high"][name], success))
 
 
 # --- scripts and weights ------------------------------------------------------------------------
