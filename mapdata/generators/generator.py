@@ -165,11 +165,11 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
     """Make a family and its presets known by name, to recipes, manifests and shards.
 
     Raises:
-        ValueError: it is no frozen dataclass, or a name is taken.
+        ValueError: it is no frozen dataclass, or lacks what a family needs, or a name is taken.
     """
     # a class that is not decorated has the fields of the one above it only
-    is_named = hasattr(family, "name")
-    if "__dataclass_fields__" not in vars(family) or isabstract(family) or not is_named:
+    is_dataclass = "__dataclass_fields__" in vars(family)
+    if not is_dataclass or isabstract(family) or not hasattr(family, "name"):
         raise ValueError(
             f"{family.__name__}: expected a frozen dataclass with name, most_seed_points and draw"
         )

@@ -101,7 +101,9 @@ def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: P
 
 
 def test_registering_refuses_what_cannot_work() -> None:
-    """A name that is taken, a preset that is taken, a class that is no frozen dataclass."""
+    """A name that is taken, a preset that is taken, a class that is no frozen dataclass, one that
+    has no name or cannot be made.
+    """
 
     @dataclass(frozen=True)
     class Impostor(MapSpec):
@@ -119,6 +121,28 @@ def test_registering_refuses_what_cannot_work() -> None:
     assert Plain.name == "stripes"
     with pytest.raises(ValueError, match="expected a frozen dataclass"):
         register(Generator)  # type: ignore[type-abstract]
+
+    @dataclass(frozen=True)
+    class Nameless(Generator):
+        """It can be made, but nothing says what it is called."""
+
+        @property
+        def most_seed_points(self) -> int:
+            return 2
+
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            raise NotImplementedError
+
+    @dataclass(frozen=True)
+    class Unfinished(Generator):
+        """It has a name, and nothing that draws."""
+
+        name: ClassVar[str] = "unfinished"
+
+    for family in (Nameless, Unfinished):
+        with pytest.raises(ValueError, match="dataclass with name, most_seed_points and draw"):
+            register(family)
+    assert "unfinished" not in GENERATORS
 
 
 def test_presets_of_one_family_and_of_all() -> None:
