@@ -104,6 +104,23 @@ def test_a_stale_kernel_is_never_served(copy: Copy) -> None:
     assert copy.cached() == files, "the second run compiled again"
 
 
+def test_parts_of_kernels_are_cached_where_python_calls_them(copy: Copy) -> None:
+    """`read_problems` calls `block` and `bounded`: a second process compiles nothing."""
+    program = """
+import numpy as np
+from mapdata.rng import MAP, block, bounded
+word = block(np.uint64(1), np.uint64(2), 0, MAP, 0)[0]
+print(bounded(word, 0, 9))
+"""
+    drawn = copy.run(program).stdout
+    files = copy.cached()
+    assert all(any(name in file for file in files) for name in (".block-", ".bounded-"))
+    again = copy.run(program)
+    assert again.stdout == drawn
+    assert again.stderr == ""
+    assert copy.cached() == files
+
+
 def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
     """A cache folder that cannot be made is a warning, not an error."""
     copy.cache.write_text("not a folder", encoding="utf-8")
