@@ -274,14 +274,14 @@ def _flood_maps(
             for k in range(lattice.cells):
                 came[k] = fresh[k]
             count = flood(cells[q], cells[q + 1 :], lattice, buffers)
+            to_next = pair
             for k in range(q + 1, n):
                 straight, diagonal = count_moves(came, cells[q], cells[k], lattice)
                 costs[pair, 0] = straight + diagonal
                 costs[pair, 1] = 0
                 pair += 1
             goal = cells[q + 1]
-            straight, diagonal = count_moves(came, cells[q], goal, lattice)
-            length = max(straight + diagonal, 0)
+            length = max(costs[to_next, 0], 0)
             table[segments[m] + q, 0] = length
             table[segments[m] + q, 1] = expansions_until(buffers.pushed, count, goal)
             moves = append_moves(came, goal, length, lattice, moves, used)
