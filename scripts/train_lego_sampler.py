@@ -22,11 +22,10 @@ families of maps:
 
 All arguments are in scripts/train_lego_sampler.yaml, and each is a flag too (fit --help). A change
 of the model keeps the arguments that both have, such as the heat map's rate: name the learning
-rate. A bank of experience is
-mined into runs/experience, once for the same maps: of six families in 10 minutes of one core.
-Checkpoints and metrics.csv lie under runs/lego_sampler. A step of a heat map takes 0.14 s of one
-core, so that 7,000 steps are 16 minutes, or 10 of two; of a CVAE 0.07 s. Without a bank, from paths
-alone:
+rate. A bank of experience is mined into runs/experience, once for the same maps: of six families in
+10 minutes of one core. Checkpoints and metrics.csv lie under runs/lego_sampler. A step of a heat
+map takes 0.14 s of one core, so that 7,000 steps are 16 minutes, or 10 of two; of a CVAE 0.07 s.
+Without a bank, from paths alone:
 
     python $S fit --model.targets path --data.fields "[map,start,goal,path]"
 """
