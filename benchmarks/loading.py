@@ -17,6 +17,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -422,19 +423,17 @@ def field_rows(folder: Path, rounds: int) -> list[Row]:
         ("dungeon", Movement(8), "30,000 samples/s", "25,000 samples/s"),
     ):
         root = folder / preset
-        build(root, MapSpec.preset(preset), maps=4_000, shard_size=4_000)
+        # Built under the movement that is served, so that default fields are read, not searched.
+        spec = replace(MapSpec.preset(preset), movement=movement)
+        build(root, spec, maps=4_000, shard_size=4_000)
         kind = f"{preset}, {movement.connectivity}-connected"
-        serve = partial(MapDataset, root, "train", movement=movement)
+        serve = partial(MapDataset, root, "train")
         datasets = {
             f"{kind}: {', '.join(moves)}": (serve(moves), fields_target),
             f"{kind}: map, goal, cost_to_go": (serve(("map", "goal", "cost_to_go")), ""),
             f"{kind}: random problems, {', '.join(moves)}": (
                 serve(moves, problems="random"),
                 random_target,
-            ),
-            f"{kind}: random problems with distance >= 10, the same": (
-                serve(moves, problems=Random(distance=(10, None))),
-                "",
             ),
             f"{kind}: augmented random problems, {', '.join(predictor)}": (
                 serve(predictor, problems="random", augment=True),
@@ -451,6 +450,43 @@ def field_rows(folder: Path, rounds: int) -> list[Row]:
             targets[name] = target
     times = interleaved(runs, rounds)
     return [Row(name, rate(times[name], 10 * BATCH), target=targets[name]) for name in runs]
+
+
+def band_rows(folder: Path, rounds: int) -> list[Row]:
+    """Return the rows of random problems under conditions, beside those without."""
+    bands = {
+        "distance >= 10": Random(distance=(10, None)),
+        "10 to 40 cells": Random(length=(10, 40)),
+        "hardness >= 1.05": Random(hardness=(1.05, None)),
+        "hardness >= 1.2": Random(hardness=(1.2, None)),
+    }
+    rows = []
+    for preset, movement in (
+        ("paper", Movement()),
+        ("paper", Movement(8)),
+        ("dungeon", Movement()),
+        ("dungeon", Movement(8)),
+    ):
+        root = folder / f"{preset}{movement.connectivity}"
+        spec = replace(MapSpec.preset(preset), movement=movement)
+        build(root, spec, maps=4_000, shard_size=4_000)
+        runs = {}
+        for name, problems in {"any": Random(), **bands}.items():
+            dataset = MapDataset(root, "train", problems=problems)
+            runs[name] = partial(drain, loader_of(dataset, len(dataset), 10))
+        times = interleaved(runs, rounds)
+        rows += [
+            Row(
+                f"{preset}, {movement.connectivity}-connected: random problems, {name}",
+                rate(times[name], 10 * BATCH),
+                rate(times["any"], 10 * BATCH),
+                f"{median_ratio(times['any'], times[name]):.2f}x",
+                "0.5x",
+                "default fields, searched; beside random problems without conditions",
+            )
+            for name in bands
+        ]
+    return rows
 
 
 def opening_rows(folder: Path, rounds: int) -> list[Row]:
@@ -618,6 +654,7 @@ def table(quick: bool, parent: str | None = None) -> str:
         folder.mkdir()
         rows = reader_rows(folder, 10_000, rounds, ram_target="5x", only_ram=False)
         rows += field_rows(folder, rounds)
+        rows += band_rows(folder, rounds)
         rows += trainer_rows(folder, rounds, 60 if quick else 120)
         rows += opening_rows(folder, rounds)
         if not quick:

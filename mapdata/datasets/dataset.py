@@ -43,7 +43,7 @@ Sampled = tuple[Bytes, Ints, Paths | None]
 """Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
 the paths, None where they have not been searched."""
 
-SUBSTITUTES = 100
+SUBSTITUTES = 500
 """How many other maps are tried in place of one that has no problem of the kind asked for."""
 
 CONDITIONS: dict[str, Field] = {

@@ -12,6 +12,7 @@ from mapdata.search.bitboard import search_around
 from mapdata.search.kernels import cost_at, scratch, shortest_costs
 from mapdata.search.lattice import (
     ASTAR,
+    FAR,
     Lattice,
     Rule,
     cell_at,
@@ -156,7 +157,7 @@ def path_probabilities(
         search_around(grids[b], starts[b, 0], starts[b, 1], True, lattice, around_start)
         search_around(grids[b], goals[b, 0], goals[b, 1], True, lattice, around_goal)
         load(grids[b], around_path.came)
-        shortest_costs(path, lattice, around_path)
+        shortest_costs(path, FAR, lattice, around_path)
         best = cost_at(path[0], around_goal)
         for row in range(rows):
             for column in range(columns):

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
-from mapdata.jit import Int, inlined, kernel
-from mapdata.problems.sources import Bands, Random
+from mapdata.arrays import Bytes, Ints, Words
+from mapdata.jit import Int, kernel
+from mapdata.problems.sources import Bands
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.bitboard import (
     Board,
@@ -19,14 +19,23 @@ from mapdata.search.bitboard import (
     board_of,
     count_bits,
     nth_cell,
-    search_around,
     search_board,
     word_at,
 )
-from mapdata.search.kernels import Scratch, find, scratch, wipe, with_capacity, write_cells
+from mapdata.search.kernels import (
+    Scratch,
+    find,
+    scratch,
+    shortest_costs,
+    wipe,
+    with_capacity,
+    write_cells,
+)
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
+    FAR,
+    UNIT,
     Lattice,
     Rule,
     Weights,
@@ -35,15 +44,14 @@ from mapdata.search.lattice import (
     in_cells,
     lattice_of,
     load,
-    parts,
     position,
 )
 
-_OPEN = Random().bands
-"""No conditions."""
+_OPEN = (0.0, math.inf)
+"""The limits of a band that leaves both sides open."""
 
 _ATTEMPTS = 32
-"""Goals tried on one map before it is given up."""
+"""Problems tried on one map before it is given up."""
 
 
 @kernel
@@ -56,10 +64,10 @@ def sample_problems(
     diagonals: Int,
     step: Int,
 ) -> Ints:
-    """Sample a problem on each grid: a goal, then one of the starts that fit it.
+    """Sample a problem on each grid: a goal, then one of the starts that are far enough from it.
 
-    docs/format.md, section 6, fixes the draws. The goal comes first so that one search around it
-    tells which starts there are.
+    docs/format.md, section 6, fixes the draws. Starts are tried one by one under the other
+    conditions, since a search of one path is much faster than one of all.
 
     Args:
         grids: (B, H, W).
@@ -71,10 +79,13 @@ def sample_problems(
         step: likewise.
 
     Returns:
-        (B, 4): start and goal, -1 where the map has no such problem.
+        (B, 4): start and goal, -1 where no such problem was found.
     """
     lattice = lattice_of(grids.shape[1:], (diagonals, step))
     buffers = scratch(ASTAR, lattice)
+    distances, ratios, lengths = bands
+    nearest = max(distances[0], 1.0)  # from 1 on: not the goal itself
+    any_start = distances[1] == math.inf and ratios == _OPEN and lengths == _OPEN
     sampled = np.full((len(grids), 4), -1)
     for b in range(len(grids)):
         board = board_of(grids[b])
@@ -84,68 +95,120 @@ def sample_problems(
         for attempt in range(_ATTEMPTS):
             w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
             goal = nth_cell(board.free, board.stride, bounded(w0, 0, free - 1))
-            # A uniform start among those that fit: they count in row-major order.
-            _keep_fitting(grids[b], goal, bands, lattice, buffers, board)
-            fitting = count_bits(board.reached, 0, len(board.free))
-            if fitting:
-                number = bounded(w1, 0, fitting - 1)
-                sampled[b, 0], sampled[b, 1] = nth_cell(board.reached, board.stride, number)
-                sampled[b, 2], sampled[b, 3] = goal
-                break
-            # Nothing fits this goal: another one.
+            word = word_at(goal[0], goal[1], board.stride)
+            bit = bit_at(goal[1])
+            if nearest == 1 and board.reached[word] & bit:
+                board.reached[word] ^= bit  # its starts are those of the goal before, and that one
+            else:
+                _keep_starts(grids[b], goal, nearest, lattice, buffers, board)
+            starts = count_bits(board.reached, 0, len(board.free))
+            if starts:
+                # A uniform one: they count in row-major order.
+                start = nth_cell(board.reached, board.stride, bounded(w1, 0, starts - 1))
+                if any_start or _is_within(bands, grids[b], start, goal, lattice, buffers, board):
+                    sampled[b, 0], sampled[b, 1] = start
+                    sampled[b, 2], sampled[b, 3] = goal
+                    break
+            board.reached[word] |= bit
+            # No start, or one that does not fit: another goal.
     return sampled
 
 
 @kernel
-def _keep_fitting(
+def _keep_starts(
     grid: Bytes,
     goal: tuple[Int, Int],
-    bands: Bands,
+    nearest: float,
     lattice: Lattice,
     buffers: Scratch,
     board: Board,
 ) -> None:
-    """Make ``reached`` the cells from which a problem to ``goal`` meets the conditions."""
+    """Make ``reached`` the cells whose shortest path to ``goal`` costs at least ``nearest``."""
     row, column = goal
-    distances, ratios, lengths = bands
-    nearest = max(distances[0], lengths[0] - 1, 1.0)  # from 1 on: not the goal itself
-    farthest = min(distances[1], lengths[1] - 1)
-    # Straight moves alone are found by bits, level by level. They tell which cells reach the goal
-    # under diagonal moves, too, since one between two free cells leads nowhere else.
-    straight = lattice.diagonals == 0 and ratios == _OPEN[1]
-    if straight or (lattice.diagonals < 2 and bands == _OPEN):
-        levels = min(farthest + 1, float(sum(grid.shape)))
-        if search_board(row, column, int(levels), board) or levels > farthest:
-            near_enough = board.reached.copy()
-            search_board(row, column, math.ceil(min(nearest, levels)), board)
-            for k in range(len(near_enough)):
-                board.reached[k] = near_enough[k] & ~board.reached[k]
+    levels: Int = sum(grid.shape)
+    most: Int = FAR
+    # Which cells reach the goal is found by bits, under diagonal moves, too, since one between two
+    # free cells leads nowhere else.
+    if lattice.diagonals < 2 and search_board(row, column, levels, board):
+        connected = board.reached.copy()
+        all_near = search_board(row, column, math.ceil(min(nearest, levels)), board)
+        for k in range(len(connected)):
+            board.reached[k] ^= connected[k]
+        if all_near or lattice.diagonals == 0 or nearest == 1:
             return
-    search_around(grid, row, column, True, lattice, buffers)
-    board.reached.fill(0)
+        most = math.ceil(min(nearest, float(FAR)))
+    else:
+        board.reached.fill(0)
+    load(grid, buffers.came)
+    source = np.empty(1, np.int64)
+    source[0] = cell_at(row, column, lattice)
+    shortest_costs(source, most, lattice, buffers)
+    buffers.came[source[0]] = 1  # the goal alone has no moves
     for k in range(grid.shape[0]):
         for j in range(grid.shape[1]):
             cell = cell_at(k, j, lattice)
-            # The goal has no moves, nor has a cell that it cannot be reached from.
-            if buffers.came[cell]:
-                least = heuristic(k - row, j - column, lattice)
-                if _is_within(bands, buffers.g[cell], least):
-                    board.reached[word_at(k, j, board.stride)] |= bit_at(j)
+            if buffers.came[cell]:  # reached, at a known cost
+                word = word_at(k, j, board.stride)
+                board.reached[word] |= bit_at(j)
+                if in_cells(buffers.g[cell]) < nearest:
+                    board.reached[word] ^= bit_at(j)
 
 
-@inlined
-def _is_within(bands: Bands, cost: Int, least: Int) -> bool:
-    """Return whether a problem of this cost and heuristic meets the conditions."""
-    straight, diagonal = parts(cost)
-    length: int = straight + diagonal + 1
-    distance: float = in_cells(cost)
-    hardness: float = distance / in_cells(least)
+@kernel
+def _is_within(
+    bands: Bands,
+    grid: Bytes,
+    start: tuple[Int, Int],
+    goal: tuple[Int, Int],
+    lattice: Lattice,
+    buffers: Scratch,
+    board: Board,
+) -> bool:
+    """Return whether the problem from ``start`` to ``goal`` meets the conditions."""
     distances, ratios, lengths = bands
+    least: float = in_cells(heuristic(start[0] - goal[0], start[1] - goal[1], lattice))
+    if least > distances[1]:
+        return False
+    # Most starts are too easy, which shows faster without a search.
+    if ratios[0] > 1 and board.stride == 1 and _is_direct(start, goal, lattice, board.free):
+        return False
+    load(grid, buffers.came)
+    first = cell_at(start[0], start[1], lattice)
+    last = cell_at(goal[0], goal[1], lattice)
+    straight, diagonal, _, _ = find(first, last, ASTAR, lattice, buffers)
+    distance: float = in_cells(straight * UNIT + diagonal * lattice.step)
     return (
-        distances[0] <= distance <= distances[1]
-        and ratios[0] <= hardness <= ratios[1]
-        and lengths[0] <= length <= lengths[1]
+        distance <= distances[1]
+        and ratios[0] <= distance / least <= ratios[1]
+        and lengths[0] <= straight + diagonal + 1 <= lengths[1]
     )
+
+
+@kernel
+def _is_direct(start: tuple[Int, Int], goal: tuple[Int, Int], lattice: Lattice, free: Words) -> Int:
+    """Return whether a path that is as long as on an empty map is found, where a row is one word.
+
+    All such paths are followed at once, row by row from the western end. Of diagonal moves only
+    those are tried that cut no corner, and as few as the heuristic counts.
+    """
+    if start[1] > goal[1]:
+        start, goal = goal, start
+    rows = goal[0] - start[0]
+    is_steep = lattice.diagonals and abs(rows) > goal[1] - start[1]
+    word = word_at(start[0], 0, 1)
+    last = word_at(goal[0], 0, 1)
+    here = bit_at(start[1])
+    while True:
+        row = free[word]
+        if not is_steep:
+            here |= row & ~(row + here)  # and eastward: a sum carries through free cells
+        if word == last:
+            return (here & bit_at(goal[1])) != 0
+        word += np.sign(rows)
+        here &= free[word]
+        if lattice.diagonals:
+            aslant = (here << np.uint64(1)) & row & free[word]
+            here = aslant | here if is_steep else aslant
 
 
 @kernel

@@ -25,7 +25,7 @@ from mapdata.arrays import Bytes, Ints, Words
 from mapdata.generators.maps import WORD
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.kernels import Scratch, shortest_costs, with_capacity
-from mapdata.search.lattice import Lattice, cell_at, load
+from mapdata.search.lattice import FAR, Lattice, cell_at, load
 
 MAX_SIDE = 64
 """Most rows and columns of a map that `bit_search` searches."""
@@ -95,7 +95,7 @@ def search_around(
     load(grid, buffers.came)
     source = np.empty(1, np.int64)
     source[0] = cell_at(row, column, lattice)
-    shortest_costs(source, lattice, buffers)
+    shortest_costs(source, FAR, lattice, buffers)
 
 
 @inlined

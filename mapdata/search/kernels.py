@@ -688,7 +688,7 @@ def write_field(
         return False
     source = np.empty(1, np.int64)
     source[0] = cell_at(row, column, lattice)
-    shortest_costs(source, lattice, buffers)
+    shortest_costs(source, FAR, lattice, buffers)
     for k in range(grid.shape[0]):
         for j in range(grid.shape[1]):
             out[k, j] = cost_at(cell_at(k, j, lattice), buffers)
@@ -703,7 +703,7 @@ def cost_at(cell: Int, buffers: Scratch) -> float:
 
 
 @kernel
-def shortest_costs(sources: Ints, lattice: Lattice, buffers: Scratch) -> None:
+def shortest_costs(sources: Ints, most: Int, lattice: Lattice, buffers: Scratch) -> None:
     """Write the costs of shortest paths from every cell to the nearest source, and their moves.
 
     ``came`` is as `load` leaves it. The costs go to ``g``, FAR without a path and -1 in walls; the
@@ -735,7 +735,7 @@ def shortest_costs(sources: Ints, lattice: Lattice, buffers: Scratch) -> None:
     stride = np.uint64(lattice.stride)
     cut = lattice.diagonals == 2
     bucket = 0
-    while waiting:
+    while waiting and bucket < most:
         if bucket >= LONGEST:
             raise ValueError(_TOO_LONG)
         pushed = _ZERO

@@ -363,7 +363,7 @@ def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, buffers: Scratch, c
     if lattice.step != UNIT and len(cells) >= _MANY:
         # sqrt(2) is irrational: only one pair of numbers of straight and diagonal moves has the
         # least cost, so that any optimal search finds that of A*.
-        shortest_costs(source, lattice, buffers)
+        shortest_costs(source, FAR, lattice, buffers)
         for k in range(len(cells)):
             costs[k, 0] = -1
             costs[k, 1] = 0

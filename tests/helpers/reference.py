@@ -328,25 +328,27 @@ Band: TypeAlias = tuple[float, float]
 def reference_problem(
     grid: Grid, seed: int, index: int, epoch: int, bands: Sequence[Band], movement: Movement
 ) -> ReferenceProblem | None:
-    """Sample a goal, then one of the starts whose distance, hardness and length fit the bands."""
+    """Draw goals, and for each a start that is far enough, until all bands are met."""
     cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
     free = [cell for cell in cells if is_free(grid, cell)]
     for attempt in range(32 if free else 0):
         words = block(seed, index, epoch, PROBLEM, attempt)
         goal = free[bounded(words[0], 0, len(free) - 1)]
         costs = reference_distances(grid, goal, movement)
-        starts = []
-        for cell in free:
-            if cell == goal or cell not in costs:
-                continue
-            distance = as_float(costs[cell], movement)
-            hardness = distance / as_float(heuristic(cell, goal, movement), movement)
-            length = sum(costs[cell]) + 1
-            values = zip((distance, hardness, length), bands, strict=True)
-            if all(low <= value <= high for value, (low, high) in values):
-                starts.append(cell)
-        if starts:
-            start = starts[bounded(words[1], 0, len(starts) - 1)]
+        nearest, _ = bands[0]
+        starts = [
+            cell
+            for cell in free
+            if cell != goal and cell in costs and as_float(costs[cell], movement) >= nearest
+        ]
+        if not starts:
+            continue
+        start = starts[bounded(words[1], 0, len(starts) - 1)]
+        distance = as_float(costs[start], movement)
+        hardness = distance / as_float(heuristic(start, goal, movement), movement)
+        length = sum(costs[start]) + 1
+        values = zip((distance, hardness, length), bands, strict=True)
+        if all(low <= value <= high for value, (low, high) in values):
             return ReferenceProblem(start, goal, costs[start])
     return None
 

@@ -7,15 +7,17 @@ import hashlib
 import numpy as np
 import pytest
 from helpers import reference
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
 
 from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, astar, generate
 from mapdata.arrays import Bytes, Ints
-from mapdata.problems.sampling import sample_problems
-from mapdata.search import rule_of
+from mapdata.problems.sampling import _is_direct, sample_problems
+from mapdata.search import distance_field, rule_of
+from mapdata.search.bitboard import board_of
+from mapdata.search.lattice import heuristics, lattice_of
 
 MOVEMENTS = [
     Movement(),
@@ -73,7 +75,12 @@ def test_the_kernel_is_the_reference(
 def test_wide_maps(columns: int, movement: Movement) -> None:
     """Rows of more cells than a word has bits."""
     grids = (np.random.default_rng(columns).random((6, 4, columns)) < 0.2).astype(np.uint8)
-    for conditions in (Random(), Random(distance=(10, None)), Random(distance=(2.5, 9.5))):
+    for conditions in (
+        Random(),
+        Random(distance=(10, None)),
+        Random(distance=(2.5, 9.5)),
+        Random(hardness=(1.1, None)),
+    ):
         equals_the_reference(grids, 3, 1, conditions, movement)
 
 
@@ -93,13 +100,37 @@ def equals_the_reference(
         assert tuple(found[4:]) == steps
 
 
+@given(
+    grid=arrays.arrays(
+        np.uint8,
+        st.tuples(st.integers(1, 9), st.integers(2, 9) | st.integers(63, 64)),
+        elements=st.sampled_from([0, 0, 0, 1]),
+    ),
+    data=st.data(),
+    movement=st.sampled_from(MOVEMENTS[:2]),
+)
+def test_easy_problems_are_known_without_a_search(
+    grid: Bytes, data: st.DataObject, movement: Movement
+) -> None:
+    """Direct are the cells at no more than the heuristic's distance, and those alone."""
+    free = np.argwhere(grid == 0)
+    assume(len(free))
+    goal = data.draw(st.sampled_from([tuple(map(int, cell)) for cell in free]))
+    lattice = lattice_of(grid.shape, rule_of(movement))
+    words = board_of(grid).free
+    found = [_is_direct((int(r), int(c)), goal, lattice, words) for r, c in free]
+    distances = distance_field(grid, goal, movement)[tuple(free.T)]
+    least = heuristics(free, np.array([goal]), movement)
+    np.testing.assert_array_equal(found, (distances >= 0) & (distances <= least + 1e-3))
+
+
 GOLDEN = {
     ("paper", 4, Random()): "9f6ffd0bc25bc786f98aacaf305456caa7f92eab07f6f7622f02aa961602f4ce",
     (
         "paper",
         8,
         Random(hardness=(1.05, None)),
-    ): "ab56577457b504b75a5c065c868f2334e3f0704cef6715bd4a9e7906da1ae64c",
+    ): "e71971c86a10c7bf15a54dcfbd89fd2e338e33af72760efbea7bfb6b14bff80a",
     (
         "dungeon",
         4,
@@ -109,7 +140,7 @@ GOLDEN = {
         "dungeon",
         8,
         Random((20, 40), (1.05, 2), (0, 38)),
-    ): "ca7e921cdd101994e0e361b2ff3f516b114c6c451d62d04d5be5322193556180",
+    ): "885964757c80a51143b0bdec714219ec9aff8857a091c62f78f0c8b73921b857",
     (
         "dungeon128",
         8,
