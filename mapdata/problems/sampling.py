@@ -125,7 +125,7 @@ def _keep_starts(
 ) -> None:
     """Make ``reached`` the cells whose shortest path to ``goal`` costs at least ``nearest``."""
     row, column = goal
-    levels: Int = sum(grid.shape)
+    levels: Int = 5 * sum(grid.shape) // 4
     most: Int = FAR
     # Which cells reach the goal is found by bits, under diagonal moves, too, since one between two
     # free cells leads nowhere else.

@@ -89,7 +89,7 @@ def search_around(
     by_bits = lattice.diagonals == 0 and not costs_too and grid.shape[1] >= _BYTE
     if by_bits and grid[row, column] == 0:
         board = board_of(grid)
-        if search_board(row, column, sum(grid.shape), board):
+        if search_board(row, column, 5 * sum(grid.shape) // 4, board):
             _write_moves(row + column, board, lattice, grid.shape, buffers.came)
             return
     load(grid, buffers.came)
@@ -153,7 +153,8 @@ def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
     """Search level by level: ``reached`` becomes what is within ``most`` - 1 moves of a cell.
 
     Returns whether no further cell can be reached. Callers choose ``most`` so that they can turn to
-    `shortest_costs` in a maze: a level takes its time however few cells it has.
+    `shortest_costs` in a maze: a level takes its time however few cells it has. With 5/4 of H + W
+    levels that is less than 1 goal of 1,000 on preset `paper`.
     """
     stride = board.stride
     unseen = board.free.copy()
