@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,6 +29,32 @@ class Row(NamedTuple):
     ratio: str = ""
     target: str = ""
     note: str = ""
+
+    @property
+    def is_missed(self) -> bool:
+        """Whether the target is missed: a lowest ratio or rate, or a limit of anything else."""
+        if not self.target:
+            return False
+        wanted, unit = quantities(self.target)[0]
+        found = [
+            value
+            for value, its_unit in quantities(self.ratio if unit == "x" else self.mapdata)
+            if its_unit == unit
+        ]
+        is_limit = unit not in ("x", "samples/s") or self.work.startswith("growth")
+        return max(found) > wanted if is_limit else min(found) < wanted
+
+
+SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+def quantities(text: str) -> list[tuple[float, str]]:
+    """Return the values of a cell with their units, times in seconds."""
+    found = re.findall(r"([\d.,]*\d) ?(x|us|ms|s|samples/s|bytes|MB)(?![\w/])", text)
+    return [
+        (float(number.replace(",", "")) * SECONDS.get(unit, 1.0), "s" if unit in SECONDS else unit)
+        for number, unit in found
+    ]
 
 
 class Peer(NamedTuple):
@@ -130,7 +157,11 @@ def to_text(
         for peer in peers
     ]
     head = [f"## {title}", "", *(f"- {fact}" for fact in (found, machine(), *notes, *commands)), ""]
-    lines = [[*Row._fields], *([*row] for row in rows)]
+    lines = [[*Row._fields]]
+    for row in rows:
+        lines.append(
+            [*row._replace(target=f"{row.target}, missed" if row.is_missed else row.target)]
+        )
     widths = [max(len(line[k]) for line in lines) for k in range(len(Row._fields))]
     lines.insert(1, ["-" * width for width in widths])
     for cells in lines:

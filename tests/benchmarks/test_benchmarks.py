@@ -110,6 +110,29 @@ def test_each_row_says_which_peer_is_absent(monkeypatch: pytest.MonkeyPatch) -> 
     assert making.PEER.absence == "not installed"
 
 
+@pytest.mark.parametrize(
+    ("row", "missed"),
+    [
+        (Row("a path", "11.9 us", "50.8 us", "4.3x", "15x"), True),
+        (Row("a path", "11.9 us", "50.8 us", "1,502.1x", "15x"), False),
+        (Row("labels", "59.5 ms", target="50 ms"), True),
+        (Row("labels", "224 ms", target="0.3 s"), False),
+        (Row("fields", "122,185 samples/s", target="200,000 samples/s"), True),
+        (Row("fields", "204,480 samples/s", target="200,000 samples/s"), False),
+        (Row("growth, side 64 to 128", ratio="3.9x and 4.1x", target="4x"), True),
+        (Row("growth, side 64 to 128", ratio="3.9x and 3.7x", target="4x"), False),
+        (Row("growth of memory", "+0.0 MB", target="0 MB"), False),
+        (Row("pickle", "439 bytes", target="10,000 bytes"), False),
+        (Row("no target", "1 s"), False),
+    ],
+)
+def test_a_missed_target_is_marked(row: Row, missed: bool) -> None:
+    """Ratios and rates are to be reached, times and sizes are limits."""
+    assert row.is_missed == missed
+    text = measure.to_text("Title", [row], packages=[], notes=[])
+    assert (", missed |" in text) == missed
+
+
 class Fake:
     """A module with a table."""
 
