@@ -26,19 +26,13 @@ def content_hash(labels: Labels) -> str:
     """Return the content hash of labelled maps: 64 hexadecimal digits."""
     records, offsets = _pack(labels)
     view = memoryview(records)  # type: ignore[arg-type]  # its slices are not copied
-    total = 0
-    for first, last in pairwise(offsets.tolist()):
-        digest = hashlib.sha256(view[first:last]).digest()
-        total += int.from_bytes(digest, "big")
-    return _hex(total)
+    bounds = pairwise(offsets.tolist())
+    return combine([hashlib.sha256(view[first:last]).hexdigest() for first, last in bounds])
 
 
 def combine(hashes: list[str]) -> str:
     """Return the content hash of all maps that ``hashes`` stand for."""
-    return _hex(sum(int(value, 16) for value in hashes))
-
-
-def _hex(total: int) -> str:
+    total = sum(int(value, 16) for value in hashes)
     return f"{total % 2**256:064x}"
 
 
@@ -51,24 +45,21 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     pairs = np.diff(maps.pair_offsets)
     _, rows, words_a_row = maps.packed.shape
     packed = maps.packed.view(np.uint8).reshape(count, rows * words_a_row * 8)
-    header = np.stack(
-        (
-            np.full(count, rows),
-            np.full(count, maps.columns),
-            maps.index & 0xFFFFFFFF,
-            maps.index >> 32,
-            maps.split,
-            maps.passage_width,
-            rooms,
-        ),
-        axis=1,
+    columns = np.broadcast_arrays(
+        rows,
+        maps.columns,
+        maps.index & 0xFFFFFFFF,
+        maps.index >> 32,
+        maps.split,
+        maps.passage_width,
+        rooms,
     )
+    header = np.stack(columns, axis=1)
     # After the header two words each: of a room, seed point and size; of a passage, directions;
     # then for either search, length and iterations of a segment, and the cost of a pair.
     words = header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
-    moves = np.zeros(count, np.int64)
-    for search in (labels.bfs, labels.astar):
-        moves += np.diff(search.offsets[maps.segment_offsets])
+    move_offsets = labels.bfs.offsets + labels.astar.offsets  # in the moves of both
+    moves = np.diff(move_offsets[maps.segment_offsets])
     padded_moves = (moves + 3) // 4 * 4  # a record is a whole number of words
     sizes = 4 * words + packed.shape[1] + padded_moves
     offsets = offsets_of(sizes)
