@@ -98,10 +98,8 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    lines = []
-    for place in places(root):
-        lines += [str(fault) for fault in inspect(place, progress=progress).faults]
-    return lines
+    found = [inspect(place, progress=progress) for place in places(root)]
+    return [str(fault) for each in found for fault in each.faults]
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
@@ -119,10 +117,10 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
         OSError: the disk is full or may not be written to.
     """
     folders = [folder_of(place) for place in places(root)]  # a URL is refused before any repair
-    left = []
-    for folder in folders:
-        left += repair_found(inspect(folder, progress=progress), progress=progress)
-    return [str(fault) for fault in left]
+    left = [
+        repair_found(inspect(folder, progress=progress), progress=progress) for folder in folders
+    ]
+    return [str(fault) for faults in left for fault in faults]
 
 
 def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
@@ -272,8 +270,8 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
     if size is None or maps > MOST_SHARDS * size:
         return None
     manifest = Manifest(**header.origin(), maps=maps, shard_size=size)
-    entries = [found.get(planned) for planned in headers(manifest)]
-    return replace(manifest, shards=tuple(entry for entry in entries if entry is not None))
+    sound = filter(None, map(found.get, headers(manifest)))
+    return replace(manifest, shards=tuple(sound))
 
 
 def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
@@ -293,18 +291,18 @@ def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
 
 def _check_provenance(place: str) -> list[Corruption]:
     """Check the file that says where imported maps came from."""
-    path = f"{place}/{PROVENANCE}"
     try:
         text = read_file(place, PROVENANCE).decode()
         values = json.loads(text)
         del values["hash"]
         if text == provenance_text(values):
             return []
-        return [Corruption(path, "damaged (its hash does not fit)")]
+        what = "damaged (its hash does not fit)"
     except FileNotFoundError:
-        return [Corruption(path, "missing")]
+        what = "missing"
     except (PermissionError, *UNSOUND) as error:
-        return [Corruption(path, f"damaged ({error})")]
+        what = f"damaged ({error})"
+    return [Corruption(f"{place}/{PROVENANCE}", what)]
 
 
 def _fault(place: str, manifest: Manifest, entry: Entry) -> str | None:
