@@ -386,9 +386,7 @@ def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
 
 def merge_locked(root: Path, mine: Manifest) -> Manifest:
     """Do what `merge` does; the caller holds the lock."""
-    theirs = mine
-    if (root / MANIFEST).exists():
-        theirs = read_manifest(root)
+    theirs = read_manifest(root) if (root / MANIFEST).exists() else mine
     both = union(mine, theirs)
     write_file(root / MANIFEST, both.to_json().encode())
     sweep(root, both)
@@ -403,7 +401,7 @@ def union(mine: Manifest, theirs: Manifest) -> Manifest:
     """
     if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
         raise ValueError("another dataset appeared under the same root while this one was built")
-    entries = sorted((*theirs.shards, *mine.shards), key=lambda entry: (entry.start, entry.stop))
+    entries = sorted((*theirs.shards, *mine.shards), key=lambda entry: entry.limits)
     # of those that start together the last one stays: the longest, and of equal ones mine
     shards = {entry.start: entry for entry in entries}
     return replace(mine, maps=max(mine.maps, theirs.maps), shards=tuple(shards.values()))
@@ -415,7 +413,7 @@ def sweep(root: Path, manifest: Manifest) -> None:
         with suppress(FileNotFoundError):  # another builder sweeps too
             if re.fullmatch(_TEMPORARY, path.name) and path.is_file() and _is_left(path):
                 path.unlink()
-    stops = {entry.start: entry.stop for entry in manifest.shards}
+    stops = dict(entry.limits for entry in manifest.shards)
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
             start, stop = limits_of(path)
