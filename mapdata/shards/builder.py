@@ -29,7 +29,7 @@ from mapdata.shards.manifest import (
     sweep,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.root import file_hash, folder_of
+from mapdata.shards.root import file_hash, file_size, folder_of
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
 from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
 from mapdata.spec import check_count, check_seed
@@ -85,9 +85,9 @@ def build(
     root = folder_of(root)
     if not isinstance(spec, MapGenerator):
         raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
-    if workers is not None and executor is not None:
-        raise ValueError("workers: would do nothing beside an executor")
     if workers is not None:
+        if executor is not None:
+            raise ValueError("workers: would do nothing beside an executor")
         check_count("workers", workers)
     wanted = Manifest(
         spec=spec,
@@ -114,7 +114,7 @@ def build(
     if executor is not None:
         # kernels are compiled here, once, rather than in each process of the executor at once
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
-    shards = list(have.values())
+    shards = list(present.shards)
     wait = True
     total = sum(header.maps for header in mine)
     left = sum(header.maps for header in todo)
@@ -135,7 +135,7 @@ def build(
             try:
                 for entry in made:
                     if executor is not None:
-                        if _size(root / entry.name) != entry.bytes:
+                        if file_size(root / entry.name) != entry.bytes:
                             raise OSError(
                                 f"root: a worker wrote {entry.name} elsewhere: it must share the "
                                 f"folder {root}"
@@ -236,7 +236,7 @@ def _prepare(
         for entry in listed:
             limits = entry.limits
             path = path_in(root, entry.name)
-            size = _size(path)
+            size = file_size(path)
             if size == entry.bytes and (limits not in mine or file_hash(path) == entry.sha256):
                 have[limits] = entry
             elif size is not None:
@@ -274,11 +274,3 @@ def _facts(manifest: Manifest) -> dict[str, object]:
     spec = manifest.spec
     facts = {"generator": spec.name, **spec.to_dict()} if spec else {"generator": "none: imported"}
     return {"seed": manifest.seed, "shard_size": manifest.shard_size, **facts}
-
-
-def _size(path: Path) -> int | None:
-    """Return the size of a file in bytes, None if there is none."""
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:
-        return None

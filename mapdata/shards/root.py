@@ -174,7 +174,7 @@ class Root:
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
-        with bar(progress, sum(entry.maps for _, _, entry in self.shards)) as advance:
+        with bar(progress, sum(manifest.done for manifest in self.manifests)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):
                 yield self.shard_labels(k)
                 advance(entry.maps)
@@ -284,7 +284,7 @@ def local_file(place: str, entry: Entry) -> Path:
         return path_in(Path(place), entry.name)
     # with the hash in its name, a shard that was replaced at the URL is another file here
     path = _cache(place) / f"{entry.sha256[:16]}-{entry.name}"
-    cached = path.exists() and path.stat().st_size == entry.bytes
+    cached = file_size(path) == entry.bytes
     if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
         data = _fetch(place, entry.name, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
@@ -314,6 +314,14 @@ def _keep(path: Path, data: bytes) -> None:
             f"{path}: cannot keep what was fetched ({error.strerror}); set NUMBA_CACHE_DIR to a "
             "folder that is writable and has room"
         ) from None
+
+
+def file_size(path: Path) -> int | None:
+    """Return the size of a file in bytes, None if there is none."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return None
 
 
 def file_hash(path: Path) -> str:
