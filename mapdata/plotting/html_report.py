@@ -76,7 +76,7 @@ def _pack(of: DatasetStatistics, places: Ints) -> bytes:
     for place, (labels, i) in enumerate(every):
         if place in wanted:
             values = {"free": of.free[place], "hardest": of.hardest[place]}
-            maps.append({**_shown(labels, i), **values})
+            maps.append(_shown(labels, i) | values)
     page = {
         "size": root.map_size,
         "connectivity": root.movement.connectivity,

@@ -114,12 +114,17 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
     """
     found = [Section(title(of), _introduction(of)), _facts(of, copied)]
     for name, place, manifest in zip(_names(of), of.root.places, of.root.manifests, strict=True):
-        if manifest.spec is None:
-            found.append(_origin(place, of.rooms_known))
-        else:
-            found.append(_rebuild(name, manifest))
-    found += [_splits(of), _shares(of), _distributions(of), _duplicates(of), _use(of, copied)]
-    return [*found, Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex")]
+        imported = manifest.spec is None
+        found.append(_origin(place, of.rooms_known) if imported else _rebuild(name, manifest))
+    return [
+        *found,
+        _splits(of),
+        _shares(of),
+        _distributions(of),
+        _duplicates(of),
+        _use(of, copied),
+        Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex"),
+    ]
 
 
 def _introduction(of: DatasetStatistics) -> str:
@@ -153,9 +158,8 @@ def _facts(of: DatasetStatistics, copied: bool) -> Section:
 def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
     """Return what one dataset is, in words; empty where it has no such thing."""
     rows, columns = manifest.map_size
-    maps = manifest.done
     facts = {
-        "maps": f"{maps:,} in {counted(len(manifest.shards), 'shard')}",
+        "maps": f"{manifest.done:,} in {counted(len(manifest.shards), 'shard')}",
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
         "cells": "(row, col), origin upper left",
         "polarity": "1 occupied, 0 free",

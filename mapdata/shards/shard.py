@@ -294,10 +294,12 @@ def encode(labels: Labels) -> dict[str, Array]:
     }
     for name in SEARCHES:
         search = labels.of(name)
-        arrays[f"{name}_offsets"] = search.offsets
-        arrays[f"{name}_moves"] = pack_moves(search.moves, bits_of(maps.movement))
-        arrays[f"{name}_iterations"] = search.iterations
-        arrays[f"{name}_straight"] = search.costs[:, 0]
+        arrays |= {
+            f"{name}_offsets": search.offsets,
+            f"{name}_moves": pack_moves(search.moves, bits_of(maps.movement)),
+            f"{name}_iterations": search.iterations,
+            f"{name}_straight": search.costs[:, 0],
+        }
     # BFS counts moves, so it needs no second number; nor does a search without diagonals
     arrays["astar_diagonal"] = np.empty(0, np.int32)
     if maps.movement.connectivity == 8:

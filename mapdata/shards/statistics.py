@@ -239,10 +239,8 @@ def count_repeats(digests: Array, split: Bytes) -> Repeats:
     # equal digests get equal numbers, which compare faster
     _, kinds = np.unique(digests, return_inverse=True)
     kinds_of = {name: kinds[split == code] for code, name in enumerate(SPLITS)}
-    inside = {}
-    for name, own in kinds_of.items():
-        inside[name] = len(own) - len(np.unique(own))
-    across = {}
-    for a, b in combinations(SPLITS, 2):
-        across[a, b] = int(np.isin(kinds_of[b], kinds_of[a]).sum())
+    inside = {name: len(own) - len(np.unique(own)) for name, own in kinds_of.items()}
+    across = {
+        (a, b): int(np.isin(kinds_of[b], kinds_of[a]).sum()) for a, b in combinations(SPLITS, 2)
+    }
     return Repeats(inside, across)

@@ -50,12 +50,14 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
         route = labels.route(search, k)
         iterations = labels.iterations(search, k)
         rows, columns = joined(route).T.tolist()
-        row[f"{search}_row_path"] = rows
-        row[f"{search}_column_path"] = columns
-        row[f"{search}_path_gaps"] = gaps(route)
-        row[f"{search}_iterations"] = int(iterations.sum())
-        row[f"{search}_segment_iterations"] = iterations.tolist()
-        row[f"{search}_connection_matrix"] = labels.matrix(search, k).tolist()
+        row |= {
+            f"{search}_row_path": rows,
+            f"{search}_column_path": columns,
+            f"{search}_path_gaps": gaps(route),
+            f"{search}_iterations": int(iterations.sum()),
+            f"{search}_segment_iterations": iterations.tolist(),
+            f"{search}_connection_matrix": labels.matrix(search, k).tolist(),
+        }
     return row
 
 
