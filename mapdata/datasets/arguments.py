@@ -74,10 +74,9 @@ class Serving:
             )
         for field in self.fields:
             if not callable(field) and field not in list(FIELDS):
-                hint = did_you_mean(field, FIELDS)
                 raise ValueError(
                     f"fields: got {field!r}, expected a function or one of "
-                    f"{', '.join(FIELDS)}{hint}"
+                    f"{', '.join(FIELDS)}{did_you_mean(field, FIELDS)}"
                 )
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"fields: got {self.names}, expected each name once")

@@ -239,9 +239,8 @@ class BatchReader:
             )
         self._split = split
         self._problems = problems
-        self.least = 0
-        if radius:  # only then must all roots have one resolution
-            self.least = least_squared(radius, self.root.resolution)
+        # only with a radius must all roots have one resolution
+        self.least = least_squared(radius, self.root.resolution) if radius else 0
         self.offsets = offsets_of([self._count(entry) for _, _, entry in self.shards])
         # of the arrays of each shard, for the kernels; 0 before it is opened
         self._addresses = np.zeros((len(self.shards), len(ARRAYS)), np.int64)

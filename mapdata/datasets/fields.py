@@ -192,9 +192,8 @@ def path_mask(batch: Batch) -> Bytes:
 
     Neural A*'s ``opt_trajs``, but with the goal.
     """
-    return mask_paths(
-        batch.paths.cells, batch.paths.offsets, batch.grids.shape[1], batch.grids.shape[2]
-    )[:, None]
+    cells, offsets, _ = batch.paths
+    return mask_paths(cells, offsets, *batch.grids.shape[1:])[:, None]
 
 
 def start_mask(batch: Batch) -> Bytes:

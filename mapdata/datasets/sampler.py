@@ -74,8 +74,7 @@ class EpochSampler(DistributedSampler[Any]):
         # Four bytes a sample: Python's integers take nine times as much, so each batch has its own.
         order = np.arange(total, dtype=np.uint32)
         shuffle(order, np.uint64(self.sampling_seed), epoch)
-        even = total - total % world  # all ranks get equally many
-        mine = order[:even][rank::world]
+        mine = order[rank::world][: len(self)]  # all ranks get equally many
         for first in range(done * self.batch_size, len(mine), self.batch_size):
             batch = mine[first : first + self.batch_size].astype(np.int64)
             yield from (batch + epoch * total).tolist()
