@@ -72,8 +72,8 @@ def search(
     # is taken when nothing else is left.
     nowhere = rows * columns
     each = torch.arange(len(costs), device=costs.device)  # (B,)
-    first = starts[:, 0] * columns + starts[:, 1]  # (B,)
-    last = goals[:, 0] * columns + goals[:, 1]  # (B,)
+    first = common.cell_numbers(starts, occupied)  # (B,)
+    last = common.cell_numbers(goals, occupied)  # (B,)
     legal = F.pad(common.legal_moves(occupied, movement).flatten(2), (0, 1))  # (B, moves, cells)
     moves = torch.tensor(STEPS[: movement.connectivity], device=costs.device)  # (moves, 2)
     lengths = torch.where(moves.prod(dim=1) == 0, 1.0, movement.diagonal_cost)  # (moves,)
@@ -176,8 +176,8 @@ class NeuralAstar(LearnedPlanner):
         """Return guidance costs (B, H, W), for maps (B, 1, H, W) and cells (B, 2)."""
         ends = torch.zeros_like(occupied[:, 0], dtype=torch.float)  # (B, H, W)
         each = torch.arange(len(ends), device=ends.device)
-        ends[each, starts[:, 0], starts[:, 1]] += 1
-        ends[each, goals[:, 0], goals[:, 1]] += 1
+        for cells in (starts, goals):
+            ends[each, cells[:, 0], cells[:, 1]] += 1
         seen = torch.stack([(occupied[:, 0] == 0).float(), ends], dim=1)  # (B, 2, H, W)
         return torch.sigmoid(self.encoder(seen)[:, 0].float())
 
@@ -215,13 +215,12 @@ class NeuralAstar(LearnedPlanner):
             ValueError: a start or goal outside its map or on an occupied cell.
         """
         problems = common.check_problems(grids, starts, goals)
-        columns = problems[0].shape[2]
         occupied, first, last = self.tensors(problems[0][:, None], *problems[1:])
         with self.inference():
             costs = self(occupied, first, last)
             most = costs[0].numel()
             expanded, parents = search(costs, occupied, first, last, self.movement, most)
-        ends = [(end[:, 0] * columns + end[:, 1]).tolist() for end in problems[1:]]
+        ends = [common.cell_numbers(end, occupied).tolist() for end in (first, last)]
         counts = expanded.sum(dim=(1, 2)).round().int().tolist()
         plans = []
         for start, goal, each, count in zip(*ends, parents.tolist(), counts, strict=True):
@@ -231,5 +230,5 @@ class NeuralAstar(LearnedPlanner):
             if path[-1] == -1:
                 path.clear()
             cells = np.array(path[::-1], np.int64)
-            plans.append(Plan(np.column_stack(np.divmod(cells, columns)), count))
+            plans.append(Plan(np.column_stack(np.divmod(cells, occupied.shape[3])), count))
         return plans
