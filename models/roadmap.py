@@ -31,6 +31,7 @@ from scipy.stats import qmc
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.jit import kernel
+from mapdata.search import STEPS
 from mapdata.spec import check_count
 
 Points = Callable[[ArrayLike, int, int], Floats]
@@ -116,9 +117,11 @@ def build_roadmap(grid: ArrayLike, points: ArrayLike, reach: float) -> Roadmap:
             f"points: got {wrong}, expected points in free cells of a map of {cells.shape}"
         )
     pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")  # (p, 2)
-    edges = pairs[_all_see(cells, places[pairs[:, 0]], places[pairs[:, 1]])]  # (m, 2)
-    lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)  # (m,)
-    return Roadmap(places, edges, lengths)
+    first = places[pairs[:, 0]]  # (p, 2)
+    second = places[pairs[:, 1]]  # (p, 2)
+    seen = _all_see(cells, first, second)  # (p,)
+    lengths = np.linalg.norm(first - second, axis=1)  # (p,)
+    return Roadmap(places, pairs[seen], lengths[seen])
 
 
 def between(grid: ArrayLike, start: ArrayLike, goal: ArrayLike, samples: ArrayLike) -> Roadmap:
@@ -290,7 +293,7 @@ def corners(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     cells = _free(grid, n)
     places = np.argwhere(cells == 0)
     at_corner = np.zeros(len(places), bool)
-    for diagonal in np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
+    for diagonal in STEPS[4:]:
         sides = [free_at(cells, places + diagonal * axis) for axis in np.eye(2)]
         at_corner |= sides[0] & sides[1] & ~free_at(cells, places + diagonal)
     return _farthest_first(cells, places[at_corner], n, seed)
