@@ -186,11 +186,10 @@ def check_problems(
     for name, given in (("start", starts), ("goal", goals)):
         end = np.atleast_2d(np.asarray(given).astype(np.int64))
         # of order 0, the value of a cell itself; outside the map all is occupied
-        occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)
-        free = occupied == 0  # (B,)
-        if not free.all():
+        occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)  # (B,)
+        if occupied.any():
             raise ValueError(
-                f"{name}: got {end[free.argmin()].tolist()}, outside its map or on an occupied "
+                f"{name}: got {end[occupied.argmax()].tolist()}, outside its map or on an occupied "
                 f"cell, expected a free cell of a map of {grids.shape[1:]}"
             )
         ends.append(end)
@@ -389,13 +388,15 @@ class Model(pl.LightningModule):
 
     def save(self, file: str | PathLike[str]) -> None:
         """Write class, arguments and weights, as plain types and float16 tensors: half the size."""
-        arguments = {}
-        for name, value in self.hparams.items():
-            if not name.startswith("_"):  # LightningCLI adds one of its own
-                arguments[name] = list(value) if isinstance(value, tuple) else value
-        weights = {}
-        for name, value in self.state_dict().items():
-            weights[name] = value.to("cpu", torch.float16).contiguous()
+        arguments = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in self.hparams.items()
+            if not name.startswith("_")  # LightningCLI adds one of its own
+        }
+        weights = {
+            name: value.to("cpu", torch.float16).contiguous()
+            for name, value in self.state_dict().items()
+        }
         torch.save({"class": type(self).__name__, "arguments": arguments, "weights": weights}, file)
 
     @classmethod

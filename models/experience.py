@@ -221,7 +221,7 @@ class Bank:
     def write(self, file: Path) -> None:
         """Write the bank as one file of numpy's, at once or not at all."""
         buffer = BytesIO()
-        np.savez(buffer, identity=np.array(self.identity), **self.arrays)  # type: ignore[arg-type]
+        np.savez(buffer, identity=self.identity, **self.arrays)  # type: ignore[arg-type]
         file.parent.mkdir(parents=True, exist_ok=True)
         write_file(file, buffer.getvalue())
 

@@ -113,10 +113,8 @@ class GuidedSearch(Batched):
         grids, starts, goals = check_problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals)
         rule = rule_of(self.model.movement)
-        plans = []
-        for each in zip(grids, scores, ratios, starts, goals, strict=True):
-            plans.append(Plan(*_search(*each, rule, self.trust)))
-        return plans
+        problems = zip(grids, scores, ratios, starts, goals, strict=True)
+        return [Plan(*_search(*each, rule, self.trust)) for each in problems]
 
 
 @kernel

@@ -180,11 +180,8 @@ class Sampler(Model, ABC):
         points = self.sample_batch(grid, start, goal, n, seed).squeeze(0)
         if resolution is None:
             return points
-        x0, y0 = origin
         rows, columns = points.T
-        x = x0 + unit * columns
-        y = y0 + unit * (len(grid) - rows)
-        return np.column_stack([x, y])
+        return origin + unit * np.column_stack([columns, len(grid) - rows])
 
     def sample_batch(
         self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0

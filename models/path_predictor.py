@@ -75,12 +75,12 @@ def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     down, right = (cells - batch.goal[:, None]).unbind(2)  # (B, T - 1) both
     ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
     bits = 2 ** made.long().argmax(dim=2)  # (B, T - 1)
-    problem, k = labelled.nonzero(as_tuple=True)  # (n,) both, of the cells of all paths
-    row, column = cells[problem, k].unbind(1)  # (n,) both: where on its map each of them is
+    problem, _ = labelled.nonzero(as_tuple=True)  # (n,), of the cells of all paths
+    row, column = cells[labelled].unbind(1)  # (n,) both: where on its map each of them is
     optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
-    optimal[problem, row, column] = bits[problem, k]
+    optimal[problem, row, column] = bits[labelled]
     ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
-    ratio[problem, row, column] = ratios[problem, k]
+    ratio[problem, row, column] = ratios[labelled]
     return optimal, ratio
 
 
