@@ -41,7 +41,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
         "identity": manifest.identity or "none (imported)",
         "content hash": manifest.content_hash,
-        "look": f"mapdata show {shlex.quote(str(root))} --index {shown} -o map.png",
+        "look": f"mapdata show {shlex.quote(root)} --index {shown} -o map.png",
     }
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
@@ -124,13 +124,17 @@ def parser_of(command: Callable[..., None], prog: str | None = None, **defaults:
         allow_abbrev=False,
     )
     for name, option in options_of(command, inspect.Parameter.POSITIONAL_OR_KEYWORD).items():
-        how: dict[str, Any] = {"metavar": name.upper(), "type": path_name, "help": option.help}
-        many = get_origin(option.kind) is list
+        nargs = "+" if get_origin(option.kind) is list else None
         if name in defaults:
-            how |= {"nargs": "*" if many else "?", "default": defaults[name]}
-        elif many:
-            how["nargs"] = "+"
-        parser.add_argument(name, **how)
+            nargs = "*" if nargs else "?"
+        parser.add_argument(
+            name,
+            nargs=nargs,
+            default=defaults.get(name),
+            type=path_name,
+            metavar=name.upper(),
+            help=option.help,
+        )
     for name, option in options_of(command).items():
         add_flag(parser, name, option, option.default)
     return parser
@@ -140,25 +144,27 @@ def add_flag(
     parser: argparse._ActionsContainer, name: str, option: Option, default: object
 ) -> None:
     """Add the flag of a keyword-only parameter."""
-    flags = ["-o"] if name == "output" else []
-    flags.append(f"--{name.replace('_', '-')}")
-    metavar = {int: "N", float: "X"}.get(option.kind, name.rpartition(".")[2].upper())
-    how = {"type": option.kind, "metavar": metavar}
-    if option.kind is bool:
+    short = ["-o"] if name == "output" else []
+    flag = f"--{name.replace('_', '-')}"
+    kind = option.kind
+    origin = get_origin(kind)
+    metavar = {int: "N", float: "X"}.get(kind, name.rpartition(".")[2].upper())
+    how = {"type": kind, "metavar": metavar}
+    if kind is bool:
         how = {"action": "store_true"}
-    elif option.kind == Literal[True]:  # or a text: its value may be left out
+    elif kind == Literal[True]:  # or a text: its value may be left out
         how = {"nargs": "?", "const": True, "metavar": metavar}
-    elif get_origin(option.kind) is list:
-        how = {"nargs": "+", "type": get_args(option.kind)[0], "metavar": "N"}
-    elif get_origin(option.kind) is Literal:
-        choices = get_args(option.kind)
+    elif origin is list:
+        how = {"nargs": "+", "type": get_args(kind)[0], "metavar": "N"}
+    elif origin is Literal:
+        choices = get_args(kind)
         how = {"type": type(choices[0]), "choices": choices}
-    elif get_origin(option.kind) is tuple:
+    elif origin is tuple:
         how = {"type": _size, "metavar": "HxW"}
     text = option.help.removesuffix(".").replace("%", "%%")
     if option.default is not None and option.default is not False:
         text += f" (default: {option.default})"
-    parser.add_argument(*flags, dest=name, default=default, help=text, **how)
+    parser.add_argument(*short, flag, dest=name, default=default, help=text, **how)
 
 
 def path_name(text: str) -> str:
