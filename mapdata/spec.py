@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from operator import index
 from typing import Any, SupportsIndex, TypeGuard
@@ -180,12 +181,10 @@ def check_sides(name: str, values: object) -> Size:
 
 def check_number(name: str, value: object) -> float:
     """Return ``value`` as a float; text and bools are no numbers."""
-    if isinstance(value, bool) or not hasattr(value, "__float__") or isinstance(value, str):
-        raise ValueError(f"{name}: got {value!r}, expected a number")
-    try:
-        return float(value)
-    except OverflowError:
-        raise ValueError(f"{name}: got {value!r}, expected a number") from None
+    if hasattr(value, "__float__") and not isinstance(value, (bool, str)):
+        with suppress(OverflowError):
+            return float(value)
+    raise ValueError(f"{name}: got {value!r}, expected a number")
 
 
 def check_probability(name: str, value: object) -> float:
