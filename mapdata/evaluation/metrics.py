@@ -122,10 +122,14 @@ def evaluate(
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         values, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
         for k, run in enumerate(runs):
-            row = {"planner": names[k], "subset": subset, "n": int(mask.sum())}
-            row |= dict(zip(METRICS, values[k].tolist(), strict=True))
-            row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
-            row["ms_batched"] = run.ms_batched
+            row = {
+                "planner": names[k],
+                "subset": subset,
+                "n": int(mask.sum()),
+                **dict(zip(METRICS, values[k].tolist(), strict=True)),
+                "ms": run.ms[mask].mean() if mask.any() else np.nan,
+                "ms_batched": run.ms_batched,
+            }
             for m, metric in enumerate(METRICS):
                 row[f"{metric}_low"] = lows[k, m]
                 row[f"{metric}_high"] = highs[k, m]
@@ -202,9 +206,7 @@ class _Run(NamedTuple):
 
 def _run(planner: Planner, problems: Problems) -> _Run:
     """Plan and check every problem."""
-    costs = np.empty(len(problems))
-    expansions = np.empty(len(problems))
-    ms = np.empty(len(problems))
+    costs, expansions, ms = np.empty((3, len(problems)))
     for k in (0, *range(len(problems))):  # the first twice: kernels compile and caches fill
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())

@@ -134,7 +134,7 @@ class BestFirst(Batched):
 
     def __post_init__(self) -> None:
         """Refuse a weight that is no weight."""
-        if not 0 <= self.weight < float("inf"):
+        if not 0 <= self.weight < math.inf:
             raise ValueError(f"weight: got {self.weight}, expected a number from 0")
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
@@ -146,8 +146,7 @@ class BestFirst(Batched):
         """
         if self.weight * sum(np.shape(grids)[1:]) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")
-        g_weight = 1 if self.counts_way else 0
-        weights = (g_weight, float(self.weight))
+        weights = (int(self.counts_way), float(self.weight))
         return _plans(solve_batch(weights, grids, starts, goals, self.movement))
 
 
