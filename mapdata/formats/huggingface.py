@@ -22,13 +22,12 @@ from mapdata.shards.dataset_card import Section, card
 from mapdata.shards.root import Root
 from mapdata.shards.shard import SEARCHES
 from mapdata.shards.table import map_row
-from mapdata.spec import SPLITS
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_NAMES = {"train": "train", "val": "validation", "test": "test"}
-"""The Hub's names of the splits."""
+_SPLITS = ("train", "validation", "test")
+"""The Hub's names of the splits, in the order of their codes."""
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -52,18 +51,16 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     shards = len(root.shards)
     written = set()
     for number, labels in enumerate(root.labels(progress=progress)):
-        for code, split in enumerate(SPLITS):
+        for code, split in enumerate(_SPLITS):
             indices = np.flatnonzero(labels.maps.split == code).tolist()
             rows = [_row(labels, k, root.resolution) for k in indices]
             if rows:
-                name = f"{_NAMES[split]}-{number:05d}-of-{shards:05d}.parquet"
+                name = f"{split}-{number:05d}-of-{shards:05d}.parquet"
                 table = pa.Table.from_pylist(rows, _schema(rows[0]))
                 parquet.write_table(table, target / "data" / name, compression="zstd")
                 written.add(split)
     # load_dataset refuses a pattern without files
-    files = {
-        _NAMES[split]: f"data/{_NAMES[split]}-*.parquet" for split in SPLITS if split in written
-    }
+    files = {split: f"data/{split}-*.parquet" for split in _SPLITS if split in written}
     text = card(root.places, files=files, extra=[_COLUMNS])
     (target / "README.md").write_text(text, encoding="utf-8", newline="\n")
     return []
