@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from math import prod
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,8 +58,8 @@ RESOLUTION = 0.1
 _CELLS_A_SHARD = 2**24
 """Most cells of a shard where its size is not given, so that large maps fit in memory."""
 
-Group = tuple[int, int, float]
-"""Rows, columns and resolution: all that maps of one dataset must share."""
+Group = tuple[Size, float]
+"""Size and resolution: all that maps of one dataset must share."""
 
 
 class Draws(NamedTuple):
@@ -145,7 +146,7 @@ def import_maps(
             with source.leaving_out(one.name):
                 _check_usable(one, movement)
                 metres = resolution or one.resolution or RESOLUTION
-                groups.setdefault((*one.shape, metres), []).append(one)
+                groups.setdefault((one.shape, metres), []).append(one)
             advance(1)
     if not groups:
         reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
@@ -154,7 +155,7 @@ def import_maps(
     draws = Draws(seed_points, seed)
     made = []
     with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
-        for group, found in groups.items():
+        for (size, metres), found in groups.items():
             ordered = _ordered(found, source)
             codes = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
             for k, one in enumerate(ordered):
@@ -164,18 +165,17 @@ def import_maps(
             kept = separate(ordered, codes, drop_leaks, source.notes)
             maps = [ordered[k] for k in kept]
             advance(len(ordered) - len(maps))
-            rows, columns, metres = group
-            most = max(1, _CELLS_A_SHARD // (rows * columns))
+            most = max(1, _CELLS_A_SHARD // prod(size))
             wanted = Manifest(
                 spec=None,
                 seed=None,
                 maps=len(maps),
                 shard_size=shard_size or min(1000, most),
-                map_size=(rows, columns),
+                map_size=size,
                 movement=movement,
                 resolution=metres,
             )
-            folder = folders[group]
+            folder = folders[size, metres]
             folder.mkdir(parents=True, exist_ok=True)
             # two imports of other maps would take each other's shards away
             with locked(folder, wait=False) as is_free:
@@ -190,8 +190,7 @@ def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
     if tile is None:
         yield from source.maps
         return
-    rows, columns = tile
-    check_sides("tile", tile)
+    rows, columns = check_sides("tile", tile)
     for one in source.maps:
         grid = one.grid
         height, width = one.shape
@@ -236,12 +235,12 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
     """
     folders = dict.fromkeys(groups, root)
     if len(groups) > 1:
-        sizes = Counter((rows, columns) for rows, columns, _ in groups)
-        for rows, columns, metres in groups:
-            name = f"{rows}x{columns}"
-            if sizes[rows, columns] > 1:
+        sizes = Counter(size for size, _ in groups)
+        for size, metres in groups:
+            name = f"{size[0]}x{size[1]}"
+            if sizes[size] > 1:
                 name += f"-{metres:g}m"
-            folders[rows, columns, metres] = root / name
+            folders[size, metres] = root / name
         check_names(root, {folder.name for folder in folders.values()}.__contains__)
     for folder in folders.values():
         check_names(folder)
@@ -277,10 +276,10 @@ def _write(
     checked = 0
     disagreements: Counter[str] = Counter()
     for header in headers(wanted):
-        batch = maps[header.start : header.stop]
+        span = slice(*header.limits)
+        batch = maps[span]
         # in a thread, so that Ctrl-C need not wait for it
-        codes = splits[header.start : header.stop]
-        labels = pool.submit(label, to_maps(batch, codes, header, draws)).result()
+        labels = pool.submit(label, to_maps(batch, splits[span], header, draws)).result()
         for k, one in enumerate(batch):
             if one.check is not None:
                 checked += 1
@@ -312,7 +311,7 @@ def to_maps(batch: Sequence[ForeignMap], splits: Bytes, header: Header, draws: D
     """
     points = [_seed_points(one, header, draws, header.start + k) for k, one in enumerate(batch)]
     most = max(2, *map(len, points))
-    indices = np.arange(header.start, header.stop)
+    indices = np.arange(*header.limits)
     maps = Maps.empty(header.movement, header.map_size, indices, most)
     maps.split[:] = splits
     maps.packed[:] = pack(np.stack([one.grid for one in batch]))
