@@ -15,6 +15,7 @@ from typing import IO, Any
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
+from mapdata.formats.collection import Collection
 from mapdata.generators.maps import Maps
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
@@ -101,15 +102,13 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-LeftOut = list[tuple[str, str]]
-"""(name, why) of files that could not be used."""
-
-
-def walk(folder: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut) -> list[Path]:
+def walk(
+    folder: Path, endings: tuple[str, ...], limits: Limits, left_out: list[tuple[str, str]]
+) -> list[Path]:
     """Return the files below ``folder`` with one of these endings, map2 before map10.
 
     Endings are in lower case. Hidden names and links to folders are passed over; links to files
-    outside ``folder`` are added to ``left_out``.
+    outside ``folder`` are added to ``left_out``, with the reason.
 
     Raises:
         FormatError: more than ``limits.files`` files.
@@ -287,16 +286,18 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
 
 
 def files_of(
-    source: Path, endings: tuple[str, ...], limits: Limits, left_out: LeftOut
+    source: Path, endings: tuple[str, ...], limits: Limits, found: Collection
 ) -> Iterator[Path]:
     """Yield ``source`` if it is a file, else the files below it with one of these endings.
+
+    What `walk` leaves out is added to ``found``.
 
     Raises:
         FormatError: there is neither, or as `walk`.
     """
     if not source.exists():
         raise FormatError(f"{source}: no such file or folder")
-    paths = walk(source, endings, limits, left_out) if source.is_dir() else [source]
+    paths = walk(source, endings, limits, found.left_out) if source.is_dir() else [source]
     with bar(limits.progress and len(paths) > 1, len(paths), unit=" files") as advance:
         for path in paths:
             yield path

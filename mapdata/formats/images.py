@@ -195,7 +195,7 @@ def read(
         raise ValueError("fit: does nothing without size")
     found = Collection()
     unknown = 0
-    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found.left_out):
+    for path in files_of(source, (*PICTURES, *ARRAYS), limits, found):
         with found.leaving_out(path):
             if path.suffix.lower() in ARRAYS:
                 grids = _stack(path, limits, threshold)

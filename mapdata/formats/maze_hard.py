@@ -53,7 +53,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         FormatError: ``source`` is not there. Lines that are no maze are left out.
     """
     found = Collection(movement=Movement())
-    for path in files_of(source, (".csv",), limits, found.left_out):
+    for path in files_of(source, (".csv",), limits, found):
         split = SPLIT_NAMES.get(path.stem.lower())
         with path.open(encoding="latin-1", newline="\n") as file:
             next(file, "")

@@ -391,7 +391,7 @@ def read(
     if scen or source.suffix.lower() == ".scen":
         points = _end_points(source, limits, maps, found).items()
     else:
-        points = ((path, []) for path in files_of(source, (".map",), limits, found.left_out))
+        points = ((path, []) for path in files_of(source, (".map",), limits, found))
     closed: Counter[str] = Counter()
     for path, ends in points:
         with found.leaving_out(path):
@@ -424,7 +424,7 @@ def _end_points(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
         )
     points: dict[Path, list[Cell]] = {}
-    for path in files_of(source, (".scen",), limits, found.left_out):
+    for path in files_of(source, (".scen",), limits, found):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
                 ends = points.setdefault(find_map(problem.map, path, maps), [])

@@ -76,7 +76,7 @@ def recognise(source: StrPath) -> str:
     source = local_path(source)
     endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
     owners = {}
-    for path in files_of(source, endings, Limits(), []):
+    for path in files_of(source, endings, Limits(), Collection()):
         for one in FORMATS.values():
             if path.suffix.lower() in one.endings and one.is_mine(path):
                 owners[path] = one

@@ -283,7 +283,7 @@ def read(
         raise ValueError("resample: does nothing without resolution")
     found = Collection()
     unknowns = []
-    for path in files_of(source, ENDINGS, limits, found.left_out):
+    for path in files_of(source, ENDINGS, limits, found):
         with found.leaving_out(path):
             one = read_map(path, limits)
             grid = to_grid(one.cells, unknown, str(path))
