@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
 from mapdata.arrays import Array, Bytes
 from mapdata.formats.collection import Collection
@@ -244,10 +245,8 @@ def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Return what the header of an .npy says: shape, Fortran order and type."""
-    read_header = np.lib.format.read_array_header_2_0
-    if np.lib.format.read_magic(file) == (1, 0):
-        read_header = np.lib.format.read_array_header_1_0
-    return read_header(file)
+    is_first_version = read_magic(file) == (1, 0)
+    return read_array_header_1_0(file) if is_first_version else read_array_header_2_0(file)
 
 
 def _array(file: IO[bytes], size: int, what: str) -> Array:
@@ -275,7 +274,7 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
     """
     low = values.min(initial=0)
     high = values.max(initial=0)
-    if not (low >= 0 and high <= 1):  # and not "low < 0 or high > 1", which lets NaN pass
+    if not 0 <= low <= high <= 1:  # and not "low < 0 or high > 1", which lets NaN pass
         raise FormatError(f"{what}: holds values from {low} to {high}, expected 0 to 1")
     if values.dtype.kind in "biu":
         return values.astype(np.uint8, copy=False)  # a stack may be as large as the limits allow
