@@ -118,19 +118,19 @@ def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
         raise FormatError(f"{path}: says a maximum of {maximum}, expected 1 to 65535")
     dtype = np.dtype("u1" if maximum < 256 else ">u2")
     count = rows * columns
+    body = data[match.end() :]
     if match[1] == b"2":
-        body = re.sub(rb"#[^\n]*", b"", data[match.end() :]).split(None, count)
-        digits = [word for word in body[:count] if word.isdigit() and len(word) <= 5]
+        words = re.sub(rb"#[^\n]*", b"", body).split(None, count)
+        digits = [word for word in words[:count] if word.isdigit() and len(word) <= 5]
         if len(digits) != count:
             raise FormatError(f"{path}: has {len(digits)} values, its header says {count}")
         values = np.array(digits, np.bytes_).astype(np.int64)
     else:
-        size = len(data) - match.end()
-        if size < count * dtype.itemsize:
+        if len(body) < count * dtype.itemsize:
             raise FormatError(
-                f"{path}: has {size} bytes of pixels, its header says {rows} x {columns}"
+                f"{path}: has {len(body)} bytes of pixels, its header says {rows} x {columns}"
             )
-        values = np.frombuffer(data, dtype, count, match.end())
+        values = np.frombuffer(body, dtype, count)
     if values.max() > maximum:
         raise FormatError(
             f"{path}: holds the value {values.max()}, its header says at most {maximum}"
@@ -150,13 +150,12 @@ def brightness(pixels: Pixels) -> Bytes:
 def _mean(values: Array, maximum: int) -> Bytes:
     """Return `brightness` of some rows of a picture, (H, W, C) with white at ``maximum``."""
     if values.shape[2] == 4:
-        colour = values[:, :, :3].astype(np.uint16)
-        alpha = values[:, :, 3:].astype(np.uint16)
+        colour, alpha = np.split(values.astype(np.uint16), [3], axis=2)
         # before a white background; pictures with alpha have 8 bits a channel
         values = 255 - (255 - colour) * alpha // 255
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint32)
-    return np.asarray(total * np.uint32(255) // np.uint32(channels * maximum), np.uint8)
+    return np.asarray(total * 255 // (channels * maximum), np.uint8)
 
 
 def read(
@@ -210,7 +209,7 @@ def read(
                     raise FormatError(
                         f"{path}: {what}, nothing is above --images.threshold {threshold}"
                     )
-                unknown += int((grey == _UNKNOWN).sum())
+                unknown += int(np.count_nonzero(grey == _UNKNOWN))
                 grids = np.asarray(_fit(grey, size, fit) <= threshold * 255, np.uint8)[None]
             split = split_of(path, source)
             for k, grid in enumerate(grids):
