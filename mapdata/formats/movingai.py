@@ -387,9 +387,8 @@ def read(
         seed_points: how many of these end points at most.
     """
     found = Collection(movement=MOVEMENT)
-    points: Iterable[tuple[Path, list[Cell]]]
     if scen or source.suffix.lower() == ".scen":
-        points = _end_points(source, limits, maps, found).items()
+        points = _end_points(source, limits, maps, found)
     else:
         points = ((path, []) for path in files_of(source, (".map",), limits, found))
     closed: Counter[str] = Counter()
@@ -398,15 +397,19 @@ def read(
             terrain = read_terrain(path, limits)
             grid = world(terrain)
             for letter in _ISLANDS:
-                closed[letter] += int((terrain == ord(letter)).sum())
+                closed[letter] += int(np.count_nonzero(terrain == ord(letter)))
             cells = np.array(list(dict.fromkeys(ends)), np.int64).reshape(-1, 2)  # each once
             cells = cells[(cells < grid.shape).all(axis=1)]
             is_free = grid[tuple(cells.T)] == 0
             chosen = cells[is_free][:seed_points]
-            split = split_of(path, source)
-            known = len(chosen) > 1  # else the import draws the others
             found.maps.append(
-                ForeignMap(str(path), grid, split, seed_points=chosen, rooms_known=known)
+                ForeignMap(
+                    str(path),
+                    grid,
+                    split_of(path, source),
+                    seed_points=chosen,
+                    rooms_known=len(chosen) > 1,  # else the import draws the others
+                )
             )
     for letter, name in _ISLANDS.items():
         if closed[letter]:
@@ -417,8 +420,8 @@ def read(
 
 def _end_points(
     source: Path, limits: Limits, maps: StrPath | None, found: Collection
-) -> dict[Path, list[Cell]]:
-    """Return the end points of the problems of each map that a .scen names, in their order."""
+) -> Iterable[tuple[Path, list[Cell]]]:
+    """Return each map that a .scen names, with the end points of its problems in their order."""
     if source.suffix.lower() == ".map":
         raise FormatError(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
@@ -429,7 +432,7 @@ def _end_points(
             for problem in read_scen(path, limits):
                 ends = points.setdefault(find_map(problem.map, path, maps), [])
                 ends += (problem.start, problem.goal)
-    return points
+    return points.items()
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -457,14 +460,13 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))]
+    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))].tolist()
     costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost.tolist()
     lines = ["version 1"]
-    for start, goal, cost in zip(starts.tolist(), goals.tolist(), costs, strict=True):
+    for (y, x), (goal_y, goal_x), cost in zip(starts, goals, costs, strict=True):
         length = max(cost, 0.0)  # 0 stands for no path
-        cells = (*start[::-1], *goal[::-1])  # x and y
-        words = (int(length / 4), name, width, height, *cells, f"{length:.8f}")
-        lines.append("\t".join(map(str, words)))
+        cells = f"{x}\t{y}\t{goal_x}\t{goal_y}"
+        lines.append(f"{int(length / 4)}\t{name}\t{width}\t{height}\t{cells}\t{length:.8f}")
     return "\n".join(lines) + "\n"
 
 
