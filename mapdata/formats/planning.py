@@ -29,6 +29,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 import numpy as np
+from numpy.lib.format import write_array_header_1_0
 
 from mapdata.arrays import Array, Bytes, Float32s, Ints
 from mapdata.formats.collection import Collection, ForeignMap
@@ -72,8 +73,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         with nullcontext() if path == source else found.leaving_out(path):
             for one, distances in _problems(path, limits, found):
                 found.maps.append(one)
-                if np.array_equal(hops(one.grid, one.seed_points[0]), distances):
-                    same += 1
+                same += np.array_equal(hops(one.grid, one.seed_points[0]), distances)
     found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
     return found
 
@@ -82,22 +82,24 @@ def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[F
     """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``."""
     archive = Npz(path, limits)
     all_names = [f"arr_{number}" for number in range(4 * len(SPLITS))]
-    if archive.shapes.keys().isdisjoint(all_names):
+    present = archive.shapes.keys()
+    if present.isdisjoint(all_names):
         raise FormatError(
             f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11"
         )
     for code, split in enumerate(SPLITS):
         names = all_names[4 * code : 4 * code + 4]
-        if archive.shapes.keys().isdisjoint(names):
+        if present.isdisjoint(names):
             continue
-        free = archive[names[0]]
+        of_maps, of_goals, _, of_distances = names  # the actions follow from the distances
+        free = archive[of_maps]
         if free.ndim != 3:
-            raise FormatError(f"{path}: {names[0]} has shape {free.shape}, expected (N, H, W)")
-        grids = 1 - occupancy(free, f"{path}: {names[0]}")
-        goals = archive[names[1]]
-        distances = archive[names[3]]  # the actions, names[2], follow from them
+            raise FormatError(f"{path}: {of_maps} has shape {free.shape}, expected (N, H, W)")
+        grids = 1 - occupancy(free, f"{path}: {of_maps}")
+        goals = archive[of_goals]
+        distances = archive[of_distances]
         expected = (len(grids), 1, *grids.shape[1:])
-        for name, array in ((names[1], goals), (names[3], distances)):
+        for name, array in ((of_goals, goals), (of_distances, distances)):
             if array.shape != expected:
                 raise FormatError(f"{path}: {name} has shape {array.shape}, expected {expected}")
         for k, grid in enumerate(grids):
@@ -138,7 +140,7 @@ def starts_of(values: Float32s) -> list[Ints]:
 
 def has_starts(values: Float32s) -> bool:
     """Return whether neural-astar's loader can draw a start in each of its three intervals."""
-    return all(len(cells) > 0 for cells in starts_of(values))
+    return all(map(len, starts_of(values)))
 
 
 def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problems:
@@ -155,20 +157,18 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     Raises:
         FormatError: no such file, or no problem in it.
     """
-    grids = []
-    starts = []
-    goals = []
+    found = []
     for k, (one, values) in enumerate(_problems(source, limits, Collection())):
         if one.split == SPLITS.index("test") and has_starts(values):
             words = block(np.uint64(seed), np.uint64(k), 0, PROBLEM, 0)
             for cells, word in zip(starts_of(values), words, strict=False):  # three of four words
-                grids.append(one.grid)
-                starts.append(cells[bounded(word, 0, len(cells) - 1)])
-                goals.append(one.seed_points[0])
-    if not grids:
+                start = cells[bounded(word, 0, len(cells) - 1)]
+                found.append((one.grid, start, one.seed_points[0]))
+    if not found:
         raise FormatError(f"{source}: has no map of a test split with a problem")
-    text = f"{len(starts)} problems of {source}, starts by seed {seed}"
-    return Problems(np.array(grids), np.array(starts), np.array(goals), NEURAL_ASTAR, text)
+    grids, starts, goals = map(np.array, zip(*found, strict=True))
+    text = f"{len(found)} problems of {source}, starts by seed {seed}"
+    return Problems(grids, starts, goals, NEURAL_ASTAR, text)
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -192,8 +192,9 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     with ExitStack() as stack:
         # The arrays wait in files, since no memory may hold them, and their headers are not known
         # before all maps are counted.
-        folder = target.parent
-        parts = [stack.enter_context(TemporaryFile(dir=folder)) for _ in range(4 * len(SPLITS))]
+        parts = [
+            stack.enter_context(TemporaryFile(dir=target.parent)) for _ in range(4 * len(SPLITS))
+        ]
         for labels in root.labels(progress=progress):
             maps = labels.maps
             goals = maps.seed_points[:, 0]
@@ -215,7 +216,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
                 header = {"descr": arrays[k].dtype.str, "fortran_order": False, "shape": shape}
                 # its date is always that of the first zip: equal content gives equal bytes
                 with archive.open(f"arr_{number}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array_header_1_0(member, header)
+                    write_array_header_1_0(member, header)
                     part.seek(0)
                     shutil.copyfileobj(part, member)
     left = root.maps - sum(counts)
