@@ -252,9 +252,8 @@ def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
     are_lengths = min(lengths) >= -1 and max(lengths) < 2**15
     if not are_lengths or not np.isin(directions, (-1, 0, 1)).all():
         raise FormatError("its passage size, sizes or directions are out of range")
-    resolution = None
-    if row["resolution"]:
-        resolution = check_resolution("resolution", float(row["resolution"]))
+    metres = row["resolution"]
+    resolution = check_resolution("resolution", float(metres)) if metres else None
     number = int(item) if item.isdecimal() and len(item) < 18 else None  # else too long for int64
     stated = {name: row[name] for name in LABELS if row[name]}
     return ForeignMap(

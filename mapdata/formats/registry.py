@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import FormatError, Limits, files_of
+from mapdata.formats.files import LIMITS, FormatError, Limits, files_of
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
 from mapdata.shards.root import Places, Root, local_path
@@ -76,7 +76,7 @@ def recognise(source: StrPath) -> str:
     source = local_path(source)
     endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
     owners = {}
-    for path in files_of(source, endings, Limits(), Collection()):
+    for path in files_of(source, endings, LIMITS, Collection()):
         for one in FORMATS.values():
             if path.suffix.lower() in one.endings and one.is_mine(path):
                 owners[path] = one
@@ -94,7 +94,7 @@ def recognise(source: StrPath) -> str:
 def read_any(
     source: StrPath,
     kind: str | None = None,
-    limits: Limits = Limits(),
+    limits: Limits = LIMITS,
     **options: object,
 ) -> Collection:
     """Read a file or folder of a foreign format.

@@ -113,7 +113,7 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
     x, y, yaw = (_number(path, {"origin": value}, "origin") for value in origin)
     pixels = read_pixels(_image(path, fields), limits)
-    cells = _classify(pixels, mode, bool(negate), low, high)
+    cells = _classify(pixels, mode, negate, low, high)
     return RosMap(cells, resolution, (x, y, yaw))
 
 
