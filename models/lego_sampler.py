@@ -181,7 +181,8 @@ class Sampler(Model, ABC):
         if resolution is None:
             return points
         rows, columns = points.T
-        return origin + unit * np.column_stack([columns, len(grid) - rows])
+        x0, y0 = origin
+        return np.column_stack([x0 + unit * columns, y0 + unit * (len(grid) - rows)])
 
     def sample_batch(
         self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
