@@ -115,12 +115,12 @@ def test_easy_problems_are_known_without_a_search(
     """Direct are the cells at no more than the heuristic's distance, and those alone."""
     free = np.argwhere(grid == 0)
     assume(len(free))
-    goal = data.draw(st.sampled_from([tuple(map(int, cell)) for cell in free]))
+    row, column = data.draw(st.sampled_from(free.tolist()))
     lattice = lattice_of(grid.shape, rule_of(movement))
     words = board_of(grid).free
-    found = [_is_direct((int(r), int(c)), goal, lattice, words) for r, c in free]
-    distances = distance_field(grid, goal, movement)[tuple(free.T)]
-    least = heuristics(free, np.array([goal]), movement)
+    found = [_is_direct((r, c), (row, column), lattice, words) for r, c in free.tolist()]
+    distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
+    least = heuristics(free, np.array([[row, column]]), movement)
     np.testing.assert_array_equal(found, (distances >= 0) & (distances <= least + 1e-3))
 
 
