@@ -146,7 +146,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         else:  # a batch is of one epoch
             singles = [self._make(indices[k : k + 1], each) for k, each in enumerate(epochs)]
             batch = stack([row(single, 0) for single in singles])
-        rows = Rows(batch, len(wanted))
+        rows = Rows(batch)
         if self.transform is None or not len(rows):
             return rows
         return [self.transform(sample) for sample in rows]
@@ -218,9 +218,12 @@ class ProblemDataset(Dataset[Sample], ABC):
         assert isinstance(problems, Random)
         grids = self._grids(places)
         seed = np.uint64(self.serving.sampling_seed)
-        rule = rule_of(self.movement)
-        sampled = sample_problems(grids, seed, epoch, indices, problems.bands, *rule)
-        return grids, sampled, None
+        ends, *found = sample_problems(
+            grids, seed, epoch, indices, problems.bands, rule_of(self.movement)
+        )
+        # Conditions may need the paths, which A* finds; what was found is not searched again.
+        is_found = len(found[0]) and self.serving.search == "astar"
+        return grids, ends, Paths(*found) if is_found else None
 
     def _as_batch(
         self, indices: Ints, places: Ints, grids: Bytes, starts: Ints, goals: Ints

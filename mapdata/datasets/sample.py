@@ -68,13 +68,12 @@ def _restore(names: tuple[str, ...], capacity: int | None, values: tuple[Any, ..
 class Rows(Sequence[Sample]):
     """A batch that looks like a list of samples: to collate it costs nothing."""
 
-    def __init__(self, batch: Sample, length: int) -> None:
-        """Wrap ``batch`` of ``length`` samples."""
+    def __init__(self, batch: Sample) -> None:
+        """Wrap ``batch``."""
         self.batch = batch
-        self._length = length
 
     def __len__(self) -> int:
-        return self._length
+        return len(self.batch[0])
 
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):

@@ -250,8 +250,8 @@ def _collect(
         grids = all_grids[:left]
         left -= len(indices)
         inflate_all(grids, least)
-        sampled = sample_problems(
-            grids, np.uint64(seed), 0, indices, problems.bands, *rule_of(movement)
+        sampled, *_ = sample_problems(
+            grids, np.uint64(seed), 0, indices, problems.bands, rule_of(movement)
         )
         kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints, Words
+from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, kernel
 from mapdata.problems.sources import Bands
 from mapdata.rng import PROBLEM, block, bounded
@@ -18,6 +18,7 @@ from mapdata.search.bitboard import (
     bit_at,
     board_of,
     count_bits,
+    is_direct,
     nth_cell,
     search_board,
     word_at,
@@ -27,13 +28,11 @@ from mapdata.search.kernels import (
     find,
     scratch,
     shortest_costs,
-    wipe,
     with_capacity,
     write_cells,
 )
 from mapdata.search.lattice import (
     ASTAR,
-    BFS,
     FAR,
     UNIT,
     Lattice,
@@ -61,9 +60,8 @@ def sample_problems(
     epoch: Int,
     indices: Ints,
     bands: Bands,
-    diagonals: Int,
-    step: Int,
-) -> Ints:
+    rule: Rule,
+) -> tuple[Ints, Ints, Ints, Ints]:
     """Sample a problem on each grid: a goal, then one of the starts that are far enough from it.
 
     docs/format.md, section 6, fixes the draws. Starts are tried one by one under the other
@@ -75,19 +73,23 @@ def sample_problems(
         epoch: pass over the data.
         indices: (B,) number of each problem.
         bands: as `Random.bands`; a tuple, which numba keeps in registers.
-        diagonals: as `rule_of` gives it.
-        step: likewise.
+        rule: as `rule_of` gives it.
 
     Returns:
-        (B, 4): start and goal, -1 where no such problem was found.
+        ends (B, 4): start and goal, -1 where no such problem was found; paths as from
+        `solve_pairs`, all empty where the bands need no search of one.
     """
-    lattice = lattice_of(grids.shape[1:], (diagonals, step))
+    lattice = lattice_of(grids.shape[1:], rule)
     buffers = scratch(ASTAR, lattice)
-    distances, ratios, lengths = bands
-    nearest = max(distances[0], 1.0)  # from 1 on: not the goal itself
-    any_start = distances[1] == math.inf and ratios == _OPEN and lengths == _OPEN
-    sampled = np.full((len(grids), 4), -1)
-    for b in range(len(grids)):
+    nearest = max(bands[0][0], 1.0)  # from 1 on: not the goal itself
+    count = len(grids)
+    ends = np.full((count, 4), -1)
+    offsets = np.zeros(count + 1, np.int64)
+    iterations = np.zeros(count, np.int64)
+    cells = np.empty((64 * count + 64, 2), np.int64)
+    for b in range(count):
+        used = offsets[b]
+        offsets[b + 1] = used
         board = board_of(grids[b])
         free = count_bits(board.free, 0, len(board.free))
         if free < 2:
@@ -95,29 +97,37 @@ def sample_problems(
         for attempt in range(_ATTEMPTS):
             w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
             goal = nth_cell(board.free, board.stride, bounded(w0, 0, free - 1))
+            target = cell_at(goal[0], goal[1], lattice)
             word = word_at(goal[0], goal[1], board.stride)
             bit = bit_at(goal[1])
             if nearest == 1 and board.reached[word] & bit:
                 board.reached[word] ^= bit  # its starts are those of the goal before, and that one
             else:
-                _keep_starts(grids[b], goal, nearest, lattice, buffers, board)
+                _keep_starts(grids[b], goal, target, nearest, lattice, buffers, board)
             starts = count_bits(board.reached, 0, len(board.free))
             if starts:
                 # A uniform one: they count in row-major order.
                 start = nth_cell(board.reached, board.stride, bounded(w1, 0, starts - 1))
-                if any_start or _is_within(bands, grids[b], start, goal, lattice, buffers, board):
-                    sampled[b, 0], sampled[b, 1] = start
-                    sampled[b, 2], sampled[b, 3] = goal
+                length, iterations[b] = _search_within(
+                    bands, grids[b], start, goal, target, lattice, buffers, board
+                )
+                if length >= 0:
+                    ends[b, 0], ends[b, 1] = start
+                    ends[b, 2], ends[b, 3] = goal
+                    cells = with_capacity(cells, used, length)
+                    write_cells(buffers.came, target, lattice, cells[used : used + length])
+                    offsets[b + 1] = used + length
                     break
             board.reached[word] |= bit
             # No start, or one that does not fit: another goal.
-    return sampled
+    return ends, cells[: offsets[count]], offsets, iterations
 
 
 @kernel
 def _keep_starts(
     grid: Bytes,
     goal: tuple[Int, Int],
+    target: Int,
     nearest: float,
     lattice: Lattice,
     buffers: Scratch,
@@ -136,79 +146,56 @@ def _keep_starts(
             board.reached[k] ^= connected[k]
         if all_near or lattice.diagonals == 0 or nearest == 1:
             return
-        most = math.ceil(min(nearest, float(FAR)))
+        most = math.ceil(nearest)
     else:
         board.reached.fill(0)
     load(grid, buffers.came)
-    source = np.empty(1, np.int64)
-    source[0] = cell_at(row, column, lattice)
-    shortest_costs(source, most, lattice, buffers)
-    buffers.came[source[0]] = 1  # the goal alone has no moves
-    for k in range(grid.shape[0]):
-        for j in range(grid.shape[1]):
-            cell = cell_at(k, j, lattice)
-            if buffers.came[cell]:  # reached, at a known cost
-                word = word_at(k, j, board.stride)
-                board.reached[word] |= bit_at(j)
-                if in_cells(buffers.g[cell]) < nearest:
-                    board.reached[word] ^= bit_at(j)
+    shortest_costs(np.full(1, target), most, lattice, buffers)
+    buffers.came[target] = 1  # the goal alone has no moves
+    for cell in range(lattice.cells):
+        if buffers.came[cell]:  # reached, at a known cost
+            row, column = position(cell, lattice)
+            word = word_at(row, column, board.stride)
+            board.reached[word] |= bit_at(column)
+            if in_cells(buffers.g[cell]) < nearest:
+                board.reached[word] ^= bit_at(column)
 
 
 @kernel
-def _is_within(
+def _search_within(
     bands: Bands,
     grid: Bytes,
     start: tuple[Int, Int],
     goal: tuple[Int, Int],
+    target: Int,
     lattice: Lattice,
     buffers: Scratch,
     board: Board,
-) -> bool:
-    """Return whether the problem from ``start`` to ``goal`` meets the conditions."""
+) -> tuple[Int, Int]:
+    """Search the path of a problem; return its cells and iterations, (-1, 0) if it does not fit.
+
+    (0, 0) without a search where every start fits that is far enough.
+    """
     distances, ratios, lengths = bands
+    if distances[1] == math.inf and ratios == _OPEN and lengths == _OPEN:
+        return 0, 0
     least: float = in_cells(heuristic(start[0] - goal[0], start[1] - goal[1], lattice))
     if least > distances[1]:
-        return False
+        return -1, 0
     # Most starts are too easy, which shows faster without a search.
-    if ratios[0] > 1 and board.stride == 1 and _is_direct(start, goal, lattice, board.free):
-        return False
+    if ratios[0] > 1 and board.stride == 1 and is_direct(start, goal, lattice, board.free):
+        return -1, 0
     load(grid, buffers.came)
     first = cell_at(start[0], start[1], lattice)
-    last = cell_at(goal[0], goal[1], lattice)
-    straight, diagonal, _, _ = find(first, last, ASTAR, lattice, buffers)
+    straight, diagonal, iterations, _ = find(first, target, ASTAR, lattice, buffers)
+    length = straight + diagonal + 1
     distance: float = in_cells(straight * UNIT + diagonal * lattice.step)
-    return (
+    fits = (
         distance <= distances[1]
         and ratios[0] <= distance / least <= ratios[1]
-        and lengths[0] <= straight + diagonal + 1 <= lengths[1]
+        and lengths[0] <= length <= lengths[1]
     )
-
-
-@kernel
-def _is_direct(start: tuple[Int, Int], goal: tuple[Int, Int], lattice: Lattice, free: Words) -> Int:
-    """Return whether a path that is as long as on an empty map is found, where a row is one word.
-
-    All such paths are followed at once, row by row from the western end. Of diagonal moves only
-    those are tried that cut no corner, and as few as the heuristic counts.
-    """
-    if start[1] > goal[1]:
-        start, goal = goal, start
-    rows = goal[0] - start[0]
-    is_steep = lattice.diagonals and abs(rows) > goal[1] - start[1]
-    word = word_at(start[0], 0, 1)
-    last = word_at(goal[0], 0, 1)
-    here = bit_at(start[1])
-    while True:
-        row = free[word]
-        if not is_steep:
-            here |= row & ~(row + here)  # and eastward: a sum carries through free cells
-        if word == last:
-            return (here & bit_at(goal[1])) != 0
-        word += np.sign(rows)
-        here &= free[word]
-        if lattice.diagonals:
-            aslant = (here << np.uint64(1)) & row & free[word]
-            here = aslant | here if is_steep else aslant
+    return (length, iterations) if fits else (-1, 0)
 
 
 @kernel
@@ -258,16 +245,14 @@ def solve_pairs(
         pairs = n - 1 if route else n * (n - 1) // 2
         word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
         first = bounded(word, 0, pairs - 1)
-        load(grids[b], buffers.came)
         for attempt in range(pairs):
             i, j = _pair((first + attempt) % pairs, n, route)
             start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
             goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
             if start == goal:
                 continue
-            if search == BFS and attempt:  # A* wipes what it wrote, BFS does not
-                load(grids[b], buffers.came)
-            straight, diagonal, expansions, pushes = find(start, goal, search, lattice, buffers)
+            load(grids[b], buffers.came)
+            straight, diagonal, iterations[b], _ = find(start, goal, search, lattice, buffers)
             length = straight + diagonal + 1  # no path: -1 + 0 + 1 cells
             if length or unsolvable:
                 ends[b, 0], ends[b, 1] = position(start, lattice)
@@ -275,10 +260,7 @@ def solve_pairs(
                 cells = with_capacity(cells, used, length)
                 write_cells(buffers.came, goal, lattice, cells[used : used + length])
                 offsets[b + 1] = used + length
-                iterations[b] = expansions
                 break
-            if search == ASTAR:
-                wipe(buffers, pushes)
     return ends, cells[: offsets[count]], offsets, iterations
 
 

@@ -93,8 +93,7 @@ def search_around(
             _write_moves(row + column, board, lattice, grid.shape, buffers.came)
             return
     load(grid, buffers.came)
-    source = np.empty(1, np.int64)
-    source[0] = cell_at(row, column, lattice)
+    source = np.full(1, cell_at(row, column, lattice))
     shortest_costs(source, FAR, lattice, buffers)
 
 
@@ -179,6 +178,33 @@ def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
         board.reached[k] = board.free[k] ^ unseen[k]
     complete: bool = low > high
     return complete
+
+
+@kernel
+def is_direct(start: tuple[Int, Int], goal: tuple[Int, Int], lattice: Lattice, free: Words) -> Int:
+    """Return whether a path that is as long as on an empty map is found, where a row is one word.
+
+    All such paths are followed at once, row by row from the western end. Of diagonal moves only
+    those are tried that cut no corner, and as few as the heuristic counts.
+    """
+    if start[1] > goal[1]:
+        start, goal = goal, start
+    rows = goal[0] - start[0]
+    is_steep = lattice.diagonals and abs(rows) > goal[1] - start[1]
+    word = word_at(start[0], 0, 1)
+    last = word_at(goal[0], 0, 1)
+    here = bit_at(start[1])
+    while True:
+        row = free[word]
+        if not is_steep:
+            here |= row & ~(row + here)  # and eastward: a sum carries through free cells
+        if word == last:
+            return (here & bit_at(goal[1])) != 0
+        word += np.sign(rows)
+        here &= free[word]
+        if lattice.diagonals:
+            aslant = (here << _ONE) & row & free[word]
+            here = aslant | here if is_steep else aslant
 
 
 @kernel

@@ -544,9 +544,7 @@ def find(
         return -1, 0, 0, 1  # nothing is pushed beside the entry 0
     pushes = np.int64(0)
     if search == BFS:
-        target = np.empty(1, np.int64)
-        target[0] = goal
-        count = flood(start, target, lattice, buffers)
+        count = flood(start, np.full(1, goal), lattice, buffers)
         expansions = expansions_until(buffers.pushed, count, goal)
     elif search == ASTAR and lattice.diagonals == 0:
         expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
@@ -686,8 +684,7 @@ def write_field(
     buffers = scratch_in(memory, lattice)
     if not load(grid, buffers.came):
         return False
-    source = np.empty(1, np.int64)
-    source[0] = cell_at(row, column, lattice)
+    source = np.full(1, cell_at(row, column, lattice))
     shortest_costs(source, FAR, lattice, buffers)
     for k in range(grid.shape[0]):
         for j in range(grid.shape[1]):

@@ -262,6 +262,6 @@ def test_rows_of_a_batch() -> None:
     """A batch of paths of different lengths comes apart into what it was made of."""
     kind = sample_class(("path",))
     paths = [some_path(k) for k in (4, 0, 17)]
-    rows = Rows(stack([kind(path) for path in paths]), 3)
+    rows = Rows(stack([kind(path) for path in paths]))
     for path, sample in zip(paths, rows, strict=True):
         assert torch.equal(sample.path, path)

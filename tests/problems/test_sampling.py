@@ -7,17 +7,15 @@ import hashlib
 import numpy as np
 import pytest
 from helpers import reference
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
 
-from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, astar, generate
+from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, astar, bfs, generate
 from mapdata.arrays import Bytes, Ints
-from mapdata.problems.sampling import _is_direct, sample_problems
-from mapdata.search import distance_field, rule_of
-from mapdata.search.bitboard import board_of
-from mapdata.search.lattice import heuristics, lattice_of
+from mapdata.problems.sampling import sample_problems
+from mapdata.search import rule_of
 
 MOVEMENTS = [
     Movement(),
@@ -34,8 +32,8 @@ def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Mo
     count as straight. Without a problem all is -1.
     """
     indices = np.arange(len(grids))
-    ends = sample_problems(
-        grids, np.uint64(seed), epoch, indices, conditions.bands, *rule_of(movement)
+    ends, *_ = sample_problems(
+        grids, np.uint64(seed), epoch, indices, conditions.bands, rule_of(movement)
     )
     found = np.full((len(grids), 6), -1)
     found[:, :4] = ends
@@ -98,30 +96,6 @@ def equals_the_reference(
         assert (tuple(found[:2]), tuple(found[2:4])) == (truth.start, truth.goal)
         steps = truth.cost if movement.diagonal_cost != 1 else (sum(truth.cost), 0)
         assert tuple(found[4:]) == steps
-
-
-@given(
-    grid=arrays.arrays(
-        np.uint8,
-        st.tuples(st.integers(1, 9), st.integers(2, 9) | st.integers(63, 64)),
-        elements=st.sampled_from([0, 0, 0, 1]),
-    ),
-    data=st.data(),
-    movement=st.sampled_from(MOVEMENTS[:2]),
-)
-def test_easy_problems_are_known_without_a_search(
-    grid: Bytes, data: st.DataObject, movement: Movement
-) -> None:
-    """Direct are the cells at no more than the heuristic's distance, and those alone."""
-    free = np.argwhere(grid == 0)
-    assume(len(free))
-    row, column = data.draw(st.sampled_from(free.tolist()))
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    words = board_of(grid).free
-    found = [_is_direct((r, c), (row, column), lattice, words) for r, c in free.tolist()]
-    distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
-    least = heuristics(free, np.array([[row, column]]), movement)
-    np.testing.assert_array_equal(found, (distances >= 0) & (distances <= least + 1e-3))
 
 
 GOLDEN = {
@@ -192,3 +166,27 @@ def test_training_and_evaluation_ask_the_same() -> None:
     np.testing.assert_array_equal(online.map[:, 0], problems.grids)
     np.testing.assert_array_equal(online.start, problems.starts)
     np.testing.assert_array_equal(online.goal, problems.goals)
+
+
+@pytest.mark.parametrize("search", ["astar", "bfs"])
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, search: str) -> None:
+    """Conditions need them; a rare one also takes maps in place of those without a problem."""
+    served = OnlineMapDataset(
+        Generator.preset("paper"),
+        5,
+        60,
+        fields=("map", "start", "goal", "path", "cost", "iterations", "hardness"),
+        problems=Random(hardness=(1.3, None), length=(None, 90)),
+        movement=movement,
+        search=search,
+    )[:]
+    for k in range(60):
+        grid, start, goal = served.map[k, 0].numpy(), served.start[k], served.goal[k]
+        one = {"astar": astar, "bfs": bfs}[search](grid, start, goal, movement)
+        cells = served.path[k][served.path[k, :, 0] >= 0]
+        np.testing.assert_array_equal(cells, one.path)
+        assert served.iterations[k] == one.iterations
+        assert served.cost[k] == np.float32(one.cost)
+        assert served.hardness[k] >= 1.3
+        assert len(astar(grid, start, goal, movement).path) <= 90

@@ -14,16 +14,17 @@ from helpers import reference
 from helpers.grids import serpentine
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS, SIDES, movements
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as numpy_arrays
 
 from mapdata import MapSpec, Movement, generate, label
 from mapdata.arrays import Bytes
 from mapdata.generators import pack
-from mapdata.search import lattice_of, rule_of
-from mapdata.search.bitboard import count_bits, search_around
+from mapdata.search import distance_field, lattice_of, rule_of
+from mapdata.search.bitboard import board_of, count_bits, is_direct, search_around
 from mapdata.search.kernels import scratch
-from mapdata.search.lattice import ASTAR
+from mapdata.search.lattice import ASTAR, heuristics
 
 WORDS = [(7, 63), (7, 64), (7, 65), (6, 127), (6, 128), (6, 129), (5, 200), (200, 5), (66, 66)]
 """Rows of one word and of several, that they fill and that they do not."""
@@ -100,3 +101,27 @@ def test_long_corridors(movement: Movement) -> None:
     for shape in ((21, 9), (9, 70)):
         grid = serpentine(*shape, source)
         compare(grid, (0, 0), movement)
+
+
+@given(
+    grid=numpy_arrays.arrays(
+        np.uint8,
+        st.tuples(st.integers(1, 9), st.integers(2, 9) | st.integers(63, 64)),
+        elements=st.sampled_from([0, 0, 0, 1]),
+    ),
+    data=st.data(),
+    movement=st.sampled_from([Movement(), Movement(8)]),
+)
+def test_easy_problems_are_known_without_a_search(
+    grid: Bytes, data: st.DataObject, movement: Movement
+) -> None:
+    """Direct are the cells at no more than the heuristic's distance, and those alone."""
+    free = np.argwhere(grid == 0)
+    assume(len(free))
+    row, column = data.draw(st.sampled_from(free.tolist()))
+    lattice = lattice_of(grid.shape, rule_of(movement))
+    words = board_of(grid).free
+    found = [is_direct((r, c), (row, column), lattice, words) for r, c in free.tolist()]
+    distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
+    least = heuristics(free, np.array([[row, column]]), movement)
+    np.testing.assert_array_equal(found, (distances >= 0) & (distances <= least + 1e-3))
