@@ -34,6 +34,9 @@ from mapdata.search import STEPS
 Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
 
+WEIGHTS = Path(__file__).parent / "weights"
+"""The folder of the weights that ship."""
+
 # --- the network --------------------------------------------------------------------------------
 
 STRIDE = 16

@@ -288,10 +288,11 @@ def _all_problems(dataset: Dataset[Sample]) -> list[Array]:
     return [maps[order, 0], starts[order], goals[order], problem[order]]
 
 
-def _identity(mining: Mining, grids: Bytes, starts: Ints, goals: Ints, problem: Ints) -> str:
+def _identity(mining: Mining, grids: Bytes, *numbers: Ints) -> str:
+    """Return the identity of a bank: of starts, goals and numbers of its problems."""
     digest = hashlib.sha256(canonical_json({"version": VERSION, "mining": asdict(mining)}).encode())
     digest.update(np.packbits(grids, axis=-1).tobytes())
-    for array in (starts, goals, problem):
+    for array in numbers:
         digest.update(array.astype("<i8").tobytes())
     return digest.hexdigest()
 

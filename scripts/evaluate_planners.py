@@ -8,7 +8,6 @@ sqrt 2, with or without --corner-cutting. For other rules --weights names your o
 """
 
 import math
-from pathlib import Path
 from typing import Literal
 
 from matplotlib.figure import Figure
@@ -17,12 +16,11 @@ from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import classical, evaluate, to_text
 from mapdata.plotting import plot_planners
 from mapdata.spec import Movement
-from models.common import load_model
+from models.common import WEIGHTS, load_model
 from models.learned_planners import planners
 from models.neural_astar import NeuralAstar
 from models.path_predictor import PathPredictor
 
-WEIGHTS = Path(__file__).parent.parent / "models" / "weights"
 SHIPPED = {
     Movement(4): WEIGHTS / "path_predictor_4.pt",
     Movement(8): WEIGHTS / "path_predictor.pt",

@@ -13,9 +13,8 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.generators.generator import Generator
 from mapdata.generators.maps import Maps
-from mapdata.generators.points import check_seed_points, with_seed_points
+from mapdata.generators.points import Scattered, check_seed_points, with_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block
 from mapdata.spec import check_count, check_probability
@@ -28,7 +27,7 @@ _HALF_MASK = np.uint64(0xFFFF)
 
 
 @dataclass(frozen=True)
-class Cave(Generator):
+class Cave(Scattered):
     """A distribution of caves: random cells that take the side of most of their neighbours.
 
     Attributes:
@@ -50,11 +49,6 @@ class Cave(Generator):
         self._convert(check_probability, "occupied")
         self._convert(partial(check_count, lowest=0), "steps")
         self._convert(check_seed_points, "seed_points")
-
-    @property
-    def most_seed_points(self) -> int:
-        """How many seed points a map has at most."""
-        return self.seed_points
 
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64."""

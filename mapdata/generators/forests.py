@@ -14,9 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.generators.generator import Generator
 from mapdata.generators.maps import Maps
-from mapdata.generators.points import check_seed_points, with_seed_points
+from mapdata.generators.points import Scattered, check_seed_points, with_seed_points
 from mapdata.jit import kernel
 from mapdata.rng import MAP, block, bounded
 from mapdata.spec import Range, check_integers, check_number, check_range, items_of
@@ -26,7 +25,7 @@ _MOST_COVER = 0.5
 
 
 @dataclass(frozen=True)
-class Forest(Generator):
+class Forest(Scattered):
     """A distribution of obstacles at random places: discs and boxes, as many of each.
 
     Attributes:
@@ -54,11 +53,6 @@ class Forest(Generator):
         self._convert(check_integers, "sizes")
         check_range("sizes", self.sizes, 1, min(self.map_size), ", the shorter side of the map")
         self._convert(check_seed_points, "seed_points")
-
-    @property
-    def most_seed_points(self) -> int:
-        """How many seed points a map has at most."""
-        return self.seed_points
 
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64."""

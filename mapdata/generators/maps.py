@@ -103,8 +103,7 @@ class Maps:
     @cached_property
     def pair_offsets(self) -> Ints:
         """(N + 1,) int64: number of the first pair of rooms of each map, n (n - 1) / 2 a map."""
-        pairs = self.rooms * (self.rooms - 1) // 2
-        return offsets_of(pairs)
+        return offsets_of(self.rooms * (self.rooms - 1) // 2)
 
 
 @kernel

@@ -10,16 +10,15 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.generators.generator import Generator
 from mapdata.generators.maps import Maps
-from mapdata.generators.points import STEPS, check_seed_points, with_seed_points
+from mapdata.generators.points import STEPS, Scattered, check_seed_points, with_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block, bounded, threshold
 from mapdata.spec import MAX_ROOMS, Range, check_count, check_probability
 
 
 @dataclass(frozen=True)
-class Maze(Generator):
+class Maze(Scattered):
     """A distribution of perfect mazes, where one way joins any two cells, or of less perfect ones.
 
     Attributes:
@@ -45,11 +44,6 @@ class Maze(Generator):
         cells = math.prod((side - self.wall) // pitch for side in self.map_size)
         most = min(cells, MAX_ROOMS)
         self._convert(partial(check_seed_points, most=most), "seed_points")
-
-    @property
-    def most_seed_points(self) -> int:
-        """How many seed points every map has."""
-        return self.seed_points
 
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64."""

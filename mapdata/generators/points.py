@@ -27,6 +27,17 @@ def check_seed_points(name: str, count: object, most: int = MAX_ROOMS) -> int:
     return points
 
 
+class Scattered(Generator):
+    """A family whose maps have as many seed points as its field ``seed_points`` says, at most."""
+
+    seed_points: int
+
+    @property
+    def most_seed_points(self) -> int:
+        """How many seed points a map has at most."""
+        return self.seed_points
+
+
 def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:
     """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points.
 

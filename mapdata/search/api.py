@@ -164,8 +164,8 @@ def solve_batch(
     """
     array = np.asarray(grids)
     stack = as_grid(array if array.ndim == 3 else array[None], 3)
-    begins = np.ascontiguousarray(_whole("starts", starts), np.int64)
-    ends = np.ascontiguousarray(_whole("goals", goals), np.int64)
+    begins = np.ascontiguousarray(_whole("starts", starts))
+    ends = np.ascontiguousarray(_whole("goals", goals))
     count = len(begins)
     if len(ends) != count or (array.ndim == 3 and len(stack) != count):
         raise ValueError(
@@ -238,7 +238,7 @@ def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()
     why = why_not_free(array, cells[bad])
     if why:
         raise ValueError(f"path: cell {bad}, {why}")
-    steps = f"from {_cell_text(cells[bad - 1])} to {_cell_text(cells[bad])}"
+    steps = f"from {tuple(cells[bad - 1].tolist())} to {tuple(cells[bad].tolist())}"
     raise ValueError(f"path: step {bad - 1}, {steps}, is not a move of {movement}")
 
 
@@ -332,7 +332,7 @@ def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
 
 
 def _whole(name: str, cells: ArrayLike) -> Ints:
-    """Return ``cells`` as an (n, 2) integer array."""
+    """Return ``cells`` as an (n, 2) int64 array."""
     array = np.asarray(cells)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 2), np.int64)
@@ -363,10 +363,6 @@ def why_not_free(grid: Bytes, cell: Cell) -> str:
 def _values_complaint(grid: Array) -> str:
     other = grid[(grid != 0) & (grid != 1)][0]
     return f"grid: got the value {other}, expected 0 free and 1 occupied only"
-
-
-def _cell_text(cell: Ints) -> str:
-    return f"({cell[0]}, {cell[1]})"
 
 
 def _size(grid: Array) -> str:

@@ -153,12 +153,11 @@ def _blocks(file: memoryview, heap: int) -> dict[int, int]:
     if rows:
         pattern = _INDIRECT_BLOCK % (bits // 8) + b"(.{8})" * 4 * rows
         addresses = _fields(pattern, file, root)
-    blocks = {}
-    for address in addresses:
-        if address != 2**64 - 1:  # no block there
-            (offset,) = _fields(_DIRECT_BLOCK, file, address)
-            blocks[offset] = address
-    return blocks
+    return {
+        _fields(_DIRECT_BLOCK, file, address)[0]: address
+        for address in addresses
+        if address != 2**64 - 1  # no block there
+    }
 
 
 def _value(attribute: re.Match[bytes]) -> Any:

@@ -233,14 +233,34 @@ def is_hash(text: str) -> bool:
 
 
 def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check that the arrays have the shapes that the header and the offsets tell."""
+    """Check shapes, and what kernels rely on: offsets grow, seed points are on free cells."""
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
         raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
     for name, shape in _shapes(header, arrays).items():
         if arrays[name].shape != shape:
             raise ShardError(f"dataset {name!r} has shape {arrays[name].shape}, expected {shape}")
-    _check_tables(arrays, header)
+    for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
+        offsets = arrays[name]
+        # neighbours are compared, since the difference of two hostile int64 may wrap round
+        if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
+            raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
+    rooms = np.diff(arrays["room_offsets"])
+    pairs = np.diff(arrays["pair_offsets"])
+    if (rooms < 1).any() or not np.array_equal(pairs, rooms * (rooms - 1) // 2):
+        raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
+    seed_points = arrays["seeds"]
+    if ((seed_points < 0) | (seed_points >= header.map_size)).any():
+        raise ShardError("dataset 'seeds' holds cells outside the map")
+    # every search begins at a seed point, and none on an occupied cell
+    maps = np.repeat(np.arange(len(rooms)), rooms)
+    row, column = seed_points.T
+    occupied = arrays["maps"][maps, row, column // 8] & (1 << column % 8)
+    for number in maps[occupied > 0][:1]:
+        raise ShardError(
+            f"a seed point of map {header.start + number} is on an occupied cell (datasets 'maps' "
+            "and 'seeds')"
+        )
 
 
 def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
@@ -276,28 +296,3 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
 def _last(offsets: Array) -> int:
     """Return the last of some offsets; 0 if a hostile file has none."""
     return int(offsets[-1]) if len(offsets) else 0
-
-
-def _check_tables(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check what kernels rely on: offsets that grow, seed points on free cells of their map."""
-    for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
-        offsets = arrays[name]
-        # neighbours are compared, since the difference of two hostile int64 may wrap round
-        if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
-            raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
-    rooms = np.diff(arrays["room_offsets"])
-    pairs = np.diff(arrays["pair_offsets"])
-    if (rooms < 1).any() or not np.array_equal(pairs, rooms * (rooms - 1) // 2):
-        raise ShardError("datasets 'room_offsets' and 'pair_offsets' disagree")
-    seed_points = arrays["seeds"]
-    if ((seed_points < 0) | (seed_points >= header.map_size)).any():
-        raise ShardError("dataset 'seeds' holds cells outside the map")
-    # every search begins at a seed point, and none on an occupied cell
-    maps = np.repeat(np.arange(len(rooms)), rooms)
-    row, column = seed_points.T
-    occupied = arrays["maps"][maps, row, column // 8] & (1 << column % 8)
-    for number in maps[occupied > 0][:1]:
-        raise ShardError(
-            f"a seed point of map {header.start + number} is on an occupied cell (datasets 'maps' "
-            "and 'seeds')"
-        )

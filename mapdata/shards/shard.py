@@ -229,8 +229,7 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
         for name, value in attributes.items():
             _write_attribute(file, name, value)
         for field in FIELDS:
-            array = arrays[field.name]
-            dataset = file.create_dataset(field.name, data=array, track_order=False)
+            dataset = file.create_dataset(field.name, data=arrays[field.name], track_order=False)
             for name in ("description", "units", "encoding"):
                 _write_attribute(dataset, name, getattr(field, name))
     image = buffer.getvalue()
@@ -242,9 +241,9 @@ def _check_image(image: bytes, attributes: dict[str, Any], arrays: dict[str, Arr
     """Refuse the bytes of a file that does not hold these attributes and arrays."""
     try:
         found, found_arrays = read_image(memoryview(image))
-        same = found == attributes
-        for name, array in arrays.items():
-            same &= np.array_equal(found_arrays[name], array)
+        same = found == attributes and all(
+            np.array_equal(found_arrays[name], arrays[name]) for name in arrays
+        )
     except ValueError:
         same = False
     if not same:

@@ -184,7 +184,7 @@ def test_version_1_says_what_it_always_said() -> None:
 
 
 SEEDED = {"seed_points": 4, "splits": (0.5, 0.25, 0.25)}
-GOLDEN = {
+GOLDEN: dict[Generator, tuple[str, str]] = {
     Cave((20, 31), occupied=0.4, steps=3, **SEEDED): (  # type: ignore[arg-type]
         "e7178de2e750b7b8e2c1eb57064c4b44af39a3890b5baec39a98ed323d7c78fe",
         "2d9bae2ece32e41fa6c3a5cafe553ea568c95a23674591211e44a2f664af45eb",
