@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,8 +44,11 @@ Sampled = tuple[Bytes, Ints, Paths | None]
 """Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
 the paths, None where they have not been searched."""
 
-SUBSTITUTES = 500
-"""How many other maps are tried in place of one that has no problem of the kind asked for."""
+DRAWS = 32
+"""How many random problems are tried on a map; 2 DRAWS more on each map that takes its place."""
+
+MOST_DRAWS = 1_000_000
+"""After so many in a row that do not fit there is an error."""
 
 CONDITIONS: dict[str, Field] = {
     "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),
@@ -190,21 +194,23 @@ class ProblemDataset(Dataset[Sample], ABC):
         Each is sampled on its own map, or on a substitute where that has none.
         """
         places = indices.copy()
-        grids, ends, found = self._sample(places, indices, epoch)
-        for attempt in range(SUBSTITUTES):
+        grids, ends, found = self._sample(places, indices, epoch, 0)
+        tried = 0
+        for attempt in count():
             missing = np.flatnonzero(ends[:, 0] < 0)
             if len(missing) == 0:
                 break
+            if tried > MOST_DRAWS:
+                raise ValueError(f"problems={self.serving.problems}: none on one map after another")
             places[missing] = self._substitutes(indices[missing], attempt)
             grids[missing], ends[missing], more = self._sample(
-                places[missing], indices[missing], epoch
+                places[missing], indices[missing], epoch, attempt + 1
             )
             if found and more:
                 found = found.replaced(missing, more)
-        else:
-            raise ValueError(
-                f"problems={self.serving.problems}: none on {SUBSTITUTES} maps in a row"
-            )
+            tried += len(missing) * DRAWS * (2 * attempt + 3)
+            if (ends[missing] >= 0).any():
+                tried = 0
         starts = np.ascontiguousarray(ends[:, :2])
         goals = np.ascontiguousarray(ends[:, 2:])
         batch = self._as_batch(indices, places, grids, starts, goals)
@@ -212,14 +218,24 @@ class ProblemDataset(Dataset[Sample], ABC):
             batch.paths = found
         return batch
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
-        """Sample a problem on each of the maps at some places."""
+    def _sample(self, places: Ints, indices: Ints, epoch: int, attempt: int) -> Sampled:
+        """Sample a problem on each of the maps at some places.
+
+        Each attempt has draws of its own, so that what failed is not tried again on another map.
+        They become more, since conditions that have failed are rare.
+        """
         problems = self.serving.problems
         assert isinstance(problems, Random)
         grids = self._grids(places)
         seed = np.uint64(self.serving.sampling_seed)
         ends, *found = sample_problems(
-            grids, seed, epoch, indices, problems.bands, rule_of(self.movement)
+            grids,
+            seed,
+            epoch,
+            indices,
+            (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
+            *problems.conditions,
+            rule_of(self.movement),
         )
         # Conditions may need the paths, which A* finds; what was found is not searched again.
         is_found = len(found[0]) and self.serving.search == "astar"

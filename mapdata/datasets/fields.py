@@ -46,9 +46,8 @@ class Paths(NamedTuple):
         parts = np.split(self.cells, self.offsets[1:-1])
         for row, cells in zip(rows, np.split(others.cells, others.offsets[1:-1]), strict=True):
             parts[row] = cells
-        iterations = self.iterations.copy()
-        iterations[rows] = others.iterations
-        return Paths(np.concatenate(parts), offsets_of([len(cells) for cells in parts]), iterations)
+        self.iterations[rows] = others.iterations
+        return Paths(np.concatenate(parts), offsets_of([*map(len, parts)]), self.iterations)
 
 
 class Rooms(NamedTuple):

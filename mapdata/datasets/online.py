@@ -111,10 +111,10 @@ class OnlineMapDataset(ProblemDataset):
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return self.length + (indices + attempt) % self.length
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int) -> Sampled:
+    def _sample(self, places: Ints, indices: Ints, epoch: int, attempt: int) -> Sampled:
         problems = self.serving.problems
         if isinstance(problems, Random):
-            return super()._sample(places, indices, epoch)
+            return super()._sample(places, indices, epoch, attempt)
         maps = self._maps(places)
         grids = self._inflated(maps)
         ends, *found = solve_pairs(

@@ -15,7 +15,6 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, generate, identity
-from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
@@ -27,6 +26,9 @@ from mapdata.spec import SPLITS, Movement, canonical_json, check_choice, check_c
 
 HARD = 1.05
 """Hardness (optimal cost over heuristic) from which on a problem is hard."""
+
+_DRAWS = (0, 1000)
+"""The draws that are tried on a map; a dataset takes another map after 32."""
 
 _MAPS_A_CHUNK = 256
 _ARRAYS = ("grids", "starts", "goals")
@@ -142,10 +144,10 @@ class Problems:
     ) -> Problems:
         """Sample one problem on each map 0, 1, ... of (spec, seed), as a dataset does in epoch 0.
 
-        The goal is a uniform free cell, the start a uniform one of the cells from which the problem
-        meets the conditions. A goal without such a start is sampled again, 32 times at most; then
-        the map is left out. The problem on map i is a pure function of (spec, seed, i), of the
-        conditions and of ``movement``.
+        The goal is a uniform free cell, the start a uniform one of the cells that reach it and are
+        far enough. Where the problem meets not all conditions both are drawn again, 1,000 times at
+        most; then the map is left out. The problem on map i is a pure function of (spec, seed, i),
+        of the conditions and of ``movement``.
 
         Args:
             spec: the distribution of maps; its own movement is not used.
@@ -210,19 +212,13 @@ class Problems:
         dataset = Root.open(root)
         if seed is None:
             seed = dataset.manifests[0].seed or 0
-        shards = (labels.maps for labels in dataset.labels())
-        grids = (_of_split(each, SPLITS.index(split)) for each in shards)
+        code = SPLITS.index(split)
+        shards = ((labels.maps, labels.maps.split == code) for labels in dataset.labels())
+        grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in shards)
         where = f"split {split} of {dataset}"
-        least = 0
-        if radius:  # only then must all roots have one resolution
-            least = least_squared(radius, dataset.resolution)
+        # only with a radius must all roots have one resolution
+        least = least_squared(radius, dataset.resolution) if radius else 0
         return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
-
-
-def _of_split(maps: Maps, code: int) -> tuple[Ints, Bytes]:
-    """Return indices and grids of the maps of one split."""
-    chosen = maps.split == code
-    return maps.index[chosen], maps.occupancy[chosen]
 
 
 def _collect(
@@ -251,7 +247,7 @@ def _collect(
         left -= len(indices)
         inflate_all(grids, least)
         sampled, *_ = sample_problems(
-            grids, np.uint64(seed), 0, indices, problems.bands, rule_of(movement)
+            grids, np.uint64(seed), 0, indices, _DRAWS, *problems.conditions, rule_of(movement)
         )
         kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:

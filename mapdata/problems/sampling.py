@@ -43,14 +43,9 @@ from mapdata.search.lattice import (
     in_cells,
     lattice_of,
     load,
+    parts,
     position,
 )
-
-_OPEN = (0.0, math.inf)
-"""The limits of a band that leaves both sides open."""
-
-_ATTEMPTS = 32
-"""Problems tried on one map before it is given up."""
 
 
 @kernel
@@ -59,7 +54,9 @@ def sample_problems(
     seed: np.uint64,
     epoch: Int,
     indices: Ints,
-    bands: Bands,
+    draws: tuple[Int, Int],
+    nearest: float,
+    bands: Bands | None,
     rule: Rule,
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """Sample a problem on each grid: a goal, then one of the starts that are far enough from it.
@@ -72,7 +69,10 @@ def sample_problems(
         seed: sampling seed.
         epoch: pass over the data.
         indices: (B,) number of each problem.
-        bands: as `Random.bands`; a tuple, which numba keeps in registers.
+        draws: first and one past the last draw that is tried on each grid.
+        nearest: least distance of a start, from 1 on: the goal itself is none.
+        bands: as `Random.bands`; None where ``nearest`` is the only condition, so that numba
+            leaves the search out.
         rule: as `rule_of` gives it.
 
     Returns:
@@ -81,7 +81,6 @@ def sample_problems(
     """
     lattice = lattice_of(grids.shape[1:], rule)
     buffers = scratch(ASTAR, lattice)
-    nearest = max(bands[0][0], 1.0)  # from 1 on: not the goal itself
     count = len(grids)
     ends = np.full((count, 4), -1)
     offsets = np.zeros(count + 1, np.int64)
@@ -94,8 +93,8 @@ def sample_problems(
         free = count_bits(board.free, 0, len(board.free))
         if free < 2:
             continue
-        for attempt in range(_ATTEMPTS):
-            w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, attempt)
+        for draw in range(*draws):
+            w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, draw)
             goal = nth_cell(board.free, board.stride, bounded(w0, 0, free - 1))
             target = cell_at(goal[0], goal[1], lattice)
             word = word_at(goal[0], goal[1], board.stride)
@@ -108,9 +107,11 @@ def sample_problems(
             if starts:
                 # A uniform one: they count in row-major order.
                 start = nth_cell(board.reached, board.stride, bounded(w1, 0, starts - 1))
-                length, iterations[b] = _search_within(
-                    bands, grids[b], start, goal, target, lattice, buffers, board
-                )
+                length = 0
+                if bands is not None:
+                    length, iterations[b] = _search_within(
+                        bands, grids[b], start, goal, target, lattice, buffers, board
+                    )
                 if length >= 0:
                     ends[b, 0], ends[b, 1] = start
                     ends[b, 2], ends[b, 3] = goal
@@ -172,15 +173,11 @@ def _search_within(
     buffers: Scratch,
     board: Board,
 ) -> tuple[Int, Int]:
-    """Search the path of a problem; return its cells and iterations, (-1, 0) if it does not fit.
-
-    (0, 0) without a search where every start fits that is far enough.
-    """
+    """Search the path of a problem; return its cells and iterations, (-1, 0) if it does not fit."""
     distances, ratios, lengths = bands
-    if distances[1] == math.inf and ratios == _OPEN and lengths == _OPEN:
-        return 0, 0
-    least: float = in_cells(heuristic(start[0] - goal[0], start[1] - goal[1], lattice))
-    if least > distances[1]:
+    least_cost = heuristic(start[0] - goal[0], start[1] - goal[1], lattice)
+    least: float = in_cells(least_cost)
+    if least > distances[1] or sum(parts(least_cost)) >= lengths[1]:
         return -1, 0
     # Most starts are too easy, which shows faster without a search.
     if ratios[0] > 1 and board.stride == 1 and is_direct(start, goal, lattice, board.free):

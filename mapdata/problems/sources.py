@@ -81,6 +81,13 @@ class Random:
         """The limits of distance, hardness and length."""
         return _limits(self.distance), _limits(self.hardness), _limits(self.length)
 
+    @property
+    def conditions(self) -> tuple[float, Bands | None]:
+        """The least distance, 1 or more, and the bands: None where there is no other condition."""
+        lowest = self.bands[0][0]
+        is_open = self.bands == Random((lowest, None)).bands
+        return max(lowest, 1.0), None if is_open else self.bands
+
 
 Source = Route | Pairs | Random
 

@@ -362,7 +362,7 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
         OnlineMapDataset(samples.SPEC, problems="random", radius=5),
         OnlineMapDataset(samples.SPEC, radius=5),
     ):
-        with pytest.raises(ValueError, match="none on 500 maps in a row"):
+        with pytest.raises(ValueError, match="none on one map after another"):
             dataset[0]
     with pytest.raises(ValueError, match="no map has a problem"):
         Problems.sample(samples.SPEC, 0, 5, radius=5)

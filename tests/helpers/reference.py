@@ -326,15 +326,24 @@ Band: TypeAlias = tuple[float, float]
 
 
 def reference_problem(
-    grid: Grid, seed: int, index: int, epoch: int, bands: Sequence[Band], movement: Movement
+    grid: Grid,
+    seed: int,
+    index: int,
+    epoch: int,
+    bands: Sequence[Band],
+    movement: Movement,
+    draws: int = 32,
 ) -> ReferenceProblem | None:
     """Draw goals, and for each a start that is far enough, until all bands are met."""
+    known: dict[Cell, dict[Cell, Pair]] = {}
     cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
     free = [cell for cell in cells if is_free(grid, cell)]
-    for attempt in range(32 if free else 0):
-        words = block(seed, index, epoch, PROBLEM, attempt)
+    for draw in range(draws if free else 0):
+        words = block(seed, index, epoch, PROBLEM, draw)
         goal = free[bounded(words[0], 0, len(free) - 1)]
-        costs = reference_distances(grid, goal, movement)
+        if goal not in known:
+            known[goal] = reference_distances(grid, goal, movement)
+        costs = known[goal]
         nearest, _ = bands[0]
         starts = [
             cell

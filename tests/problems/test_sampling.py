@@ -33,7 +33,7 @@ def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Mo
     """
     indices = np.arange(len(grids))
     ends, *_ = sample_problems(
-        grids, np.uint64(seed), epoch, indices, conditions.bands, rule_of(movement)
+        grids, np.uint64(seed), epoch, indices, (0, 32), *conditions.conditions, rule_of(movement)
     )
     found = np.full((len(grids), 6), -1)
     found[:, :4] = ends
@@ -190,3 +190,17 @@ def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, se
         assert served.cost[k] == np.float32(one.cost)
         assert served.hardness[k] >= 1.3
         assert len(astar(grid, start, goal, movement).path) <= 90
+
+
+def test_a_substitute_has_draws_of_its_own() -> None:
+    """Bands that few problems meet are found on other maps, also where maps are alike: all mazes
+    have as many free cells in as many places.
+    """
+    near = OnlineMapDataset(
+        Generator.preset("maze"),
+        length=40,
+        fields=("start", "goal", "cost"),
+        problems=Random(distance=(None, 3)),
+    )[:]
+    assert (near.cost <= 3).all()
+    assert len(np.unique(near.goal, axis=0)) > 30
