@@ -22,7 +22,8 @@ HEAD = """# Benchmarks
 
 Written by `python -m benchmarks{arguments}`. Everything in a table was measured in one run, the
 contestants taking turns on one machine: trust the ratios more than the times. A peer that gives
-other results than ours stops the run. Install the peers with `pip install -e ".[bench]"` (and
+other results than ours stops the run. A target is a least ratio or rate, or a limit of time, size
+or growth; those that are missed say so. Install the peers with `pip install -e ".[bench]"` (and
 `maze-dataset "muutils<0.9"` by hand); a missing one is skipped by name. Single tables go by their
 names: labels, paths, making, build, loading, planners. `--quick` takes a minute or two; without it
 there are more repeats, and the figures are steadier.

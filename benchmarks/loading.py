@@ -477,12 +477,11 @@ def band_rows(folder: Path, rounds: int) -> list[Row]:
         times = interleaved(runs, rounds)
         fields = ("cost", "length", "hardness")
         drawn = MapDataset(root, "train", fields, problems="random")[:]
-        meeting = {
-            "distance >= 10": drawn.cost >= 10,
-            "10 to 40 cells": (drawn.length >= 10) & (drawn.length <= 40),
-            "hardness >= 1.05": drawn.hardness >= 1.05,
-            "hardness >= 1.2": drawn.hardness >= 1.2,
-        }
+        values = torch.stack([drawn.cost, drawn.hardness, drawn.length])  # as `Random.bands`
+        meeting = {}
+        for name, problems in bands.items():
+            lowest, highest = torch.tensor(problems.bands).T[:, :, None]
+            meeting[name] = ((values >= lowest) & (values <= highest)).all(dim=0)
         rows += [
             Row(
                 f"{preset}, {movement.connectivity}-connected: random problems, {name}",

@@ -157,11 +157,10 @@ def to_text(
         for peer in peers
     ]
     head = [f"## {title}", "", *(f"- {fact}" for fact in (found, machine(), *notes, *commands)), ""]
-    lines = [[*Row._fields]]
-    for row in rows:
-        lines.append(
-            [*row._replace(target=f"{row.target}, missed" if row.is_missed else row.target)]
-        )
+    marked = (
+        row._replace(target=f"{row.target}, missed") if row.is_missed else row for row in rows
+    )
+    lines = [[*Row._fields], *([*row] for row in marked)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(Row._fields))]
     lines.insert(1, ["-" * width for width in widths])
     for cells in lines:

@@ -42,13 +42,14 @@ Transform = Callable[[Sample], Any]
 
 Sampled = tuple[Bytes, Ints, Paths | None]
 """Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
-the paths, None where they have not been searched."""
+the paths, None where they are still to be searched."""
 
 DRAWS = 32
-"""How many random problems are tried on a map; 2 DRAWS more on each map that takes its place."""
+"""How many random problems are tried on a sample's own map. On the maps that take its place they
+are 3 DRAWS, 5 DRAWS and so on."""
 
 MOST_DRAWS = 1_000_000
-"""After so many in a row that do not fit there is an error."""
+"""After so many in a row that do not fit, over all samples of a batch, there is an error."""
 
 CONDITIONS: dict[str, Field] = {
     "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),

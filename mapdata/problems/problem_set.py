@@ -28,7 +28,7 @@ HARD = 1.05
 """Hardness (optimal cost over heuristic) from which on a problem is hard."""
 
 _DRAWS = (0, 1000)
-"""The draws that are tried on a map; a dataset takes another map after 32."""
+"""The draws that are tried on a map; a dataset goes on to another map sooner."""
 
 _MAPS_A_CHUNK = 256
 _ARRAYS = ("grids", "starts", "goals")
@@ -142,12 +142,14 @@ class Problems:
         movement: Movement = Movement(8),
         radius: float = 0.0,
     ) -> Problems:
-        """Sample one problem on each map 0, 1, ... of (spec, seed), as a dataset does in epoch 0.
+        """Sample one problem on each map 0, 1, ... of (spec, seed).
+
+        It is that of a dataset in epoch 0, where one of the first 32 draws meets the conditions.
 
         The goal is a uniform free cell, the start a uniform one of the cells that reach it and are
-        far enough. Where the problem meets not all conditions both are drawn again, 1,000 times at
-        most; then the map is left out. The problem on map i is a pure function of (spec, seed, i),
-        of the conditions and of ``movement``.
+        far enough. Where the problem does not meet all conditions, both are drawn anew, up to 1,000
+        draws in all; then the map is left out. The problem on map i is a pure function of (spec,
+        seed, i), of the conditions and of ``movement``.
 
         Args:
             spec: the distribution of maps; its own movement is not used.

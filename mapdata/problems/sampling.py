@@ -61,8 +61,8 @@ def sample_problems(
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """Sample a problem on each grid: a goal, then one of the starts that are far enough from it.
 
-    docs/format.md, section 6, fixes the draws. Starts are tried one by one under the other
-    conditions, since a search of one path is much faster than one of all.
+    docs/format.md, section 6, fixes the draws. Under the other conditions goal and start are drawn
+    until their path fits, since to search one path is much faster than to search all starts.
 
     Args:
         grids: (B, H, W).
@@ -70,7 +70,7 @@ def sample_problems(
         epoch: pass over the data.
         indices: (B,) number of each problem.
         draws: first and one past the last draw that is tried on each grid.
-        nearest: least distance of a start, from 1 on: the goal itself is none.
+        nearest: least distance of a start, at least 1, so that the goal is no start.
         bands: as `Random.bands`; None where ``nearest`` is the only condition, so that numba
             leaves the search out.
         rule: as `rule_of` gives it.
@@ -100,7 +100,7 @@ def sample_problems(
             word = word_at(goal[0], goal[1], board.stride)
             bit = bit_at(goal[1])
             if nearest == 1 and board.reached[word] & bit:
-                board.reached[word] ^= bit  # its starts are those of the goal before, and that one
+                board.reached[word] ^= bit  # connected to the goal before: all but itself
             else:
                 _keep_starts(grids[b], goal, target, nearest, lattice, buffers, board)
             starts = count_bits(board.reached, 0, len(board.free))
@@ -119,8 +119,8 @@ def sample_problems(
                     write_cells(buffers.came, target, lattice, cells[used : used + length])
                     offsets[b + 1] = used + length
                     break
+            # No start, or one that does not fit: another goal. This one may be its start.
             board.reached[word] |= bit
-            # No start, or one that does not fit: another goal.
     return ends, cells[: offsets[count]], offsets, iterations
 
 
@@ -138,8 +138,8 @@ def _keep_starts(
     row, column = goal
     levels: Int = 5 * sum(grid.shape) // 4
     most: Int = FAR
-    # Which cells reach the goal is found by bits, under diagonal moves, too, since one between two
-    # free cells leads nowhere else.
+    # Which cells reach the goal is found by bits, under diagonal moves, too: one that cuts no
+    # corner has two free cells beside it, so that straight moves lead there as well.
     if lattice.diagonals < 2 and search_board(row, column, levels, board):
         connected = board.reached.copy()
         all_near = search_board(row, column, math.ceil(min(nearest, levels)), board)

@@ -704,7 +704,8 @@ def shortest_costs(sources: Ints, most: Int, lattice: Lattice, buffers: Scratch)
     """Write the costs of shortest paths from every cell to the nearest source, and their moves.
 
     ``came`` is as `load` leaves it. The costs go to ``g``, FAR without a path and -1 in walls; the
-    moves that start a shortest path go to ``came``, as bit sets.
+    moves that start a shortest path go to ``came``, as bit sets. The search stops at the cost
+    ``most``, in cells (FAR: never): cells from there on have no moves, and perhaps too high a cost.
 
     Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A step costs at
     least UNIT, so it leads out of its bucket, and what lies in the nearest bucket cannot become

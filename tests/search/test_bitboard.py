@@ -125,3 +125,28 @@ def test_easy_problems_are_known_without_a_search(
     distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
     least = heuristics(free, np.array([[row, column]]), movement)
     np.testing.assert_array_equal(found, (distances >= 0) & (distances <= least + 1e-3))
+
+
+@given(
+    grid=numpy_arrays.arrays(
+        np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)
+    ),
+    movement=st.sampled_from(
+        [
+            Movement(8, corner_cutting=True),
+            Movement(8, diagonal_cost=1),
+            Movement(8, corner_cutting=True, diagonal_cost=1),
+        ]
+    ),
+)
+def test_direct_paths_are_paths_under_other_rules(grid: Bytes, movement: Movement) -> None:
+    """Some are missed, none is found wrongly."""
+    free = np.argwhere(grid == 0)
+    lattice = lattice_of(grid.shape, rule_of(movement))
+    words = board_of(grid).free
+    for row, column in free.tolist():
+        found = [is_direct((r, c), (row, column), lattice, words) for r, c in free.tolist()]
+        distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
+        least = heuristics(free, np.array([[row, column]]), movement)
+        assert (distances[found] >= 0).all()
+        assert (distances <= least + 1e-3)[found].all()
