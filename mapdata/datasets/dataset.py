@@ -187,7 +187,10 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @abstractmethod
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return the places of maps to try where those of samples ``indices`` have no problem."""
+        """Return the places of maps to try where those of samples ``indices`` have no problem.
+
+        Attempts count from 1.
+        """
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:
         """Return problems ``indices`` of an epoch, before fields are made of them.
@@ -197,7 +200,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         places = indices.copy()
         grids, ends, found = self._sample(places, indices, epoch, 0)
         tried = 0
-        for attempt in count():
+        for attempt in count(1):
             missing = np.flatnonzero(ends[:, 0] < 0)
             if len(missing) == 0:
                 break
@@ -205,11 +208,11 @@ class ProblemDataset(Dataset[Sample], ABC):
                 raise ValueError(f"problems={self.serving.problems}: none on one map after another")
             places[missing] = self._substitutes(indices[missing], attempt)
             grids[missing], ends[missing], more = self._sample(
-                places[missing], indices[missing], epoch, attempt + 1
+                places[missing], indices[missing], epoch, attempt
             )
             if found and more:
                 found = found.replaced(missing, more)
-            tried += len(missing) * DRAWS * (2 * attempt + 3)
+            tried += len(missing) * DRAWS * (2 * attempt + 1)
             if (ends[missing] >= 0).any():
                 tried = 0
         starts = np.ascontiguousarray(ends[:, :2])
@@ -228,10 +231,9 @@ class ProblemDataset(Dataset[Sample], ABC):
         problems = self.serving.problems
         assert isinstance(problems, Random)
         grids = self._grids(places)
-        seed = np.uint64(self.serving.sampling_seed)
         ends, *found = sample_problems(
             grids,
-            seed,
+            np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
             (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
@@ -460,7 +462,7 @@ class MapDataset(ProblemDataset):
         return Rooms(matrix, rooms.seed_points)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        return (indices + attempt + 1) % len(self.reader)
+        return (indices + attempt) % len(self.reader)
 
 
 def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:

@@ -109,7 +109,7 @@ class OnlineMapDataset(ProblemDataset):
         return Rooms(matrices, seed_points)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        return self.length + (indices + attempt) % self.length
+        return self.length + (indices + attempt - 1) % self.length
 
     def _sample(self, places: Ints, indices: Ints, epoch: int, attempt: int) -> Sampled:
         problems = self.serving.problems

@@ -137,7 +137,8 @@ def _fill_squared(grid: Bytes, squared: Int32s) -> None:
     line = np.zeros(3 * columns, np.int32)
     for row in range(rows):
         best = squared[row]
-        line[columns : 2 * columns] = best
+        for column in range(columns):
+            line[columns + column] = best[column]
         away = 1
         farthest = best.max()
         # Farther columns cannot be nearer: their part of the way alone is longer.
