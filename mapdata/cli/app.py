@@ -10,13 +10,21 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Literal
 
 from mapdata._version import __version__
 from mapdata.cli import convert
-from mapdata.cli.common import DisagreeError, Parser, complain, parser_of, run, run_parsed, summary
+from mapdata.cli.common import (
+    Command,
+    DisagreeError,
+    Parser,
+    complain,
+    parser_of,
+    run,
+    run_parsed,
+    summary,
+)
 
 
 def build_command(
@@ -224,7 +232,7 @@ def report_command(root: list[str], *, output: str = "report.html", maps: int = 
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 
-VERBS: dict[str, Callable[..., None]] = {
+VERBS: dict[str, Command] = {
     "build": build_command,
     "info": info_command,
     "verify": verify_command,
@@ -234,7 +242,6 @@ VERBS: dict[str, Callable[..., None]] = {
     "export": convert.export_command,
     "check-scen": convert.check_scen_command,
 }
-"""Signature and docstring of each are its flags and its help."""
 
 MORE_FLAGS = {"import": convert.add_import_flags, "export": convert.add_export_flags}
 """What adds those that the formats bring."""

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from mapdata.options import Option
     from mapdata.shards import Manifest
 
+Command = Callable[..., None]
+"""What a command line calls: its signature and docstring are the flags and the help."""
+
 
 class DisagreeError(Exception):
     """The data are damaged or are not what they should be: exit code 1."""
@@ -46,7 +49,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
-def run(command: Callable[..., None], **values: object) -> None:
+def run(command: Command, **values: object) -> None:
     """Call ``command`` and exit with 0, 1 or 2.
 
     What a user can put right is one clear line instead of a traceback.
@@ -104,7 +107,7 @@ class Parser(argparse.ArgumentParser):
         sys.exit(complain(f"{message} ({self.prog} --help says more)", 2))
 
 
-def parser_of(command: Callable[..., None], prog: str | None = None, **defaults: object) -> Parser:
+def parser_of(command: Command, prog: str | None = None, **defaults: object) -> Parser:
     """Return the parser of a function, made of its signature and its docstring.
 
     Parameters without a default are positional, keyword-only ones are flags. ``defaults`` are those
@@ -181,9 +184,7 @@ def _size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def run_parsed(
-    command: Callable[..., None], arguments: list[str] | None = None, **defaults: object
-) -> None:
+def run_parsed(command: Command, arguments: list[str] | None = None, **defaults: object) -> None:
     """Be the command line of a script: `run` a function with the arguments that it was given."""
     run(command, **vars(parser_of(command, None, **defaults).parse_args(arguments)))
 

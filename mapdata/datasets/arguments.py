@@ -9,6 +9,7 @@ from typing import Any
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.sample import Sample
 from mapdata.problems.sources import Source, plain_text
+from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import least_squared
 from mapdata.search.lattice import rule_of
 from mapdata.spec import Movement, check_choice, check_seed, did_you_mean
@@ -39,7 +40,7 @@ class Serving:
         """Check the arguments."""
         self._check_fields()
         object.__setattr__(self, "fields", tuple(self.fields))
-        check_choice("search", self.search, ("bfs", "astar"))
+        check_choice("search", self.search, SEARCHES)
         if self.movement is not None:
             rule_of(self.movement)  # refuses what is no movement
         least_squared(self.radius)  # refuses what is no radius

@@ -394,9 +394,7 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> Int32s:
         base = arrays["room_offsets"][maps]
         solvable = arrays["astar_straight"] >= 0
         same = (seed_points[base + first] == seed_points[base + second]).all(axis=1)
-        keep = solvable & ~same
-        if problems.unsolvable:
-            keep |= ~solvable
+        keep = np.where(solvable, ~same, problems.unsolvable)
         if isinstance(problems, Route):
             keep &= second == first + 1
     rows = np.stack((maps, first, second), axis=1).astype(np.int32)[keep]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -65,12 +66,11 @@ def _restore(names: tuple[str, ...], capacity: int | None, values: tuple[Any, ..
     return sample
 
 
+@dataclass(eq=False)
 class Rows(Sequence[Sample]):
     """A batch that looks like a list of samples: to collate it costs nothing."""
 
-    def __init__(self, batch: Sample) -> None:
-        """Wrap ``batch``."""
-        self.batch = batch
+    batch: Sample
 
     def __len__(self) -> int:
         return len(self.batch[0])

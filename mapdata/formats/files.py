@@ -15,9 +15,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
-from mapdata.arrays import Array, Bytes
+from mapdata.arrays import Array, Bytes, Ints
 from mapdata.formats.collection import Collection
-from mapdata.generators.maps import Maps
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 from mapdata.spec import SPLITS
@@ -103,18 +102,16 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def walk(
-    folder: Path, endings: tuple[str, ...], limits: Limits, left_out: list[tuple[str, str]]
-) -> list[Path]:
+def walk(folder: Path, endings: tuple[str, ...], limits: Limits, found: Collection) -> list[Path]:
     """Return the files below ``folder`` with one of these endings, map2 before map10.
 
     Endings are in lower case. Hidden names and links to folders are passed over; links to files
-    outside ``folder`` are added to ``left_out``, with the reason.
+    outside ``folder`` are added to what ``found`` leaves out, with the reason.
 
     Raises:
         FormatError: more than ``limits.files`` files.
     """
-    found = []
+    paths = []
     seen = 0
     inside = folder.resolve()
     for here, folders, names in os.walk(folder):
@@ -127,10 +124,10 @@ def walk(
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
             if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(inside):
-                left_out.append((str(path), "a link to outside the folder"))
+                found.left_out.append((str(path), "a link to outside the folder"))
             else:
-                found.append(path)
-    return sorted(found, key=lambda path: natural(str(path)))
+                paths.append(path)
+    return sorted(paths, key=lambda path: natural(str(path)))
 
 
 def natural(text: str) -> list[Any]:
@@ -168,8 +165,8 @@ def split_of(path: Path, source: Path) -> int | None:
     return None
 
 
-def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, Bytes, Maps, int]]:
-    """Yield each map of a dataset: where to write it, its grid, and where it stands in a batch.
+def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, Bytes, Ints]]:
+    """Yield each map of a dataset: where to write it, its grid and its seed points, (n, 2).
 
     It is written as ``<split>/map<i>``, behind which an ending comes; the folder is made.
     """
@@ -178,7 +175,7 @@ def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, 
         for k, grid in enumerate(maps.occupancy):
             folder = target / SPLITS[maps.split[k]]
             folder.mkdir(parents=True, exist_ok=True)
-            yield folder / f"map{maps.index[k]}", grid, maps, k
+            yield folder / f"map{maps.index[k]}", grid, maps.seed_points[k, : maps.rooms[k]]
 
 
 # --- arrays -------------------------------------------------------------------------------------
@@ -296,7 +293,7 @@ def files_of(
     """
     if not source.exists():
         raise FormatError(f"{source}: no such file or folder")
-    paths = walk(source, endings, limits, found.left_out) if source.is_dir() else [source]
+    paths = walk(source, endings, limits, found) if source.is_dir() else [source]
     with bar(limits.progress and len(paths) > 1, len(paths), unit=" files") as advance:
         for path in paths:
             yield path

@@ -445,12 +445,12 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         Notes for the user.
     """
     rows, columns = root.map_size
-    for path, grid, maps, k in map_files(target, root, progress):
+    for path, grid, seed_points in map_files(target, root, progress):
         letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
         body = "\n".join(row.tobytes().decode() for row in letters)
         text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
         path.with_suffix(".map").write_text(text, newline="\n")
-        scen = _scen(f"{path.name}.map", grid, maps.seed_points[k, : maps.rooms[k]])
+        scen = _scen(f"{path.name}.map", grid, seed_points)
         path.with_suffix(".map.scen").write_text(scen, newline="\n")
     return [
         "lengths in the .scen files are 8-connected without corner cutting, the benchmark's rule"

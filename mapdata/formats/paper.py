@@ -170,7 +170,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     """
     path = _csv(source)
     found = Collection()
-    files = walk(path.parent, PICTURES, limits, found.left_out)
+    files = walk(path.parent, PICTURES, limits, found)
     pictures = {picture.stem.lower(): picture for picture in files}
     movements = set()
     items = set()

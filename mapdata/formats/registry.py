@@ -46,6 +46,9 @@ class Format:
     target_ending: str = ""
 
 
+What = Literal["read", "write", "problems"]
+"""The functions that a format may have."""
+
 FORMATS: dict[str, Format] = {}
 """All formats by name. Where several know a file as theirs, the last one has it."""
 
@@ -60,7 +63,7 @@ def register(one: Format) -> None:
         raise ValueError(f"{one.name!r} is the name of another format")
 
 
-def functions(what: Literal["read", "write", "problems"]) -> dict[str, Callable[..., Any]]:
+def functions(what: What) -> dict[str, Callable[..., Any]]:
     """Return what reads, what writes, or what gives problems, by the name of the format."""
     return {name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what)}
 
@@ -184,9 +187,7 @@ def export(
     return notes
 
 
-def _checked(
-    what: Literal["read", "write", "problems"], name: str, options: dict[str, object]
-) -> Callable[..., Any]:
+def _checked(what: What, name: str, options: dict[str, object]) -> Callable[..., Any]:
     """Return what reads or writes a format, after checking the name and the options.
 
     Raises:

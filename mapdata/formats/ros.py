@@ -191,8 +191,7 @@ def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) 
         table[occupied > high] = 100
     cells: Int8s = table.astype(np.int8)[total]
     if mode == "scale" and values.shape[2] == 4:
-        is_opaque = values[:, :, 3] == white
-        cells[~is_opaque] = -1
+        cells[values[:, :, 3] < white] = -1  # what is not opaque
     return cells
 
 
@@ -316,7 +315,7 @@ def write(
     Returns:
         Notes for the user.
     """
-    for path, grid, _, _ in map_files(target, root, progress):
+    for path, grid, _ in map_files(target, root, progress):
         pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
         picture = path.with_suffix(f".{image}")
         Image.fromarray(pixels).save(picture)

@@ -12,9 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
-from mapdata.generators.maps import Maps
-from mapdata.generators.points import Scattered, check_seed_points, with_seed_points
+from mapdata.arrays import Bytes
+from mapdata.generators.points import Scattered, check_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block
 from mapdata.spec import check_count, check_probability
@@ -50,13 +49,9 @@ class Cave(Scattered):
         self._convert(partial(check_count, lowest=0), "steps")
         self._convert(check_seed_points, "seed_points")
 
-    def draw(self, seed: int, indices: Ints) -> Maps:
-        """Return the maps ``indices``, (N,) int64."""
-        grids = np.empty((len(indices), *self.map_size), np.uint8)
-        limit = round(self.occupied * 2**16)
-        for grid, index in zip(grids, indices, strict=True):
-            _erode(grid, np.uint64(seed), np.uint64(index), limit, self.steps)
-        return with_seed_points(self, seed, indices, grids)
+    def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
+        """Fill ``grid``, (H, W), with map ``index``."""
+        _erode(grid, seed, index, round(self.occupied * 2**16), self.steps)
 
 
 PRESETS = {"cave": Cave()}

@@ -13,9 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
-from mapdata.generators.maps import Maps
-from mapdata.generators.points import Scattered, check_seed_points, with_seed_points
+from mapdata.arrays import Bytes
+from mapdata.generators.points import Scattered, check_seed_points
 from mapdata.jit import kernel
 from mapdata.rng import MAP, block, bounded
 from mapdata.spec import Range, check_integers, check_number, check_range, items_of
@@ -54,14 +53,11 @@ class Forest(Scattered):
         check_range("sizes", self.sizes, 1, min(self.map_size), ", the shorter side of the map")
         self._convert(check_seed_points, "seed_points")
 
-    def draw(self, seed: int, indices: Ints) -> Maps:
-        """Return the maps ``indices``, (N,) int64."""
+    def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
+        """Occupy cells of a free ``grid``, (H, W): map ``index``."""
         rows, columns = self.map_size
-        grids = np.zeros((len(indices), rows, columns), np.uint8)
         least, most = (round(share * rows * columns) for share in self.cover)
-        for grid, index in zip(grids, indices, strict=True):
-            _plant(grid, np.uint64(seed), np.uint64(index), (least, most), self.sizes)
-        return with_seed_points(self, seed, indices, grids)
+        _plant(grid, seed, index, (least, most), self.sizes)
 
 
 PRESETS = {

@@ -9,9 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
-from mapdata.generators.maps import Maps
-from mapdata.generators.points import STEPS, Scattered, check_seed_points, with_seed_points
+from mapdata.arrays import Bytes
+from mapdata.generators.points import STEPS, Scattered, check_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block, bounded, threshold
 from mapdata.spec import MAX_ROOMS, Range, check_count, check_probability
@@ -45,13 +44,10 @@ class Maze(Scattered):
         most = min(cells, MAX_ROOMS)
         self._convert(partial(check_seed_points, most=most), "seed_points")
 
-    def draw(self, seed: int, indices: Ints) -> Maps:
-        """Return the maps ``indices``, (N,) int64."""
-        grids = np.ones((len(indices), *self.map_size), np.uint8)
-        widths = (self.corridor, self.wall)
-        for grid, index in zip(grids, indices, strict=True):
-            _carve(grid, np.uint64(seed), np.uint64(index), widths, threshold(self.reopened))
-        return with_seed_points(self, seed, indices, grids)
+    def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
+        """Fill ``grid``, (H, W), with map ``index``."""
+        grid[:] = 1
+        _carve(grid, seed, index, (self.corridor, self.wall), threshold(self.reopened))
 
 
 PRESETS = {"maze": Maze()}

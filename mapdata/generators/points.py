@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
@@ -28,7 +30,10 @@ def check_seed_points(name: str, count: object, most: int = MAX_ROOMS) -> int:
 
 
 class Scattered(Generator):
-    """A family whose maps have as many seed points as its field ``seed_points`` says, at most."""
+    """A family that draws grids, on which at most ``seed_points`` seed points are then scattered.
+
+    A subclass has that field and says how one grid is drawn.
+    """
 
     seed_points: int
 
@@ -36,6 +41,17 @@ class Scattered(Generator):
     def most_seed_points(self) -> int:
         """How many seed points a map has at most."""
         return self.seed_points
+
+    @abstractmethod
+    def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
+        """Fill ``grid``, (H, W) of zeros, with 0 free and 1 occupied: map ``index``."""
+
+    def draw(self, seed: int, indices: Ints) -> Maps:
+        """Return the maps ``indices``, (N,) int64."""
+        grids = np.zeros((len(indices), *self.map_size), np.uint8)
+        for grid, index in zip(grids, indices, strict=True):
+            self.draw_grid(grid, np.uint64(seed), np.uint64(index))
+        return with_seed_points(self, seed, indices, grids)
 
 
 def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:

@@ -152,11 +152,12 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
-    look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9 if n <= 10 else 6}
+    size = 9 if n <= 10 else 6
     for (row, column), value in np.ndenumerate(matrix):
         if value >= 0 and n <= _NUMBERED:
             ink = "black" if value > 0.55 * top else "white"
-            axes.text(column + 1, row + 1, f"{value:.4g}", color=ink, **look)
+            text = f"{value:.4g}"
+            axes.text(column + 1, row + 1, text, color=ink, ha="center", va="center", fontsize=size)
     word = _points(labels, i).removesuffix("s")
     axes.set(xlabel=word, ylabel=word)
     name = "BFS and A*" if same_matrices(labels, i) else NAMES[search]
@@ -300,7 +301,7 @@ def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: in
 def _points(labels: Labels, i: int) -> str:
     """Return what the seeds of map ``i`` stand for: imported maps have no rooms."""
     maps = labels.maps
-    known = bool(maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any())
+    known = maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any()
     return "rooms" if known else "seed points"
 
 

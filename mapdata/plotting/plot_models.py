@@ -157,5 +157,5 @@ def _in_words(name: str, path: Ints) -> str:
 
 
 def _cells(path: ArrayLike) -> Ints:
-    cells = np.asarray(path).reshape(-1, 2).astype(np.int64)
+    cells = np.asarray(path, np.int64).reshape(-1, 2)
     return np.asarray(cells[(cells != -1).any(axis=1)])

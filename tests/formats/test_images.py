@@ -13,7 +13,7 @@ from helpers.wild import Bytes, cli, npy, npz, png
 from PIL import Image
 
 from mapdata import read_shard
-from mapdata.formats import FormatError, Limits, read_any, recognise
+from mapdata.formats import Collection, FormatError, Limits, read_any, recognise
 from mapdata.formats.files import natural, read_npy, walk
 from mapdata.formats.images import brightness, read, read_pixels
 from mapdata.shards import read_manifest
@@ -110,7 +110,7 @@ def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
     assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
     assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural)[:2] == ["a9", "a9b"]
     with pytest.raises(FormatError, match="more than 3 files"):
-        walk(tmp_path, (".png",), Limits(files=3), [])
+        walk(tmp_path, (".png",), Limits(files=3), Collection())
 
 
 def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
