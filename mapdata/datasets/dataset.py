@@ -182,8 +182,14 @@ class ProblemDataset(Dataset[Sample], ABC):
         """
 
     @abstractmethod
+    def _seed_points(self, places: Ints) -> Ints:
+        """Return the seed points of the maps at some places, (B, R, 2)."""
+
     def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
         """Return the rooms of the maps at some places."""
+        seed_points = self._seed_points(places)
+        matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
+        return Rooms(matrices, seed_points)
 
     @abstractmethod
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
@@ -233,6 +239,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         grids = self._grids(places)
         ends, *found = sample_problems(
             grids,
+            self._seed_points(places)[:, 0] if problems.to_first_seed_point else None,
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
@@ -452,14 +459,15 @@ class MapDataset(ProblemDataset):
         shards, maps, _, _ = self.reader.find(places)
         return self.reader.grids(shards, maps)
 
-    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
+    def _stored_rooms(self, places: Ints) -> Rooms:
         shards, maps, _, _ = self.reader.find(places)
-        search = self.serving.search
-        rooms = self.reader.rooms(shards, maps, search)
-        if self._is_stored:
-            return rooms
-        matrix = room_matrices(search, grids, rooms.seed_points, self.movement)
-        return Rooms(matrix, rooms.seed_points)
+        return self.reader.rooms(shards, maps, self.serving.search)
+
+    def _seed_points(self, places: Ints) -> Ints:
+        return self._stored_rooms(places).seed_points
+
+    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
+        return self._stored_rooms(places) if self._is_stored else super()._rooms(places, grids)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return (indices + attempt) % len(self.reader)

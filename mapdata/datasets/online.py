@@ -12,7 +12,7 @@ import torch
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform
-from mapdata.datasets.fields import Paths, Rooms, room_matrices
+from mapdata.datasets.fields import Paths
 from mapdata.generators.generator import Generator, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
@@ -103,10 +103,8 @@ class OnlineMapDataset(ProblemDataset):
         inflate_all(grids, self._least)
         return grids
 
-    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
-        seed_points = self._maps(places).seed_points
-        matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
-        return Rooms(matrices, seed_points)
+    def _seed_points(self, places: Ints) -> Ints:
+        return self._maps(places).seed_points
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         return self.length + (indices + attempt - 1) % self.length

@@ -129,18 +129,17 @@ def policy(values: Float32s) -> Bytes:
 
 
 def starts_of(values: Float32s) -> list[Ints]:
-    """Return the cells (n, 2) that neural-astar's loader draws from in each of its intervals."""
+    """Return the cells (n, 2) that neural-astar's loader draws from in each of its three intervals.
+
+    There are none where one of them has no cell, on which the loader fails.
+    """
     cells = values[values > values.min()]  # the least value stands for no path
     if len(cells) < 2:
-        return [np.empty((0, 2), np.int64)]  # only the goal itself
+        return []  # only the goal itself
     # values are negative distances, so far cells have low percentiles
     bounds = np.percentile(cells, 100.0 * (1 - np.array(PERCENTILES)))
-    return [np.argwhere((low <= values) & (values <= high)) for high, low in pairwise(bounds)]
-
-
-def has_starts(values: Float32s) -> bool:
-    """Return whether neural-astar's loader can draw a start in each of its three intervals."""
-    return all(map(len, starts_of(values)))
+    starts = [np.argwhere((low <= values) & (values <= high)) for high, low in pairwise(bounds)]
+    return starts if all(map(len, starts)) else []
 
 
 def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problems:
@@ -159,7 +158,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     """
     found = []
     for k, (one, values) in enumerate(_problems(source, limits, Collection())):
-        if one.split == SPLITS.index("test") and has_starts(values):
+        if one.split == SPLITS.index("test"):
             words = block(np.uint64(seed), np.uint64(k), 0, PROBLEM, 0)
             for cells, word in zip(starts_of(values), words, strict=False):  # three of four words
                 start = cells[bounded(word, 0, len(cells) - 1)]
@@ -200,7 +199,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             goals = maps.seed_points[:, 0]
             for grid, goal, code in zip(maps.occupancy, goals, maps.split, strict=True):
                 arrays = _arrays(grid, goal)
-                if has_starts(arrays[3]):
+                if starts_of(arrays[3]):
                     counts[code] += 1
                     for k, array in enumerate(arrays):
                         parts[4 * code + k].write(array.tobytes())

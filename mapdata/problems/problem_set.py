@@ -15,6 +15,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, generate, identity
+from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
@@ -176,10 +177,12 @@ class Problems:
             maps = 1000 * check_count("until_hard", until_hard)
         check_count("maps", maps)
         chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
-        grids = ((chunk, generate(spec, seed, chunk).occupancy) for chunk in chunks)
+        chosen = ((generate(spec, seed, chunk), slice(None)) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"
         least = least_squared(radius, spec.resolution)
-        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
+        return _collect(
+            chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
+        )
 
     @staticmethod
     def read(
@@ -214,17 +217,19 @@ class Problems:
         dataset = Root.open(root)
         if seed is None:
             seed = dataset.manifests[0].seed or 0
-        code = SPLITS.index(split)
-        shards = ((labels.maps, labels.maps.split == code) for labels in dataset.labels())
-        grids = ((each.index[chosen], each.occupancy[chosen]) for each, chosen in shards)
+        chosen = (
+            (labels.maps, labels.maps.split == SPLITS.index(split)) for labels in dataset.labels()
+        )
         where = f"split {split} of {dataset}"
         # only with a radius must all roots have one resolution
         least = least_squared(radius, dataset.resolution) if radius else 0
-        return _collect(grids, maps, problems, until_hard, check_seed(seed), movement, where, least)
+        return _collect(
+            chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
+        )
 
 
 def _collect(
-    chunks: Iterable[tuple[Ints, Bytes]],
+    chosen: Iterable[tuple[Maps, Flags | slice]],
     maps: int | None,
     problems: Random,
     until_hard: int | None,
@@ -233,7 +238,7 @@ def _collect(
     where: str,
     least: int,
 ) -> Problems:
-    """Sample a problem on each of the first ``maps`` of ``chunks``, (indices, grids).
+    """Sample a problem on each of the first ``maps`` of what is chosen of some batches of maps.
 
     With ``until_hard``, the last problem is that which brings the hard ones to this number. Cells
     are free from the clearance ``least`` on.
@@ -243,13 +248,21 @@ def _collect(
     left = sys.maxsize if maps is None else check_count("maps", maps)
     found: list[tuple[Ints, Bytes, Ints]] = []
     hard = 0
-    for all_indices, all_grids in chunks:
-        indices = all_indices[:left]
-        grids = all_grids[:left]
+    for each, which in chosen:
+        indices = each.index[which][:left]
+        grids = each.occupancy[which][:left]
+        goals = each.seed_points[which][:left, 0] if problems.to_first_seed_point else None
         left -= len(indices)
         inflate_all(grids, least)
         sampled, *_ = sample_problems(
-            grids, np.uint64(seed), 0, indices, _DRAWS, *problems.conditions, rule_of(movement)
+            grids,
+            goals,
+            np.uint64(seed),
+            0,
+            indices,
+            _DRAWS,
+            *problems.conditions,
+            rule_of(movement),
         )
         kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:
@@ -268,7 +281,7 @@ def _collect(
         raise ValueError(
             f"until_hard: got {until_hard}, found only {hard} hard problems on {where}"
         )
-    index, grid, ends = (np.concatenate(each) for each in zip(*found, strict=True))
+    index, grid, ends = (np.concatenate(parts) for parts in zip(*found, strict=True))
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
     if least:
         description += f", inflated by {math.sqrt(least) / 2:.3g} cells"

@@ -51,6 +51,7 @@ from mapdata.search.lattice import (
 @kernel
 def sample_problems(
     grids: Bytes,
+    goals: Ints | None,
     seed: np.uint64,
     epoch: Int,
     indices: Ints,
@@ -66,6 +67,7 @@ def sample_problems(
 
     Args:
         grids: (B, H, W).
+        goals: (B, 2) cells; None where they are drawn, too.
         seed: sampling seed.
         epoch: pass over the data.
         indices: (B,) number of each problem.
@@ -95,7 +97,12 @@ def sample_problems(
             continue
         for draw in range(*draws):
             w0, w1, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, draw)
-            goal = nth_cell(board.free, board.stride, bounded(w0, 0, free - 1))
+            if goals is None:
+                goal = nth_cell(board.free, board.stride, bounded(w0, 0, free - 1))
+            else:
+                goal = (goals[b, 0], goals[b, 1])
+                if goal[0] < 0 or grids[b, goal[0], goal[1]]:
+                    break
             target = cell_at(goal[0], goal[1], lattice)
             word = word_at(goal[0], goal[1], board.stride)
             bit = bit_at(goal[1])

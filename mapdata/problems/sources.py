@@ -55,6 +55,8 @@ class Random:
         distance: cost of the shortest path, in cells.
         hardness: that cost over the heuristic, 1 or more.
         length: number of cells of a shortest path.
+        to_first_seed_point: whether the goal is the map's first seed point, as goals that were
+            imported are, instead of any free cell.
 
     Raises:
         ValueError: a band that is not two numbers in ascending order.
@@ -69,10 +71,12 @@ class Random:
     distance: Band | None = None
     hardness: Band | None = None
     length: Band | None = None
+    to_first_seed_point: bool = False
 
     def __post_init__(self) -> None:
         """Check the bands and bring them to floats."""
-        for name, band in vars(self).items():
+        for name in ("distance", "hardness", "length"):
+            band = getattr(self, name)
             if band is not None:
                 object.__setattr__(self, name, _check_band(name, band))
 

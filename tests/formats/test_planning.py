@@ -14,11 +14,11 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import MapDataModule, Problems, Random, read_shard
+from mapdata import MapDataModule, MapDataset, Problems, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
 from mapdata.formats.files import Npz
-from mapdata.formats.planning import has_starts, hops, policy, read
+from mapdata.formats.planning import hops, policy, read, starts_of
 from mapdata.shards import read_manifest
 from mapdata.spec import NEURAL_ASTAR, Movement
 
@@ -160,9 +160,9 @@ def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) ->
 
 def test_maps_without_starts_are_left_out() -> None:
     """Two cells: the loader would fail; one: its start would be the goal."""
-    assert not has_starts(hops(np.array([[0, 1, 1]], np.uint8), (0, 0)))
-    assert not has_starts(hops(np.array([[0, 0, 1]], np.uint8), (0, 0)))
-    assert has_starts(hops(np.zeros((8, 8), np.uint8), (0, 0)))
+    assert not starts_of(hops(np.array([[0, 1, 1]], np.uint8), (0, 0)))
+    assert not starts_of(hops(np.array([[0, 0, 1]], np.uint8), (0, 0)))
+    assert starts_of(hops(np.zeros((8, 8), np.uint8), (0, 0)))
 
 
 def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDArray[np.generic]]:
@@ -219,6 +219,9 @@ def test_other_peoples_mazes_feed_training_and_evaluation(
         batches = list(loader)
         assert sum(len(batch[0]) for batch in batches) == 12 * 3
         assert batches[0][2].shape == (8, 1, 9, 9)
+    to_goal = Random(to_first_seed_point=True)
+    problems = MapDataset(tmp_path / "mazes", fields=("map", "goal"), problems=to_goal)[:]
+    np.testing.assert_array_equal(problems.goal, [one.seed_points[0] for one in found.maps])
     rule = movement or NEURAL_ASTAR
     table = evaluate(
         classical(rule),

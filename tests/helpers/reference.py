@@ -333,14 +333,17 @@ def reference_problem(
     bands: Sequence[Band],
     movement: Movement,
     draws: int = 32,
+    only_goal: Cell | None = None,
 ) -> ReferenceProblem | None:
     """Draw goals, and for each a start that is far enough, until all bands are met."""
+    if only_goal is not None and not is_free(grid, only_goal):
+        return None
     known: dict[Cell, dict[Cell, Pair]] = {}
     cells = [(row, column) for row in range(len(grid)) for column in range(len(grid[0]))]
     free = [cell for cell in cells if is_free(grid, cell)]
     for draw in range(draws if free else 0):
         words = block(seed, index, epoch, PROBLEM, draw)
-        goal = free[bounded(words[0], 0, len(free) - 1)]
+        goal = only_goal or free[bounded(words[0], 0, len(free) - 1)]
         if goal not in known:
             known[goal] = reference_distances(grid, goal, movement)
         costs = known[goal]

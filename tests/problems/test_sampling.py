@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from helpers import reference
+from helpers.samples import assert_same, cells_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
 
-from mapdata import Generator, Movement, OnlineMapDataset, Problems, Random, astar, bfs, generate
+from mapdata import (
+    Generator,
+    MapDataset,
+    Movement,
+    OnlineMapDataset,
+    Problems,
+    Random,
+    astar,
+    bfs,
+    build,
+    generate,
+)
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
 from mapdata.search import rule_of
@@ -25,7 +40,21 @@ MOVEMENTS = [
 ]
 
 
-def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement) -> Ints:
+DRAWS = (0, 32)
+"""The draws that a dataset tries on a map: the first, and one past the last."""
+
+NO_PROBLEM = -1
+"""What start, goal and cost of a map without a problem are filled with."""
+
+
+def sample(
+    grids: Bytes,
+    seed: int,
+    epoch: int,
+    conditions: Random,
+    movement: Movement,
+    goals: Ints | None = None,
+) -> Ints:
     """Sample a problem on each of the grids 0, 1, ...; return start, goal and cost, (B, 6).
 
     The cost is that of a shortest path, straight and diagonal steps; where these cost the same, all
@@ -33,147 +62,249 @@ def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Mo
     """
     indices = np.arange(len(grids))
     ends, *_ = sample_problems(
-        grids, np.uint64(seed), epoch, indices, (0, 32), *conditions.conditions, rule_of(movement)
+        grids,
+        goals,
+        np.uint64(seed),
+        epoch,
+        indices,
+        DRAWS,
+        *conditions.conditions,
+        rule_of(movement),
     )
-    found = np.full((len(grids), 6), -1)
-    found[:, :4] = ends
-    for k in np.flatnonzero(ends[:, 0] >= 0):
-        moves = np.diff(astar(grids[k], ends[k, :2], ends[k, 2:], movement).path, axis=0)
-        diagonal = 0 if movement.diagonal_cost == 1 else np.abs(moves).sum() - len(moves)
-        found[k, 4:] = len(moves) - diagonal, diagonal
+    found = np.full((len(grids), 6), NO_PROBLEM)
+    for k, (row, column, goal_row, goal_column) in enumerate(ends.tolist()):
+        found[k, :4] = ends[k]
+        if row != NO_PROBLEM:
+            path = astar(grids[k], (row, column), (goal_row, goal_column), movement).path
+            found[k, 4:] = steps_of(path, movement)
     return found
+
+
+def steps_of(path: Ints, movement: Movement) -> tuple[int, int]:
+    """Count the straight and the diagonal steps of a path; all as straight if they cost the
+    same.
+    """
+    steps = np.diff(path, axis=0)
+    if movement.diagonal_cost == 1:
+        return len(steps), 0
+    diagonal = int((steps != 0).all(axis=1).sum())
+    return len(steps) - diagonal, diagonal
+
+
+def assert_equals_the_reference(
+    grids: Bytes,
+    seed: int,
+    epoch: int,
+    conditions: Random,
+    movement: Movement,
+    goals: Ints | None = None,
+) -> int:
+    """Compare the problem of each grid with that of the slow reference; return how many have
+    one.
+    """
+    found = sample(grids, seed, epoch, conditions, movement, goals).tolist()
+    with_problem = 0
+    for index, (row, column, goal_row, goal_column, straight, diagonal) in enumerate(found):
+        only_goal = None
+        if goals is not None:
+            goal = goals[index].tolist()
+            only_goal = (goal[0], goal[1])
+        truth = reference.reference_problem(
+            grids[index].tolist(),
+            seed,
+            index,
+            epoch,
+            conditions.bands,
+            movement,
+            only_goal=only_goal,
+        )
+        if truth is None:
+            assert found[index] == [NO_PROBLEM] * 6
+            continue
+        with_problem += 1
+        assert (row, column) == truth.start
+        assert (goal_row, goal_column) == truth.goal
+        if movement.diagonal_cost == 1:
+            assert straight == sum(truth.cost)
+            assert diagonal == 0
+        else:
+            assert (straight, diagonal) == truth.cost
+    return with_problem
 
 
 lowest = st.integers(0, 8) | st.floats(0, 8) | st.none()
 highest = st.integers(9, 14) | st.floats(8, 14) | st.none()
 bands = st.none() | st.tuples(lowest, highest)
 ratios = st.none() | st.tuples(st.floats(1, 1.2), st.floats(1.2, 3) | st.none())
+small_grids = arrays.arrays(
+    np.uint8,
+    st.tuples(st.just(2), st.integers(1, 7), st.integers(1, 7)),
+    elements=st.integers(0, 1),
+)
 
 
 @given(
-    grids=arrays.arrays(
-        np.uint8,
-        st.tuples(st.just(2), st.integers(1, 7), st.integers(1, 7)),
-        elements=st.integers(0, 1),
-    ),
+    grids=small_grids,
     seed=st.integers(0, 2**64 - 1),
     epoch=st.integers(0, 2**32 - 1),
     conditions=st.builds(Random, bands, ratios, bands),
     movement=st.sampled_from(MOVEMENTS),
+    has_goals=st.booleans(),
 )
 def test_the_kernel_is_the_reference(
-    grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement
+    grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement, has_goals: bool
 ) -> None:
-    """Start, goal and cost on any map under any conditions, or none where there is none."""
-    equals_the_reference(grids, seed, epoch, conditions, movement)
+    """Start, goal and cost on any map under any conditions, or none where there is none; the goal
+    is any cell, or the last one.
+    """
+    goals = None
+    if has_goals:
+        last = np.array(grids.shape[1:]) - 1
+        goals = np.tile(last, (len(grids), 1))
+    assert_equals_the_reference(grids, seed, epoch, conditions, movement, goals)
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 @pytest.mark.parametrize("columns", [63, 64, 65, 128, 130])
 def test_wide_maps(columns: int, movement: Movement) -> None:
-    """Rows of more cells than a word has bits."""
-    grids = (np.random.default_rng(columns).random((6, 4, columns)) < 0.2).astype(np.uint8)
+    """Rows that fill a word of 64 bits, or more than one, or almost."""
+    noise = np.random.default_rng(columns).random((6, 4, columns))
+    grids = (noise < 0.2).astype(np.uint8)
     for conditions in (
         Random(),
         Random(distance=(10, None)),
         Random(distance=(2.5, 9.5)),
         Random(hardness=(1.1, None)),
     ):
-        equals_the_reference(grids, 3, 1, conditions, movement)
+        with_problem = assert_equals_the_reference(grids, 3, 1, conditions, movement)
+        assert with_problem > 0
 
 
-def equals_the_reference(
-    grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement
-) -> None:
-    """Compare the problem of each grid with that of the slow reference."""
-    for index, found in enumerate(sample(grids, seed, epoch, conditions, movement).tolist()):
-        truth = reference.reference_problem(
-            grids[index].tolist(), seed, index, epoch, conditions.bands, movement
-        )
-        if truth is None:
-            assert found == [-1] * 6
-            continue
-        assert (tuple(found[:2]), tuple(found[2:4])) == (truth.start, truth.goal)
-        steps = truth.cost if movement.diagonal_cost != 1 else (sum(truth.cost), 0)
-        assert tuple(found[4:]) == steps
-
-
-GOLDEN = {
-    ("paper", 4, Random()): "9f6ffd0bc25bc786f98aacaf305456caa7f92eab07f6f7622f02aa961602f4ce",
+GOLDEN = [
+    (
+        "paper",
+        4,
+        Random(),
+        "9f6ffd0bc25bc786f98aacaf305456caa7f92eab07f6f7622f02aa961602f4ce",
+    ),
     (
         "paper",
         8,
         Random(hardness=(1.05, None)),
-    ): "e71971c86a10c7bf15a54dcfbd89fd2e338e33af72760efbea7bfb6b14bff80a",
+        "e71971c86a10c7bf15a54dcfbd89fd2e338e33af72760efbea7bfb6b14bff80a",
+    ),
     (
         "dungeon",
         4,
         Random(distance=(10, None)),
-    ): "ed931c5202fe215c9d958c3d0740e31e5dfa64a7d92c93ff80171fb0e72e4c10",
+        "ed931c5202fe215c9d958c3d0740e31e5dfa64a7d92c93ff80171fb0e72e4c10",
+    ),
     (
         "dungeon",
         8,
-        Random((20, 40), (1.05, 2), (0, 38)),
-    ): "885964757c80a51143b0bdec714219ec9aff8857a091c62f78f0c8b73921b857",
+        Random(distance=(20, 40), hardness=(1.05, 2), length=(0, 38)),
+        "885964757c80a51143b0bdec714219ec9aff8857a091c62f78f0c8b73921b857",
+    ),
     (
         "dungeon128",
         8,
         Random(distance=(10, None)),
-    ): "1f4a3c7b7c8a5fb842da29dd55620c9cf5bcff2b99f31d16fa0a7618bffc8053",
-}
+        "1f4a3c7b7c8a5fb842da29dd55620c9cf5bcff2b99f31d16fa0a7618bffc8053",
+    ),
+]
 """SHA-256 of start, goal and cost on the maps 0 to 49 of seed 77, in epoch 3."""
 
 
-@pytest.mark.parametrize("case", GOLDEN, ids=str)
-def test_the_problems_stay_what_they_are(case: tuple[str, int, Random]) -> None:
+@pytest.mark.parametrize(
+    ("preset", "connectivity", "conditions", "golden"),
+    GOLDEN,
+    ids=[f"{preset}-{connectivity}" for preset, connectivity, *_ in GOLDEN],
+)
+def test_the_problems_stay_what_they_are(
+    preset: str, connectivity: int, conditions: Random, golden: str
+) -> None:
     """On every machine, in every version."""
-    preset, connectivity, conditions = case
     grids = generate(Generator.preset(preset), 77, range(50)).occupancy
     found = sample(grids, 77, 3, conditions, Movement(connectivity))
-    assert hashlib.sha256(found.astype("<i8").tobytes()).hexdigest() == GOLDEN[case]
+    assert hashlib.sha256(found.astype("<i8").tobytes()).hexdigest() == golden
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS[:2], ids=["4", "8"])
 def test_goals_are_uniform(movement: Movement) -> None:
-    """On a map in two halves each free cell is the goal equally often, and each start of a goal
-    equally often.
+    """On a map in two halves each free cell is the goal equally often, and of a goal's half each
+    other cell the start: by chi-square tests.
     """
     grid = np.zeros((5, 6), np.uint8)
     grid[:, 3] = 1
+    numbers = np.arange(grid.size).reshape(grid.shape)
+    free = numbers[grid == 0]
     grids = np.repeat(grid[None], 20_000, axis=0)
     found = sample(grids, 1, 0, Random(), movement)
-    goals = found[:, 2] * 6 + found[:, 3]
-    counts = np.bincount(goals, minlength=30)[grid.ravel() == 0]
-    assert counts.sum() == len(grids)
-    assert stats.chisquare(counts).pvalue > 1e-3
-    starts = (found[:, 0] * 6 + found[:, 1])[goals == 0]
-    left = [cell for cell in range(1, 30) if cell % 6 < 3]
-    assert stats.chisquare(np.bincount(starts, minlength=30)[left]).pvalue > 1e-3
+    starts = numbers[found[:, 0], found[:, 1]]
+    goals = numbers[found[:, 2], found[:, 3]]
+    assert set(goals.tolist()) == set(free.tolist())
+    goal_counts = np.bincount(goals, minlength=grid.size)[free]
+    assert stats.chisquare(goal_counts).pvalue > 1e-3
+
+    corner = numbers[0, 0]
+    left = numbers[:, :3]
+    to_corner = starts[goals == corner]
+    expected_starts = left[left != corner]
+    assert set(to_corner.tolist()) == set(expected_starts.tolist())
+    start_counts = np.bincount(to_corner, minlength=grid.size)[expected_starts]
+    assert stats.chisquare(start_counts).pvalue > 1e-3
 
 
-def test_training_and_evaluation_ask_the_same() -> None:
-    """A dataset in epoch 0 has the problems of a set of problems with its seed, map by map."""
-    spec, conditions, movement = (
-        Generator.preset("dungeon"),
-        Random(distance=(10, None)),
-        Movement(8),
-    )
-    fields = ("map", "start", "goal")
-    online = OnlineMapDataset(
-        spec, 5, 30, None, fields, problems=conditions, movement=movement, sampling_seed=5
-    )[:]
-    problems = Problems.sample(spec, 5, 30, movement=movement)
+@pytest.mark.parametrize("to_first", [False, True])
+def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) -> None:
+    """Datasets in epoch 0 have the problems of a set of problems with their seed, map by map."""
+    spec = Generator.preset("dungeon")
+    conditions = Random(distance=(10, None), to_first_seed_point=to_first)
+    movement = Movement(8)
+    build(tmp_path, spec, maps=30, seed=5)
+    how: dict[str, Any] = {
+        "fields": ("map", "start", "goal", "seed_points"),
+        "problems": conditions,
+        "movement": movement,
+        "sampling_seed": 5,
+    }
+    online = OnlineMapDataset(spec, 5, 30, **how)[:]
+    stored = MapDataset(tmp_path, **how)[:]
+    assert_same(online, stored)
+    problems = Problems.sample(spec, 5, 30, problems=conditions, movement=movement)
     np.testing.assert_array_equal(online.map[:, 0], problems.grids)
     np.testing.assert_array_equal(online.start, problems.starts)
     np.testing.assert_array_equal(online.goal, problems.goals)
+    at_first = (online.goal == online.seed_points[:, 0]).all(dim=1)
+    if to_first:
+        assert at_first.all()
+    else:
+        assert not at_first.all()
+
+
+def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
+    """An inflated map may have none; of the others the goal is the first seed point."""
+    spec = Generator.preset("narrow")
+    conditions = Random(to_first_seed_point=True)
+    served = OnlineMapDataset(
+        spec, 3, 200, fields=("map", "goal", "seed_points"), problems=conditions, radius=0.6
+    )
+    sample = served[:]
+    np.testing.assert_array_equal(sample.goal, sample.seed_points[:, 0])
+    rows, columns = sample.goal.unbind(1)
+    occupied = sample.map[torch.arange(200), 0, rows, columns]
+    assert not occupied.any()
+    alone = Problems.sample(spec, 3, 200, problems=conditions, radius=0.6)
+    assert len(alone) < 200
 
 
 @pytest.mark.parametrize("search", ["astar", "bfs"])
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, search: str) -> None:
     """Conditions need them; a rare one also takes maps in place of those without a problem."""
+    spec = Generator.preset("paper")
     served = OnlineMapDataset(
-        Generator.preset("paper"),
+        spec,
         5,
         60,
         fields=("map", "start", "goal", "path", "cost", "iterations", "hardness"),
@@ -181,15 +312,21 @@ def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, se
         movement=movement,
         search=search,
     )[:]
+    assert (served.hardness >= 1.3).all()
+    searches = {"astar": astar, "bfs": bfs}
     for k in range(60):
-        grid, start, goal = served.map[k, 0].numpy(), served.start[k], served.goal[k]
-        one = {"astar": astar, "bfs": bfs}[search](grid, start, goal, movement)
-        cells = served.path[k][served.path[k, :, 0] >= 0]
-        np.testing.assert_array_equal(cells, one.path)
-        assert served.iterations[k] == one.iterations
-        assert served.cost[k] == np.float32(one.cost)
-        assert served.hardness[k] >= 1.3
-        assert len(astar(grid, start, goal, movement).path) <= 90
+        grid = served.map[k, 0].numpy()
+        start = served.start[k]
+        goal = served.goal[k]
+        expected = searches[search](grid, start, goal, movement)
+        assert cells_of(served.path[k]) == [tuple(cell) for cell in expected.path.tolist()]
+        assert served.iterations[k] == expected.iterations
+        assert served.cost[k] == np.float32(expected.cost)
+        shortest = astar(grid, start, goal, movement)
+        assert len(shortest.path) <= 90
+    own_maps = generate(spec, 5, range(60)).occupancy
+    in_place = (served.map[:, 0].numpy() == own_maps).all(axis=(1, 2))
+    assert 0 < in_place.sum() < 60
 
 
 def test_a_substitute_has_draws_of_its_own() -> None:
@@ -203,4 +340,5 @@ def test_a_substitute_has_draws_of_its_own() -> None:
         problems=Random(distance=(None, 3)),
     )[:]
     assert (near.cost <= 3).all()
-    assert len(np.unique(near.goal, axis=0)) > 30
+    different_goals = np.unique(near.goal, axis=0)
+    assert len(different_goals) > 30
