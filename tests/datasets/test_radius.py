@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +33,6 @@ from mapdata import (
     Sample,
     astar,
     bfs,
-    build,
     check_path,
     clearance,
     distance_field,
@@ -45,7 +46,11 @@ SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
 RADII = ("0.05", "0.1", "0.15")
 """Metres on cells of 0.1 m: no cell, those beside obstacles, a corridor of three cells is left."""
 
-MAPS, SEED = 40, 5
+MAPS = 40
+SEED = 5
+RESOLUTION = "0.1"
+"""Metres a cell of both specs."""
+
 SEARCHES = {"bfs": bfs, "astar": astar}
 PROBLEM = 1
 """The stream of what is sampled, as docs/format.md numbers it."""
@@ -61,21 +66,39 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }
 
 
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A dataset with enough maps that a robot has a batch of routes on the validation split."""
+    folder = tmp_path_factory.mktemp("many")
+    return samples.build_small(folder, maps=200, seed=SEED, shard_size=100)
+
+
 @cache
 def inflated(name: str, index: int, radius: str) -> Array:
     """Return a map on which a robot moves: each free cell is compared with every obstacle."""
     grid = generate(SPECS[name], SEED, [index]).occupancy[0]
-    needed = math.ceil((2 * Fraction(radius) / Fraction("0.1")) ** 2)
-    return np.where(squared_half_cells(grid) < needed, 1, grid).astype(np.uint8)
+    half_cells = 2 * Fraction(radius) / Fraction(RESOLUTION)
+    too_near = squared_half_cells(grid) < math.ceil(half_cells**2)
+    return np.where(too_near, 1, grid).astype(np.uint8)
+
+
+def seed_points_of(name: str) -> list[list[Cell]]:
+    """Return the seed points of each map, without padding."""
+    maps = generate(SPECS[name], SEED, range(MAPS))
+    return [
+        [(row, column) for row, column in points[:rooms].tolist()]
+        for points, rooms in zip(maps.seed_points, maps.rooms, strict=True)
+    ]
 
 
 def number_of(sample: Sample, name: str) -> int:
     """Return which map of a dataset a sample is of, by its seed points."""
-    points = samples.cells_of(sample.seed_points)
-    for index, maps in enumerate(generate(SPECS[name], SEED, range(MAPS)).seed_points.tolist()):
-        if [tuple(point) for point in maps if point[0] >= 0] == points:
-            return index
-    raise AssertionError(f"no map with seed points {points}")
+    return seed_points_of(name).index(samples.cells_of(sample.seed_points))
+
+
+def ends_of(sample: Sample) -> tuple[Cell, Cell]:
+    """Return start and goal of a sample."""
+    return samples.cell_of(sample.start), samples.cell_of(sample.goal)
 
 
 def costs_to(grid: Array, cell: Cell, movement: Movement) -> Array:
@@ -116,46 +139,66 @@ def probabilities(path: Array, costs: Array, grid: Array, movement: Movement) ->
     return np.where((costs >= 0) & (ratio >= 0.95), ratio, 0)
 
 
-def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) -> None:
-    """Compare every field with what public functions find on ``grid``."""
-    start = samples.cell_of(sample.start)
-    goal = samples.cell_of(sample.goal)
-    found = solved(grid, start, goal, search, movement)
-    best = solved(grid, start, goal, "astar", movement).cost
-    costs = costs_to(grid, goal, movement)
-    around_start = costs_to(grid, start, movement)
-    empty = distance_field(np.zeros_like(grid), goal, movement)
-    masks: dict[str, Any] = {"path_mask": found.path, "start_mask": [start], "goal_mask": [goal]}
-    for name, cells in masks.items():
-        mask = np.zeros_like(grid)
-        mask[tuple(np.reshape(cells, (-1, 2)).T)] = 1
-        np.testing.assert_array_equal(getattr(sample, name)[0], mask, err_msg=name)
-    on_best = (costs >= 0) & np.isclose(around_start + costs, best)
-    points = samples.cells_of(sample.seed_points)
-    matrix = np.full(sample.connection_matrix.shape, -2.0)
+def mask_of(cells: Any, like: Array) -> Array:
+    """Return a mask that is 1 at these cells, as large as a map."""
+    mask = np.zeros_like(like)
+    for row, column in np.asarray(cells).tolist():
+        mask[row, column] = 1
+    return mask
+
+
+def connections(
+    points: list[Cell], grid: Array, search: str, movement: Movement, size: int
+) -> Array:
+    """Return the costs between all seed points, -1 without a path and -2 as padding."""
+    matrix = np.full((size, size), -2.0)
     for i, one in enumerate(points):
         for j, other in enumerate(points):
-            matrix[i, j] = solved(grid, one, other, search, movement).cost if i != j else 0
-    expected = {
-        "map": grid[None],
-        "free": 1 - grid[None],
+            matrix[i, j] = solved(grid, one, other, search, movement).cost
+        matrix[i, i] = 0
+    return matrix
+
+
+def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) -> None:
+    """Compare every field with what public functions find on ``grid``."""
+    start, goal = ends_of(sample)
+    points = samples.cells_of(sample.seed_points)
+    found = solved(grid, start, goal, search, movement)
+    best = solved(grid, start, goal, "astar", movement).cost
+    solvable = best >= 0
+    costs = costs_to(grid, goal, movement)
+    around_start = costs_to(grid, start, movement)
+    on_empty = distance_field(np.zeros_like(grid), goal, movement)
+    on_best = (costs >= 0) & np.isclose(around_start + costs, best)
+    ratio = np.where(costs > 0, on_empty / np.maximum(costs, 1), costs == 0)
+    size = len(sample.connection_matrix)
+    layers = {
+        "map": grid,
+        "free": 1 - grid,
+        "path_mask": mask_of(found.path, grid),
+        "start_mask": mask_of([start], grid),
+        "goal_mask": mask_of([goal], grid),
+        "optimal_mask": on_best & solvable,
+        "cost_to_go": costs,
+        "optimal_moves": moves_to_goal(grid, costs, movement),
+        "heuristic_ratio": ratio,
+        "path_probability": probabilities(found.path, costs, grid, movement),
+        "clearance": clearance(grid),
+    }
+    others = {
         "length": len(found.path),
         "cost": found.cost,
-        "hardness": best / empty[start] if best >= 0 else -1,
+        "hardness": best / on_empty[start] if solvable else -1,
         "iterations": found.iterations,
-        "optimal_mask": on_best[None] & (best >= 0),
-        "cost_to_go": costs[None],
-        "optimal_moves": moves_to_goal(grid, costs, movement)[None],
-        "heuristic_ratio": np.where(costs > 0, empty / np.maximum(costs, 1), costs == 0)[None],
-        "path_probability": probabilities(found.path, costs, grid, movement)[None],
-        "clearance": clearance(grid)[None],
-        "connection_matrix": matrix,
+        "connection_matrix": connections(points, grid, search, movement, size),
     }
     assert samples.cells_of(sample.path) == [tuple(cell) for cell in found.path.tolist()]
-    for name, value in expected.items():
-        np.testing.assert_allclose(
-            np.asarray(getattr(sample, name), float), value, rtol=1e-5, err_msg=name
-        )
+    expected = {name: layer[None] for name, layer in layers.items()} | others
+    for name, truth in expected.items():
+        value = np.asarray(getattr(sample, name), float)
+        assert value.shape == np.shape(truth), name
+        np.testing.assert_allclose(value, truth, rtol=1e-5, err_msg=name)
+    assert {*expected, "start", "goal", "path", "seed_points", "problem"} == {*samples.ALL_FIELDS}
 
 
 CASES: list[tuple[str, str, str, Movement | None]] = [
@@ -176,24 +219,28 @@ def test_stored_problems_are_solved_anew(
     """Problems without a path are kept under `unsolvable`, else left out; all fields agree."""
     name, radius, search, movement = case
     how: dict[str, Any] = {"search": search, "movement": movement, "fields": samples.ALL_FIELDS}
-    plain = MapDataset(roots[name], problems=problems(unsolvable=True), **how)
-    every = MapDataset(roots[name], problems=problems(unsolvable=True), radius=float(radius), **how)
+    with_unsolvable = problems(unsolvable=True)
+    plain = MapDataset(roots[name], problems=with_unsolvable, **how)
+    every = MapDataset(roots[name], problems=with_unsolvable, radius=float(radius), **how)
     solvable = MapDataset(roots[name], problems=problems(), radius=float(radius), **how)
     assert len(every) == len(plain)
     batch = every[:]
+    has_path = batch.length > 0
+    assert len(solvable) == has_path.sum()
+    for attribute in ("map", "start", "goal", "path", "cost_to_go", "connection_matrix"):
+        kept = getattr(batch, attribute)[has_path]
+        assert getattr(solvable[:], attribute).equal(kept), attribute
     if radius != "0.05":
+        no_room = 0
+        for one in every:
+            start, goal = ends_of(one)
+            no_room += bool(one.map[0][start] or one.map[0][goal])
         assert 5 < len(solvable) < len(every)
-        for attribute in ("map", "start", "goal", "path", "cost_to_go", "connection_matrix"):
-            kept = getattr(batch, attribute)[batch.length > 0]
-            assert getattr(solvable[:], attribute).equal(kept), attribute
-        blocked = [
-            bool(one.map[0][tuple(one.start)] | one.map[0][tuple(one.goal)]) for one in every
-        ]
-        assert 5 < sum(blocked) < len(every) - len(solvable)
+        assert 5 < no_room < len(every) - len(solvable)
     for k in range(0, len(every), len(every) // 24):
-        grid = inflated(name, number_of(plain[k], name), radius)
         for attribute in ("start", "goal", "seed_points"):
             assert getattr(every[k], attribute).equal(getattr(plain[k], attribute))
+        grid = inflated(name, number_of(plain[k], name), radius)
         assert_true(every[k], grid, search, every.movement)
 
 
@@ -205,47 +252,51 @@ def test_random_problems_are_sampled_on_the_inflated_map(
     """Those of the reference there, on the next map where it has none; the same as `Problems`."""
     problems = Random(distance=(4, None))
     how: dict[str, Any] = {"problems": problems, "movement": movement, "radius": 0.1}
-    how["fields"] = samples.ALL_FIELDS
-    dataset: Any = MapDataset(roots["square"], sampling_seed=SEED, **how)
+    served: dict[str, Any] = {**how, "sampling_seed": SEED, "fields": samples.ALL_FIELDS}
+    dataset: MapDataset | OnlineMapDataset
     if online:
-        dataset = OnlineMapDataset(samples.SPEC, SEED, MAPS, sampling_seed=SEED, **how)
+        dataset = OnlineMapDataset(samples.SPEC, SEED, MAPS, **served)
+    else:
+        dataset = MapDataset(roots["square"], **served)
     maps = []
     for k in range(len(dataset)):
         grid = inflated("square", k, "0.1")
         truth = reference.reference_problem(grid.tolist(), SEED, k, 0, problems.bands, movement)
         if truth is None:
-            assert online or number_of(dataset[k], "square") != k
+            assert not np.array_equal(dataset[k].map[0], grid)
             continue
         maps.append(k)
-        assert (samples.cell_of(dataset[k].start), samples.cell_of(dataset[k].goal)) == (
-            truth.start,
-            truth.goal,
-        )
+        assert ends_of(dataset[k]) == (truth.start, truth.goal)
         if k % 5 == 0:
             assert_true(dataset[k], grid, "astar", movement)
-    assert len(maps) > MAPS / 2
-    found = Problems.sample(
-        samples.SPEC, SEED, MAPS, problems=problems, movement=movement, radius=0.1
-    )
+    assert MAPS / 2 < len(maps) < MAPS
+
     batch = dataset[maps]
-    np.testing.assert_array_equal(found.grids, batch.map[:, 0])
-    np.testing.assert_array_equal(found.starts, batch.start)
-    np.testing.assert_array_equal(found.goals, batch.goal)
-    assert found.description.endswith(", inflated by 1 cells")
-    kept = [k for k in maps if generate(samples.SPEC, SEED, [k]).split[0] == 2]
-    read = Problems.read(
-        roots["square"], seed=SEED, problems=problems, movement=movement, radius=0.1
-    )
-    np.testing.assert_array_equal(read.grids, dataset[kept].map[:, 0])
-    np.testing.assert_array_equal(read.starts, dataset[kept].start)
+    sampled = Problems.sample(samples.SPEC, SEED, MAPS, **how)
+    assert sampled.description.endswith(", inflated by 1 cells")
+    assert_problems_are(sampled, batch)
+    in_test = [reference.reference_split(samples.SPEC, SEED, k) == 2 for k in maps]
+    assert any(in_test)
+    read = Problems.read(roots["square"], seed=SEED, **how)
+    assert_problems_are(read, dataset[[k for k, test in zip(maps, in_test, strict=True) if test]])
+
+
+def assert_problems_are(problems: Problems, batch: Sample) -> None:
+    """Compare a set of problems with what a dataset serves."""
+    np.testing.assert_array_equal(problems.grids, batch.map[:, 0])
+    np.testing.assert_array_equal(problems.starts, batch.start)
+    np.testing.assert_array_equal(problems.goals, batch.goal)
 
 
 @pytest.mark.parametrize("search", SEARCHES)
 @pytest.mark.parametrize("problems", [Route(), Pairs(), Route(True), Pairs(True)], ids=str)
 def test_online_pairs_are_the_first_that_fit(problems: Route | Pairs, search: str) -> None:
-    """Pairs of seed points in turn, from a drawn one on, until one has a path for the robot."""
+    """Pairs of seed points in turn, from a drawn one on, until one has a path for the robot; a map
+    where none has gives way to another.
+    """
     movement = Movement(8)
-    dataset: Any = OnlineMapDataset(
+    sampling_seed = 9
+    dataset = OnlineMapDataset(
         samples.SPEC,
         SEED,
         MAPS,
@@ -254,111 +305,144 @@ def test_online_pairs_are_the_first_that_fit(problems: Route | Pairs, search: st
         problems=problems,
         search=search,
         movement=movement,
-        sampling_seed=9,
+        sampling_seed=sampling_seed,
         radius=0.1,
     )
-    for k, points in enumerate(generate(samples.SPEC, SEED, range(MAPS)).seed_points.tolist()):
+
+    def fits(grid: Array, start: Cell, goal: Cell) -> bool:
+        if start == goal:
+            return False
+        return problems.unsolvable or solved(grid, start, goal, search, movement).cost > 0
+
+    served = 0
+    for k, points in enumerate(seed_points_of("square")):
         grid = inflated("square", k, "0.1")
-        cells = [tuple(point) for point in points if point[0] >= 0]
-        step = 1 if isinstance(problems, Route) else len(cells)
-        pairs = [
-            (one, other) for i, one in enumerate(cells) for other in cells[i + 1 : i + 1 + step]
-        ]
-        first = reference.block(9, k, 0, PROBLEM, 0)[0] * len(pairs) >> 32
-        fitting = [
-            (start, goal)
-            for start, goal in pairs[first:] + pairs[:first]
-            if start != goal
-            and (problems.unsolvable or solved(grid, start, goal, search, movement).cost > 0)
-        ]
-        if fitting:
-            sample = dataset[k]
-            assert (samples.cell_of(sample.start), samples.cell_of(sample.goal)) == fitting[0]
-            if k % 4 == 0:
-                assert_true(sample, grid, search, movement)
+        pairs = list(pairwise(points) if isinstance(problems, Route) else combinations(points, 2))
+        word = reference.block(sampling_seed, k, 0, PROBLEM, 0)[0]
+        first = reference.bounded(word, 0, len(pairs) - 1)
+        in_turn = pairs[first:] + pairs[:first]
+        fitting = [pair for pair in in_turn if fits(grid, *pair)]
+        sample = dataset[k]
+        if not fitting:
+            assert samples.cells_of(sample.seed_points) != points
+            continue
+        served += 1
+        assert ends_of(sample) == fitting[0]
+        if served % 3 == 1:
+            assert_true(sample, grid, search, movement)
+    if problems.unsolvable:
+        assert served > MAPS / 2
+    else:
+        assert 5 < served < MAPS
 
 
-def test_symmetries_come_after_inflation(roots: dict[str, str]) -> None:
+@pytest.mark.parametrize("problems", ["route", "random"])
+def test_symmetries_come_after_inflation(roots: dict[str, str], problems: str) -> None:
     """An augmented sample is the plain one, turned as a whole."""
     fields = ("map", "start_mask", "goal_mask", "path_mask", "optimal_mask", "cost_to_go")
-    for problems in ("route", "random"):
-        how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": fields}
-        plain = MapDataset(roots["square"], "train", **how)
-        augmented = MapDataset(roots["square"], "train", augment=True, **how)
-        moved = 0
-        for one, other in zip(plain, augmented, strict=True):
-            layers = np.stack([np.asarray(value[0], float) for value in one])
-            wanted = np.stack([np.asarray(value[0], float) for value in other])
-            turned = [np.rot90(layers, k, (1, 2)) for k in range(4)]
-            turned += [each[:, ::-1] for each in turned]
-            assert any(np.array_equal(each, wanted) for each in turned)
-            moved += not np.array_equal(layers, wanted)
-        assert moved > len(plain) / 2
+    how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": fields}
+    plain = MapDataset(roots["square"], "train", **how)
+    augmented = MapDataset(roots["square"], "train", augment=True, **how)
+    moved = 0
+    for one, other in zip(plain, augmented, strict=True):
+        before = layers_of(one)
+        after = layers_of(other)
+        quarter_turns = [np.rot90(before, k, (1, 2)) for k in range(4)]
+        mirrored = [each[:, ::-1] for each in quarter_turns]
+        assert any(np.array_equal(each, after) for each in (*quarter_turns, *mirrored))
+        moved += not np.array_equal(before, after)
+    assert moved > len(plain) / 2
+
+
+def layers_of(sample: Sample) -> Array:
+    """Return all fields of a sample, each (1, H, W), as one array, (fields, H, W)."""
+    return np.concatenate([np.asarray(field, float) for field in sample])
 
 
 @pytest.mark.parametrize("problems", ["route", "pairs", "random"])
-def test_workers_and_modules_serve_the_same(roots: dict[str, str], problems: str) -> None:
+def test_workers_and_modules_serve_the_same(many: str, problems: str) -> None:
     """By workers, after pickling, filtered, by a data module, on disk and online."""
     how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": samples.ALL_FIELDS}
-    dataset = MapDataset(roots["square"], "val", **how)
-    whole = [dataset[k : k + 8] for k in range(0, len(dataset), 8)]
-    samples.assert_all_same(list(DataLoader(dataset, 8, num_workers=2)), whole)
-    samples.assert_same(pickle.loads(pickle.dumps(dataset))[:], dataset[:])
-    module = MapDataModule(roots["square"], batch_size=8, **how)
+    dataset = MapDataset(many, "val", **how)
+    assert len(dataset) > 8  # more than a batch
+    batches = [dataset[k : k + 8] for k in range(0, len(dataset), 8)]
+    by_workers = DataLoader(dataset, 8, num_workers=2)
+    samples.assert_all_same(list(by_workers), batches)
+    pickled = pickle.loads(pickle.dumps(dataset))
+    samples.assert_same(pickled[:], dataset[:])
+    module = MapDataModule(many, batch_size=8, **how)
     assert module.hparams["radius"] == 0.1
-    samples.assert_all_same(list(module.val_dataloader()), whole)
-    if problems != "random":
-        every = MapDataset(roots["square"], "val", **how).filter(path_length=(2, 999))
-        assert len(every) == len(dataset)
+    samples.assert_all_same(list(module.val_dataloader()), batches)
+    if problems != "random":  # those are not stored, and not filtered
+        lengths = dataset[:].length
+        all_pass = dataset.filter(path_length=(2, 999))
+        samples.assert_same(all_pass[:], dataset[:])
+        most = int(lengths.median())
+        short = dataset.filter(path_length=(2, most))
+        assert 0 < len(short) < len(dataset)
+        samples.assert_same(short[:], dataset[np.flatnonzero(lengths <= most)])
+
     online = OnlineMapDataset(samples.SPEC, SEED, 12, "train", augment=True, **how)
     recipe = {"spec": samples.SPEC.to_dict(), "seed": SEED, "maps": 20}
-    module = MapDataModule(None, build=recipe, batch_size=12, augment=True, **how)
-    (first,) = list(module.train_dataloader())
+    online_module = MapDataModule(None, build=recipe, batch_size=12, augment=True, **how)
+    (first,) = online_module.train_dataloader()
     samples.assert_same(first, online[first.problem])
 
 
 def test_the_radius_is_in_metres(tmp_path: Path) -> None:
     """0.15 m at 0.1 m a cell and 0.3 m at 0.2 m are 1.5 cells; roots must agree on it."""
-    coarse = replace(samples.SPEC, resolution=0.2)
     fine = samples.build_small(tmp_path / "fine", maps=9)
-    build(tmp_path / "coarse", coarse, maps=9, seed=5, workers=1)
-    other = MapDataset(tmp_path / "coarse", problems="random", radius=0.3)
-    assert other[:].map.equal(MapDataset(fine, problems="random", radius=0.15)[:].map)
-    assert not other[:].map.equal(MapDataset(fine, problems="random", radius=0.1501)[:].map)
-    assert ", radius=0.3)" in repr(other)
+    coarse_spec = replace(samples.SPEC, resolution=0.2)
+    coarse = samples.build_small(tmp_path / "coarse", coarse_spec, maps=9)
+    robot = MapDataset(coarse, problems="random", radius=0.3)
+    same_robot = MapDataset(fine, problems="random", radius=0.15)
+    wider_robot = MapDataset(fine, problems="random", radius=0.1501)
+    assert robot[:].map.equal(same_robot[:].map)
+    assert not robot[:].map.equal(wider_robot[:].map)
+    assert ", radius=0.3)" in repr(robot)
     assert "radius=" not in repr(MapDataset(fine))
-    both = [fine, str(tmp_path / "coarse")]
-    assert len(MapDataset(both, problems="random")) == 18
+
+    both = [fine, coarse]
+    without_radius = MapDataset(both, problems="random")
+    assert len(without_radius) == 18
     with pytest.raises(ValueError, match=r"have resolutions 0\.. and 0\..; take those of one"):
         MapDataset(both, radius=0.1)
 
 
+DOORS: dict[str, Callable[[str, Any], object]] = {
+    "stored": lambda root, radius: MapDataset(root, radius=radius),
+    "online": lambda root, radius: OnlineMapDataset(samples.SPEC, radius=radius),
+    "module": lambda root, radius: MapDataModule(root, radius=radius),
+    "sample": lambda root, radius: Problems.sample(samples.SPEC, 0, 5, radius=radius),
+    "read": lambda root, radius: Problems.read(root, radius=radius),
+}
+"""All that take a radius."""
+
+
+@pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("radius", [-0.1, float("nan"), float("inf"), "wide", True])
-def test_a_bad_radius_is_named(roots: dict[str, str], radius: Any) -> None:
-    """By all that take one."""
-    for make in (
-        lambda: MapDataset(roots["square"], radius=radius),
-        lambda: OnlineMapDataset(samples.SPEC, radius=radius),
-        lambda: MapDataModule(roots["square"], radius=radius),
-        lambda: Problems.sample(samples.SPEC, 0, 5, radius=radius),
-        lambda: Problems.read(roots["square"], radius=radius),
-    ):
-        with pytest.raises(ValueError, match="radius: got"):
-            make()
+def test_a_bad_radius_is_named(roots: dict[str, str], radius: Any, door: str) -> None:
+    """With its value."""
+    with pytest.raises(ValueError, match=f"radius: got {radius!r}"):
+        DOORS[door](roots["square"], radius)
 
 
 def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
     """Nothing is left of routes, random problems are none, and the unsolvable ones have no path."""
-    assert len(MapDataset(roots["square"], radius=5)) == 0
-    every = MapDataset(roots["square"], problems=Pairs(True), radius=5, fields=samples.ALL_FIELDS)[
-        :
-    ]
-    assert every.map.min() == 1
-    assert set(every.cost.tolist()) == set(every.hardness.tolist()) == {-1.0}
-    assert every.cost_to_go.max() == -1
-    assert every.optimal_moves.max() == every.optimal_mask.max() == every.iterations.max() == 0
+    root = roots["square"]
+    assert len(MapDataset(root, radius=5)) == 0
+    every = MapDataset(root, problems=Pairs(True), radius=5, fields=samples.ALL_FIELDS)[:]
+    assert (every.map == 1).all()
+    assert (every.cost == -1).all()
+    assert (every.hardness == -1).all()
+    assert (every.cost_to_go == -1).all()
+    assert (every.path == samples.PADDING).all()
+    assert (every.length == 0).all()
+    assert (every.iterations == 0).all()
+    assert (every.optimal_moves == 0).all()
+    assert (every.optimal_mask == 0).all()
     for dataset in (
-        MapDataset(roots["square"], problems="random", radius=5),
+        MapDataset(root, problems="random", radius=5),
         OnlineMapDataset(samples.SPEC, problems="random", radius=5),
         OnlineMapDataset(samples.SPEC, radius=5),
     ):

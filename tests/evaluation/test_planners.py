@@ -5,7 +5,7 @@ bad input refused.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -38,7 +38,8 @@ def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
         shape = source.integers(1, 24, size=2)
         grid = (source.random(shape) < source.uniform(0, 0.5)).astype(np.uint8)
         (row, column), (goal_row, goal_column) = source.integers(0, shape, size=(2, 2)).tolist()
-        grid[row, column] = grid[goal_row, goal_column] = 0
+        grid[row, column] = 0
+        grid[goal_row, goal_column] = 0
         yield grid, (row, column), (goal_row, goal_column)
 
 
@@ -50,41 +51,58 @@ def reference_best_first(
     """
 
     def f(cost: reference.Pair, cell: Cell) -> Fraction:
-        estimate = Fraction(weight) * reference.weigh(
-            reference.heuristic(cell, goal, movement), movement
-        )
-        return estimate + (reference.weigh(cost, movement) if counts_way else 0)
+        heuristic = reference.weigh(reference.heuristic(cell, goal, movement), movement)
+        way = reference.weigh(cost, movement) if counts_way else 0
+        return way + Fraction(weight) * heuristic
 
     rows = grid.tolist()
-    frontier, costs, parents = [(f((0, 0), start), 0, start)], {start: (0, 0)}, {start: start}
-    taken, pushes = set[Cell](), 0
-    while frontier and goal not in taken:
+    frontier = [(f((0, 0), start), 0, start)]
+    costs = {start: (0, 0)}
+    parents = {start: start}
+    taken: set[Cell] = set()
+    pushes = 0
+    while frontier:
         cell = heapq.heappop(frontier)[2]
         if cell in taken:
             continue
         taken.add(cell)
-        for neighbour, step in reference.neighbours(rows, cell, movement) if cell != goal else ():
+        if cell == goal:
+            path = reference.trace(parents, goal)
+            return Plan(np.array(path, np.int64), len(taken))
+        for neighbour, step in reference.neighbours(rows, cell, movement):
             cost = reference.add(costs[cell], step)
-            if neighbour in costs and reference.weigh(cost, movement) >= reference.weigh(
-                costs[neighbour], movement
-            ):
-                continue
-            costs[neighbour], parents[neighbour] = cost, cell
+            if neighbour in costs:
+                known = reference.weigh(costs[neighbour], movement)
+                if reference.weigh(cost, movement) >= known:
+                    continue
+            costs[neighbour] = cost
+            parents[neighbour] = cell
             if neighbour not in taken:  # else it only has a shorter way from now on
                 pushes += 1
                 heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
-    path = reference.trace(parents, goal) if goal in taken else []
-    return Plan(np.array(path, np.int64).reshape(-1, 2), len(taken))
+    return Plan(np.empty((0, 2), np.int64), len(taken))
 
 
 def assert_same(found: Plan, expected: Plan) -> None:
     """Compare paths and expansions."""
+    assert found.path.ndim == 2
+    assert found.path.shape[1] == 2
     np.testing.assert_array_equal(found.path, expected.path)
-    assert (found.path.shape[1], found.expansions, type(found.expansions)) == (
-        2,
-        expected.expansions,
-        int,
-    )
+    assert found.expansions == expected.expansions
+    assert type(found.expansions) is int
+
+
+def ends_of(problems: Problems) -> list[tuple[Cell, Cell]]:
+    """Return start and goal of each problem."""
+    ends = zip(problems.starts.tolist(), problems.goals.tolist(), strict=True)
+    return [
+        ((row, column), (goal_row, goal_column)) for (row, column), (goal_row, goal_column) in ends
+    ]
+
+
+def plan_all(planner: BatchPlanner, problems: Problems) -> Sequence[Plan]:
+    """Return the plans of all problems, found in one call."""
+    return planner.plan_batch(problems.grids, problems.starts, problems.goals)
 
 
 @movements
@@ -96,20 +114,21 @@ def test_best_first_equals_the_reference(
     without a path.
     """
     planner = BestFirst("it", movement, weight, counts_way)
+    solved = 0
     for grid, start, goal in grids(60, 1):
         expected = reference_best_first(grid, start, goal, movement, weight, counts_way)
         assert_same(planner.plan(grid, start, goal), expected)
+        solved += len(expected.path) > 0
+    assert 0 < solved < 60
 
 
 @movements
 def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
     """With f = g + h the generic search takes the very cells that the format's A* takes."""
     problems = Problems.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
-    plans = BestFirst("A*", movement, 1).plan_batch(problems.grids, problems.starts, problems.goals)
-    same = Search("A*", movement, "astar").plan_batch(
-        problems.grids, problems.starts, problems.goals
-    )
-    for found, expected in zip(plans, same, strict=True):
+    generic = plan_all(BestFirst("A*", movement, 1), problems)
+    own = plan_all(Search("A*", movement, "astar"), problems)
+    for found, expected in zip(generic, own, strict=True):
         assert_same(found, expected)
 
 
@@ -122,7 +141,8 @@ def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
     for grid, start, goal in grids(60, 2):
         path = planner.plan(grid, start, goal).path
         cost = check_path(grid, path, movement) if len(path) else -1
-        assert cost == pytest.approx(scipy_distances(grid, [goal], movement)[0][start], rel=1e-12)
+        distances = scipy_distances(grid, [goal], movement)[0]
+        assert cost == pytest.approx(distances[start], rel=1e-12)
 
 
 @movements
@@ -130,9 +150,7 @@ def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
 def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
     """The cost is at most max(1, weight) times the optimal one."""
     problems = Problems.sample(MapSpec.preset("dungeon"), 6, 100, movement=movement)
-    plans = BestFirst("weighted", movement, weight).plan_batch(
-        problems.grids, problems.starts, problems.goals
-    )
+    plans = plan_all(BestFirst("weighted", movement, weight), problems)
     costs = [
         check_path(grid, plan.path, movement)
         for grid, plan in zip(problems.grids, plans, strict=True)
@@ -148,9 +166,7 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
     answer the same.
     """
     problems = Problems.sample(MapSpec(), 7, 30, movement=movement)
-    ends = list(
-        zip(map(tuple, problems.starts.tolist()), map(tuple, problems.goals.tolist()), strict=True)
-    )
+    ends = ends_of(problems)
     rows = {planner.name: planner for planner in classical(movement)}
     assert list(rows) == [
         "BFS",
@@ -166,11 +182,12 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
     ]
     for planner in rows.values():
         assert isinstance(planner, BatchPlanner)
-        batch = planner.plan_batch(problems.grids, problems.starts, problems.goals)
+        batch = plan_all(planner, problems)
         for grid, (start, goal), expected in zip(problems.grids, ends, batch, strict=True):
             assert_same(planner.plan(grid, start, goal), expected)
     for grid, (start, goal) in zip(problems.grids, ends, strict=True):
-        by_bfs, by_astar = bfs(grid, start, goal, movement), astar(grid, start, goal, movement)
+        by_bfs = bfs(grid, start, goal, movement)
+        by_astar = astar(grid, start, goal, movement)
         assert_same(rows["BFS"].plan(grid, start, goal), Plan(by_bfs.path, by_bfs.iterations))
         assert_same(rows["A*"].plan(grid, start, goal), Plan(by_astar.path, by_astar.iterations))
         assert_same(rows["limit"].plan(grid, start, goal), Plan(by_astar.path, len(by_astar.path)))
@@ -183,10 +200,12 @@ def test_no_path_and_start_is_goal() -> None:
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 6] = 1
     for planner in classical():
-        nothing, alone = planner.plan(grid, (2, 2), (2, 8)), planner.plan(grid, (2, 2), (2, 2))
+        nothing = planner.plan(grid, (2, 2), (2, 8))
         assert nothing.path.shape == (0, 2)
-        assert nothing.expansions == (0 if isinstance(planner, Limit) else 30)
-        assert (alone.path.tolist(), alone.expansions) == ([[2, 2]], 1)
+        assert nothing.expansions == (0 if isinstance(planner, Limit) else 5 * 6)
+        alone = planner.plan(grid, (2, 2), (2, 2))
+        assert alone.path.tolist() == [[2, 2]]
+        assert alone.expansions == 1
 
 
 def test_a_large_grid_works_and_a_too_large_one_is_refused() -> None:
@@ -196,11 +215,11 @@ def test_a_large_grid_works_and_a_too_large_one_is_refused() -> None:
     grid = np.zeros((1024, 1024), np.uint8)
     grid[1::2] = 1
     grid[np.arange(1, 1024, 2), np.where(np.arange(512) % 2, 0, 1023)] = 0
-    found = BestFirst("weighted", Movement(8), 5).plan(grid, (0, 0), (1022, 1023))
-    assert (
-        check_path(grid, found.path, Movement(8))
-        == astar(grid, (0, 0), (1022, 1023), Movement(8)).cost
-    )
+    start = (0, 0)
+    goal = (1022, 1023)
+    found = BestFirst("weighted", Movement(8), 5).plan(grid, start, goal)
+    optimal = astar(grid, start, goal, Movement(8))  # there is one way only
+    assert check_path(grid, found.path, Movement(8)) == optimal.cost
     with pytest.raises(ValueError, match="too large"):
         BestFirst("weighted", Movement(), 2).plan(np.zeros((1, 2**20), np.uint8), (0, 0), (0, 1))
 
@@ -225,7 +244,7 @@ def test_a_weight_is_a_number_from_zero(weight: float) -> None:
 def test_bad_problems_are_refused(grid: npt.ArrayLike, start: Cell, goal: Cell, why: str) -> None:
     """A cell outside or in a wall, other values, another rank: never a crash in a kernel."""
     for planner in classical():
-        with pytest.raises(ValueError, match=why if isinstance(planner, BestFirst) else None):
+        with pytest.raises(ValueError, match=why):
             planner.plan(np.array(grid, np.uint8), start, goal)
 
 
@@ -239,8 +258,6 @@ def test_the_astar_of_neural_astar() -> None:
     assert table["opt"].tolist() == [1, 1]
     mean = np.mean(counted / drawn.optimal.iterations)
     assert table["expansion_ratio"][0] == pytest.approx(mean, rel=1e-12)
-    plans = []
-    for k, grid in enumerate(drawn.grids):
-        (row, column), (goal_row, goal_column) = drawn.starts[k].tolist(), drawn.goals[k].tolist()
-        plans.append(planner.plan(grid, (row, column), (goal_row, goal_column)))
+    ends = ends_of(drawn)
+    plans = [planner.plan(grid, *ends[k]) for k, grid in enumerate(drawn.grids)]
     assert [plan.expansions for plan in plans] == counted

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,138 +23,207 @@ from mapdata.spec import Movement
 DUNGEON = MapSpec.preset("dungeon")
 CUTTING = Movement(8, corner_cutting=True)
 
+SMALL_ROOMS = MapSpec(
+    map_size=(20, 31),
+    rooms=(2, 5),
+    room_rows=(2, 7),
+    room_columns=(2, 7),
+    passage_width=(1, 2),
+)
+TINY = MapSpec(
+    map_size=(9, 7),
+    rooms=(2, 3),
+    room_rows=(1, 3),
+    room_columns=(1, 3),
+    passage_width=(1, 1),
+)
+"""Maps on many of which no two cells are 10 apart."""
 
-def same(one: Problems, other: Problems) -> bool:
-    """Compare what two sets of problems hold."""
-    return one.movement == other.movement and all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for name in ("grids", "starts", "goals")
+FAR = Random(distance=(10, None))
+NARROW = Random(distance=(6, 12), hardness=(1.05, 2), length=(None, 11))
+"""Conditions that the first draw on a map rarely meets."""
+
+
+def assert_same(one: Problems, other: Problems) -> None:
+    """Compare maps, ends and movement of two sets of problems."""
+    assert one.movement == other.movement
+    np.testing.assert_array_equal(one.grids, other.grids)
+    np.testing.assert_array_equal(one.starts, other.starts)
+    np.testing.assert_array_equal(one.goals, other.goals)
+
+
+def chosen(problems: Problems, which: slice | list[int]) -> Problems:
+    """Return some problems of a set."""
+    return Problems(
+        problems.grids[which], problems.starts[which], problems.goals[which], problems.movement
     )
 
 
 @pytest.mark.parametrize("movement", [Movement(), Movement(8), CUTTING], ids=["4", "8", "cutting"])
-@pytest.mark.parametrize(
-    "spec",
-    [
-        MapSpec(
-            map_size=(20, 31),
-            rooms=(2, 5),
-            room_rows=(2, 7),
-            room_columns=(2, 7),
-            passage_width=(1, 2),
-        ),
-        MapSpec(
-            map_size=(9, 7),
-            rooms=(2, 3),
-            room_rows=(1, 3),
-            room_columns=(1, 3),
-            passage_width=(1, 1),
-        ),
-    ],
-    ids=["dungeon", "tiny"],
-)
+@pytest.mark.parametrize("spec", [SMALL_ROOMS, TINY], ids=["dungeon", "tiny"])
 def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None:
-    """Start, goal and which maps are left out, on maps where a goal has to be sampled again and on
-    maps without any.
+    """Start, goal, cost, and which maps are left out, where one draw on a map is enough and where
+    many are tried.
     """
-    for problems in (Random(distance=(10, None)), Random((6, 12), (1.05, 2), (None, 11))):
-        expected = []
-        for index in range(12):
-            grid = reference.reference_map(spec, 3, index).occupancy
-            sampled = reference.reference_problem(
-                grid, 3, index, 0, problems.bands, movement, draws=1000
-            )
-            if sampled is not None:
-                expected.append((grid, *sampled))
-        if not expected:
-            with pytest.raises(ValueError, match="no map has a problem"):
-                Problems.sample(spec, 3, 12, problems=problems, movement=movement)
-            continue
-        found = Problems.sample(spec, 3, 12, problems=problems, movement=movement)
-        assert len(expected) == len(found)
-        for k, (grid, start, goal, cost) in enumerate(expected):
-            assert found.grids[k].tolist() == grid
-            assert (tuple(found.starts[k]), tuple(found.goals[k])) == (start, goal)
-            assert found.optimal.cost[k] == reference.as_float(cost, movement)
+    seed = 3
+    maps = 12
+    for conditions in (FAR, NARROW):
+        grids = []
+        problems = []
+        redrawn = 0
+        for index in range(maps):
+            grid = reference.reference_map(spec, seed, index).occupancy
+            drawn = reference_problem(grid, seed, index, conditions, movement, draws=1000)
+            if drawn is None:
+                continue
+            grids.append(grid)
+            problems.append(drawn)
+            first = reference_problem(grid, seed, index, conditions, movement, draws=1)
+            redrawn += first is None
+        if spec == SMALL_ROOMS and conditions == NARROW:
+            assert redrawn > 0
+        if spec == TINY:
+            assert 0 < len(problems) < maps
+
+        found = Problems.sample(spec, seed, maps, problems=conditions, movement=movement)
+        assert found.grids.tolist() == grids
+        assert found.starts.tolist() == [list(problem.start) for problem in problems]
+        assert found.goals.tolist() == [list(problem.goal) for problem in problems]
+        costs = [reference.as_float(problem.cost, movement) for problem in problems]
+        assert found.optimal.cost.tolist() == costs
+
+
+def reference_problem(
+    grid: reference.Grid,
+    seed: int,
+    index: int,
+    conditions: Random,
+    movement: Movement,
+    draws: int,
+) -> reference.ReferenceProblem | None:
+    """Return the reference's problem in epoch 0, which is that of a set of problems."""
+    return reference.reference_problem(
+        grid, seed, index, 0, conditions.bands, movement, draws=draws
+    )
 
 
 def test_the_first_problems_do_not_depend_on_how_many() -> None:
-    """A longer sample begins with the shorter one, over the border of a chunk; another seed gives
-    others.
+    """A longer sample begins with the shorter one, over the border of a chunk (256 maps); another
+    seed gives others.
     """
-    longer, shorter = Problems.sample(DUNGEON, 1, 270), Problems.sample(DUNGEON, 1, 258)
-    assert same(
-        shorter,
-        Problems(longer.grids[:258], longer.starts[:258], longer.goals[:258], longer.movement),
-    )
-    assert not same(shorter, Problems.sample(DUNGEON, 2, 258))
+    longer = Problems.sample(DUNGEON, 1, 270)
+    shorter = Problems.sample(DUNGEON, 1, 258)
+    assert len(shorter) == 258
+    assert_same(shorter, chosen(longer, slice(258)))
+    others = Problems.sample(DUNGEON, 2, 258)
+    assert not np.array_equal(others.grids, shorter.grids)
+    assert not np.array_equal(others.starts, shorter.starts)
+    assert not np.array_equal(others.goals, shorter.goals)
 
 
 def test_until_hard_stops_at_the_last_hard_problem() -> None:
-    """Exactly so many hard problems, the last of them at the end; ``maps`` is then a limit."""
+    """Exactly so many hard problems, the last of them at the end; ``maps`` is then a limit.
+
+    Every map of this preset has a problem, so that the set has as many maps as problems.
+    """
     problems = Problems.sample(DUNGEON, 4, until_hard=20)
+    maps = len(problems)
     assert problems.hard.sum() == 20
     assert problems.hard[-1]
-    assert same(problems, Problems.sample(DUNGEON, 4, len(problems)))
-    assert same(problems, Problems.sample(DUNGEON, 4, len(problems), until_hard=20))
-    hard = Problems.sample(DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)))
-    assert hard.hard.all()
+    assert_same(problems, Problems.sample(DUNGEON, 4, maps))
+    assert_same(problems, Problems.sample(DUNGEON, 4, maps, until_hard=20))
     with pytest.raises(ValueError, match="until_hard: got 20, found only 19"):
-        Problems.sample(DUNGEON, 4, len(problems) - 1, until_hard=20)
+        Problems.sample(DUNGEON, 4, maps - 1, until_hard=20)
+
+
+def test_a_sample_of_hard_problems_alone() -> None:
+    """By the condition on hardness: no other is among them."""
+    problems = Problems.sample(DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)))
+    assert problems.hard.all()
 
 
 def test_hardness_is_cost_over_heuristic() -> None:
-    """By hand, and on sampled problems with the searches of one map."""
+    """By hand: around a wall, straight on, and diagonally past it."""
     grid = np.zeros((4, 4), np.uint8)
     grid[0, 1] = 1
-    ends = [[(0, 0), (0, 0), (3, 0)], [(0, 2), (3, 3), (3, 2)]]
-    problems = Problems(np.stack([grid] * 3), np.array(ends[0]), np.array(ends[1]), Movement())
-    assert problems.hardness.tolist() == [2.0, 1.0, 1.0]
-    assert problems.hard.tolist() == [True, False, False]
+    grids = np.stack([grid, grid, grid])
+    starts = np.array([(0, 0), (0, 0), (3, 0)])
+    goals = np.array([(0, 2), (3, 3), (3, 2)])
+    manhattan = Problems(grids, starts, goals, Movement())
+    assert manhattan.hardness.tolist() == [4 / 2, 6 / 6, 2 / 2]
+    assert manhattan.hard.tolist() == [True, False, False]
+
+    octile = Problems(grids, starts, goals, Movement(8))
     root = 2**0.5
-    octile = Problems(np.stack([grid] * 3), np.array(ends[0]), np.array(ends[1]), Movement(8))
-    np.testing.assert_allclose(octile.hardness, [4 / 2, (2 + 2 * root) / (3 * root), 1], rtol=1e-12)
-    drawn = Problems.sample(DUNGEON, 8, 20)
+    costs = [4, 2 + 2 * root, 2]
+    heuristics = [2, 3 * root, 2]
+    np.testing.assert_allclose(octile.hardness, np.divide(costs, heuristics), rtol=1e-12)
+
+
+def test_hardness_of_sampled_problems() -> None:
+    """The cost is the reference's and that of a search of one map, the heuristic the
+    reference's.
+    """
+    movement = Movement(8)
+    problems = Problems.sample(DUNGEON, 8, 20)
     for k in range(20):
-        start, goal = tuple(drawn.starts[k].tolist()), tuple(drawn.goals[k].tolist())
-        cost = astar(drawn.grids[k], start, goal, Movement(8)).cost
-        estimate = reference.as_float(reference.heuristic(start, goal, Movement(8)), Movement(8))
-        assert (drawn.optimal.cost[k], drawn.hardness[k]) == (
-            cost,
-            pytest.approx(cost / estimate, rel=1e-12),
-        )
-        assert drawn.hard[k] == (cost / estimate >= HARD)
+        start = tuple(problems.starts[k].tolist())
+        goal = tuple(problems.goals[k].tolist())
+        truth = reference.reference_astar(problems.grids[k].tolist(), start, goal, movement)
+        heuristic = reference.as_float(reference.heuristic(start, goal, movement), movement)
+        hardness = truth.cost / heuristic
+        assert problems.optimal.cost[k] == truth.cost
+        assert astar(problems.grids[k], start, goal, movement).cost == truth.cost
+        assert problems.hardness[k] == pytest.approx(hardness, rel=1e-12)
+        assert problems.hard[k] == (hardness >= HARD)
+    assert 0 < problems.hard.sum() < 20
 
 
 def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
     """On the test split of a root stand the problems that its spec and seed give on these maps."""
     build(tmp_path, DUNGEON, maps=120, seed=9, shard_size=50, workers=1)
     every = Problems.sample(DUNGEON, 9, 120)
+    assert len(every) == 120  # problem k is on map k
     test = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 2]
+    train = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 0]
     assert len(test) > 3
-    expected = Problems(every.grids[test], every.starts[test], every.goals[test], every.movement)
-    assert same(Problems.read(tmp_path), expected)
-    assert same(
-        Problems.read(tmp_path, 2),
-        Problems(
-            every.grids[test[:2]], every.starts[test[:2]], every.goals[test[:2]], every.movement
-        ),
-    )
-    assert len(Problems.read(str(tmp_path), split="train")) > 60
-    assert not np.array_equal(Problems.read(tmp_path, seed=1).starts, expected.starts)
+    assert len(train) > 60
+    assert_same(Problems.read(tmp_path), chosen(every, test))
+    assert_same(Problems.read(tmp_path, 2), chosen(every, test[:2]))
+    assert_same(Problems.read(str(tmp_path), split="train"), chosen(every, train))
+    others = Problems.read(tmp_path, seed=1)
+    np.testing.assert_array_equal(others.grids, every.grids[test])
+    assert not np.array_equal(others.starts, every.starts[test])
     with pytest.raises(ValueError, match="split"):
         Problems.read(tmp_path, split="validation")
 
 
 def test_the_arrays_cannot_be_written() -> None:
-    """They are copies: neither the caller's array nor a planner changes the problems."""
-    grids = np.zeros((1, 2, 3), np.int64)
-    problems = Problems(grids, np.array([[0, 0]]), np.array([[1, 2]]), Movement())  # type: ignore[arg-type]
+    """They are copies: neither the caller's arrays nor a planner changes the problems."""
+    grids = np.zeros((1, 2, 3), np.uint8)
+    starts = np.array([[0, 0]])
+    goals = np.array([[1, 2]])
+    problems = Problems(grids, starts, goals, Movement())
     grids[:] = 1
-    assert problems.grids.dtype == np.uint8
+    starts[:] = 1
+    goals[:] = 1
     assert not problems.grids.any()
-    with pytest.raises(ValueError, match="read-only"):
-        problems.goals[0, 0] = 0
+    assert problems.starts.tolist() == [[0, 0]]
+    assert problems.goals.tolist() == [[1, 2]]
+    for array in (problems.grids, problems.starts, problems.goals):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
+
+
+def test_the_arrays_have_one_type() -> None:
+    """Whatever integers are given."""
+    grids = np.zeros((1, 2, 3), np.int64)
+    starts = np.array([[0, 0]], np.int8)
+    goals = np.array([[1, 2]], np.int32)
+    problems = Problems(grids, starts, goals, Movement())  # type: ignore[arg-type]
+    assert problems.grids.dtype == np.uint8
+    assert problems.starts.dtype == np.int64
+    assert problems.goals.dtype == np.int64
 
 
 @pytest.mark.parametrize(
@@ -163,9 +233,9 @@ def test_the_arrays_cannot_be_written() -> None:
         ([[[0, 0]]] * 2, [(0, 0), (0, 1)], [(0, 1), (0, 1)], "problem 1 starts at its goal"),
         ([[0, 0]], [(0, 0)], [(0, 1)], "expected \\(N, H, W\\)"),
         ([[[0, 0]]], [(0, 0), (0, 1)], [(0, 1), (0, 1)], "equal numbers"),
-        ([[[0, 0]]], [(0, 0)], [(0, 2)], "outside"),
-        ([[[0, 3]]], [(0, 0)], [(0, 1)], "3"),
-        ([[[0, 0]]], [(0, 0)], [(0, 0.5)], "goals"),
+        ([[[0, 0]]], [(0, 0)], [(0, 2)], "goal: .* is outside"),
+        ([[[0, 3]]], [(0, 0)], [(0, 1)], "grid: got the value 3"),
+        ([[[0, 0]]], [(0, 0)], [(0, 0.5)], "goals: .*expected .*integer cells"),
     ],
 )
 def test_what_cannot_be_evaluated_is_refused(
@@ -180,62 +250,70 @@ def test_what_cannot_be_evaluated_is_refused(
 
 def test_a_sample_without_problems_is_refused() -> None:
     """No number, none of the maps large enough, numbers below 1."""
-    tiny = MapSpec(
-        map_size=(5, 5), rooms=(2, 3), room_rows=(1, 3), room_columns=(1, 3), passage_width=(1, 2)
-    )
-    for spec, maps, until_hard, why in (
-        (DUNGEON, None, None, "neither maps nor until_hard"),
-        (tiny, 3, None, r"no map has a problem that meets Random\(distance=\(10.0, inf\)"),
-        (DUNGEON, 0, None, "maps: got 0"),
-        (DUNGEON, None, -1, "until_hard: got -1"),
-    ):
-        with pytest.raises(ValueError, match=why):
-            Problems.sample(spec, 0, maps, until_hard=until_hard)
+    with pytest.raises(ValueError, match="neither maps nor until_hard"):
+        Problems.sample(DUNGEON, 0)
+    with pytest.raises(ValueError, match="maps: got 0"):
+        Problems.sample(DUNGEON, 0, 0)
+    with pytest.raises(ValueError, match="until_hard: got -1"):
+        Problems.sample(DUNGEON, 0, until_hard=-1)
+    too_small = replace(TINY, map_size=(5, 5))
+    why = r"no map has a problem that meets Random\(distance=\(10.0, inf\)"
+    with pytest.raises(ValueError, match=why):
+        Problems.sample(too_small, 0, 3)
 
 
-def test_a_saved_set_is_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("movement", [Movement(), CUTTING], ids=["4", "cutting"])
+def test_a_saved_set_is_the_same(movement: Movement, tmp_path: Path) -> None:
     """To the last array, with movement and words; its bytes and hash are those of the problems."""
-    for movement in (Movement(), CUTTING):
-        problems = Problems.sample(DUNGEON, 77, 20, movement=movement)
-        problems.save(tmp_path / "set.npz")
-        again = Problems.load(tmp_path / "set.npz")
-        assert same(problems, again)
-        assert again.description == problems.description
-        assert again.content_hash == problems.content_hash
-        again.save(tmp_path / "other")
-        assert (tmp_path / "other").read_bytes() == (tmp_path / "set.npz").read_bytes()
+    problems = Problems.sample(DUNGEON, 77, 20, movement=movement)
+    path = tmp_path / "set.npz"
+    problems.save(path)
+    again = Problems.load(path)
+    assert_same(again, problems)
+    assert again.description == problems.description
+    assert again.content_hash == problems.content_hash
+    saved_again = tmp_path / "other"
+    again.save(saved_again)
+    assert saved_again.read_bytes() == path.read_bytes()
 
 
 def test_the_hash_tells_sets_apart() -> None:
     """By maps, ends and movement; not by words. One is golden."""
-    problems = Problems(
-        np.array([[[0, 0, 0], [0, 1, 0]]]), np.array([[0, 0]]), np.array([[1, 2]]), Movement()
-    )
+    grid = np.array([[0, 0, 0], [0, 1, 0]])
+    problems = Problems(grid[None], np.array([[0, 0]]), np.array([[1, 2]]), Movement())
     golden = "1bf9f5c51756f669d05ec4ffbeb97619ba32f691e8c76b05aa62cc8bbf2c8ad1"
     assert problems.content_hash == golden
     assert replace(problems, description="others").content_hash == golden
-    for change in (
-        {"starts": np.array([[1, 0]])},
-        {"goals": np.array([[0, 2]])},
-        {"grids": np.zeros((1, 2, 3), int)},
-        {"movement": Movement(8)},
-    ):
-        assert replace(problems, **change).content_hash != golden
-
-
-def test_what_is_no_saved_set_is_refused(tmp_path: Path) -> None:
-    """By name: text, another archive, arrays that do not fit, pickles."""
-    path = tmp_path / "set.npz"
-    contents: list[dict[str, object]] = [
-        {"grids": np.zeros((1, 2, 2))},
-        {"about": np.array("[]"), "grids": 1, "starts": 1, "goals": 1},
-        {"about": np.array("{"), "grids": 1, "starts": 1, "goals": 1},
-        {"about": np.array({"a": 1}, object)},
+    others = [
+        replace(problems, starts=np.array([[1, 0]])),
+        replace(problems, goals=np.array([[0, 2]])),
+        replace(problems, grids=np.zeros((1, 2, 3), int)),
+        replace(problems, movement=Movement(8)),
     ]
-    for arrays in contents:
-        np.savez(path, **arrays)  # type: ignore[arg-type]
-        with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
-            Problems.load(path)
+    hashes = {golden, *(other.content_hash for other in others)}
+    assert len(hashes) == 5
+
+
+NO_SETS: dict[str, dict[str, Any]] = {
+    "another archive": {"grids": np.zeros((1, 2, 2))},
+    "words of another kind": {"about": np.array("[]"), "grids": 1, "starts": 1, "goals": 1},
+    "broken JSON": {"about": np.array("{"), "grids": 1, "starts": 1, "goals": 1},
+    "a pickle": {"about": np.array({"a": 1}, object)},
+}
+
+
+@pytest.mark.parametrize("arrays", NO_SETS.values(), ids=NO_SETS)
+def test_what_is_no_saved_set_is_refused(arrays: dict[str, Any], tmp_path: Path) -> None:
+    """By name: another archive, other words, pickles."""
+    path = tmp_path / "set.npz"
+    np.savez(path, **arrays)
+    with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
+        Problems.load(path)
+
+
+def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
+    """By name: text, and no file at all."""
+    path = tmp_path / "set.npz"
     path.write_text("text")
     with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
         Problems.load(path)
@@ -243,25 +321,50 @@ def test_what_is_no_saved_set_is_refused(tmp_path: Path) -> None:
         Problems.load(tmp_path / "none.npz")
 
 
-def sets() -> list[tuple[str, str, str]]:
-    """Return name, flags and hash of each set in the table of docs/planners.md."""
-    page = (DOCS / "planners.md").read_text(encoding="utf-8")
-    return re.findall(r"^\| ([\w-]+) \| `(--preset [^`]+)` \|.*\| `([0-9a-f]{12})` \|$", page, re.M)
+class Row(NamedTuple):
+    """A row of the table of docs/planners.md: a set of problems and how to make it again."""
+
+    name: str
+    flags: str
+    problems: str
+    hard: str
+    digits: str
+
+
+PAGE = (DOCS / "planners.md").read_text(encoding="utf-8")
+SECTION = PAGE.partition("\n## The sets\n")[2].partition("\n## ")[0]
+
+
+def rows() -> list[Row]:
+    """Return the rows of the table, those whose second cell is a recipe."""
+    found = []
+    for line in SECTION.splitlines():
+        cells = [cell.strip(" `") for cell in line.strip("|").split("|")]
+        if len(cells) == 5 and cells[1].startswith("--preset "):
+            found.append(Row(*cells))
+    return found
 
 
 def test_the_page_names_its_sets() -> None:
-    """The table is found."""
-    assert {"dungeon-hard-1000", "paper-hard-1000"} <= {name for name, _, _ in sets()}
+    """Every row of the table is found, so that the next test compares it."""
+    names = [row.name for row in rows()]
+    assert {"dungeon-hard-1000", "paper-hard-1000"} <= set(names)
+    assert names == re.findall(r"^\| (\S*-hard-\d+) \|", SECTION, re.M)
 
 
-@pytest.mark.parametrize(("name", "flags", "digits"), sets())
-def test_the_sets_behind_the_tables_are_what_their_recipes_give(
-    name: str, flags: str, digits: str
-) -> None:
-    """Each has the hash that stands beside it, and as many hard problems as its name says."""
-    words = flags.split()
-    movement = Movement(4 if "--connectivity" in words else 8, "--corner-cutting" in words)
+@pytest.mark.parametrize("row", rows(), ids=lambda row: row.name)
+def test_the_sets_behind_the_tables_are_what_their_recipes_give(row: Row) -> None:
+    """Each has the numbers and the hash that stand beside it, and as many hard problems as its name
+    says.
+    """
+    words = row.flags.split()
+    preset = words[words.index("--preset") + 1]
     hard = int(words[words.index("--until-hard") + 1])
-    found = Problems.sample(Generator.preset(words[1]), seed=77, until_hard=hard, movement=movement)
-    assert name.endswith(f"-hard-{found.hard.sum()}")
-    assert found.content_hash.startswith(digits)
+    connectivity = 4 if "--connectivity" in words else 8
+    movement = Movement(connectivity, corner_cutting="--corner-cutting" in words)
+    spec = Generator.preset(preset)
+    found = Problems.sample(spec, seed=77, until_hard=hard, movement=movement)
+    assert f"{len(found):,}" == row.problems
+    assert f"{found.hard.sum():,}" == row.hard
+    assert row.name.endswith(f"-hard-{found.hard.sum()}")
+    assert found.content_hash.startswith(row.digits)

@@ -21,43 +21,65 @@ from hypothesis.extra import numpy as numpy_arrays
 from mapdata import MapSpec, Movement, generate, label
 from mapdata.arrays import Bytes
 from mapdata.generators import pack
-from mapdata.search import distance_field, lattice_of, rule_of
+from mapdata.search import lattice_of, rule_of
 from mapdata.search.bitboard import board_of, count_bits, is_direct, search_around
 from mapdata.search.kernels import scratch
-from mapdata.search.lattice import ASTAR, heuristics
+from mapdata.search.lattice import ASTAR
 
 WORDS = [(7, 63), (7, 64), (7, 65), (6, 127), (6, 128), (6, 129), (5, 200), (200, 5), (66, 66)]
 """Rows of one word and of several, that they fill and that they do not."""
 
 
 def test_bits_are_counted() -> None:
-    """As Python counts them."""
-    words = [0, 1, 2**64 - 1, 2**63, *(Random(1).getrandbits(64) for _ in range(100))]
-    assert count_bits(np.array(words, np.uint64), 1, len(words)) == sum(
-        bin(word).count("1") for word in words
-    )
+    """As Python counts them: in each word alone, and in several from one to another."""
+    source = Random(1)
+    words = [0, 1, 2**64 - 1, 2**63]
+    words += [source.getrandbits(64) for _ in range(100)]
+    expected = [bin(word).count("1") for word in words]
+    array = np.array(words, np.uint64)
+    found = [count_bits(array, k, k + 1) for k in range(len(words))]
+    assert found == expected
+    assert count_bits(array, 1, len(words)) == sum(expected[1:])
+    assert count_bits(array, 3, 9) == sum(expected[3:9])
 
 
 def test_one_column_of_wall_more_changes_no_label() -> None:
-    """Maps of 65 columns are searched cell by cell: the same paths, iterations and costs, in the
-    same order.
+    """Maps of 64 columns are searched by bits, those of 65 cell by cell: the same paths, iterations
+    and costs, in the same order.
     """
     maps = generate(MapSpec.preset("dungeon"), 9, range(40))
-    wider = pack(np.pad(maps.occupancy, ((0, 0), (0, 0), (0, 1)), constant_values=1))
-    narrow, wide = label(maps).bfs, label(replace(maps, columns=65, packed=wider)).bfs
+    assert maps.columns == 64
+    walled = np.pad(maps.occupancy, ((0, 0), (0, 0), (0, 1)), constant_values=1)
+    wider = replace(maps, columns=65, packed=pack(walled))
+    by_bits = label(maps).bfs
+    by_cells = label(wider).bfs
     for name in ("moves", "offsets", "iterations", "costs"):
-        np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
+        found = getattr(by_bits, name)
+        expected = getattr(by_cells, name)
+        np.testing.assert_array_equal(found, expected, err_msg=name)
 
 
-def compare(grid: Bytes, goal: Cell, movement: Movement) -> None:
-    """Compare moves with the reference; twice, since alone they are found by bits."""
+def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement) -> None:
+    """Compare the moves to a goal with the reference: without costs, when they may be found by
+    bits, and with costs, when they are not.
+    """
     expected = reference.reference_moves(grid.tolist(), goal, movement)
     lattice = lattice_of(grid.shape, rule_of(movement))
     for costs_too in (False, True):
         buffers = scratch(ASTAR, lattice)
         search_around(grid, *goal, costs_too, lattice, buffers)
-        found = buffers.came.reshape(-1, lattice.stride)[1:-1, 1:-1]
+        with_border = buffers.came.reshape(-1, lattice.stride)
+        found = with_border[1:-1, 1:-1]
         np.testing.assert_array_equal(found, expected)
+
+
+def scattered(
+    shape: tuple[int, int], density: float, goal: Cell, source: np.random.Generator
+) -> Bytes:
+    """Return a grid of which this share is occupied at random, but not the goal."""
+    grid = (source.random(shape) < density).astype(np.uint8)
+    grid[goal] = 0
+    return grid
 
 
 @movements
@@ -65,13 +87,12 @@ def compare(grid: Bytes, goal: Cell, movement: Movement) -> None:
 def test_rows_of_several_words(shape: tuple[int, int], movement: Movement) -> None:
     """From the corners and the ends of words, on empty and scattered maps."""
     source = np.random.default_rng(shape)
-    last_row = shape[0] - 1
-    last_column = shape[1] - 1
-    goals = [(0, 0), (last_row, last_column), (last_row // 2, min(63, last_column))]
-    for k, density in enumerate((0.0, 0.15, 0.35)):
-        grid = (source.random(shape) < density).astype(np.uint8)
-        grid[goals[k]] = 0
-        compare(grid, goals[k], movement)
+    rows, columns = shape
+    last = (rows - 1, columns - 1)
+    end_of_word = (last[0] // 2, min(63, last[1]))
+    for goal, density in (((0, 0), 0.0), (last, 0.15), (end_of_word, 0.35)):
+        grid = scattered(shape, density, goal, source)
+        assert_moves_are_the_references(grid, goal, movement)
 
 
 @settings(max_examples=40)
@@ -86,21 +107,47 @@ def test_maps_of_any_shape(
     shape: tuple[int, int], turned: bool, density: float, seed: int, movement: Movement
 ) -> None:
     """Scattered maps, and a goal anywhere."""
+    if turned:
+        shape = shape[::-1]
     source = np.random.default_rng(seed)
-    shape = shape[::-1] if turned else shape
-    grid = (source.random(shape) < density).astype(np.uint8)
-    row, column = source.integers(0, shape).tolist()
-    grid[row, column] = 0
-    compare(grid, (row, column), movement)
+    goal = (int(source.integers(shape[0])), int(source.integers(shape[1])))
+    grid = scattered(shape, density, goal, source)
+    assert_moves_are_the_references(grid, goal, movement)
 
 
 @movements
-def test_long_corridors(movement: Movement) -> None:
-    """Where few cells are equally far from the goal, the search by bits gives up."""
-    source = np.random.default_rng(1)
-    for shape in ((21, 9), (9, 70)):
-        grid = serpentine(*shape, source)
-        compare(grid, (0, 0), movement)
+@pytest.mark.parametrize("shape", [(21, 9), (9, 70)], ids=str)
+def test_long_corridors(shape: tuple[int, int], movement: Movement) -> None:
+    """Where few cells are equally far from the goal, the search by bits gives up: after 5/4 of
+    H + W levels, which the corridor is longer than.
+    """
+    goal = (0, 0)
+    grid = serpentine(*shape, np.random.default_rng(1))
+    moves = reference.reference_distances(grid.tolist(), goal, Movement())
+    farthest = max(straight for straight, _ in moves.values())
+    assert farthest > 5 / 4 * sum(shape)
+    assert_moves_are_the_references(grid, goal, movement)
+
+
+def direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
+    """Return the cells from which a search finds a direct path, one as on an empty map."""
+    lattice = lattice_of(grid.shape, rule_of(movement))
+    words = board_of(grid).free
+    found = set()
+    for row, column in np.argwhere(grid == 0).tolist():
+        if is_direct((row, column), goal, lattice, words):
+            found.add((row, column))
+    return found
+
+
+def truly_direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
+    """Return the cells whose exact cost to the goal, by Dijkstra, is that on an empty map."""
+    found = set()
+    for cell, cost in reference.reference_distances(grid.tolist(), goal, movement).items():
+        on_an_empty_map = reference.heuristic(cell, goal, movement)
+        if reference.weigh(cost, movement) == reference.weigh(on_an_empty_map, movement):
+            found.add(cell)
+    return found
 
 
 @given(
@@ -116,15 +163,11 @@ def test_easy_problems_are_known_without_a_search(
     grid: Bytes, data: st.DataObject, movement: Movement
 ) -> None:
     """Direct are the cells at no more than the heuristic's distance, and those alone."""
-    free = np.argwhere(grid == 0)
+    free = np.argwhere(grid == 0).tolist()
     assume(len(free))
-    row, column = data.draw(st.sampled_from(free.tolist()))
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    words = board_of(grid).free
-    found = [is_direct((r, c), (row, column), lattice, words) for r, c in free.tolist()]
-    distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
-    least = heuristics(free, np.array([[row, column]]), movement)
-    np.testing.assert_array_equal(found, (distances >= 0) & (distances <= least + 1e-3))
+    row, column = data.draw(st.sampled_from(free))
+    found = direct_cells(grid, (row, column), movement)
+    assert found == truly_direct_cells(grid, (row, column), movement)
 
 
 @given(
@@ -140,13 +183,11 @@ def test_easy_problems_are_known_without_a_search(
     ),
 )
 def test_direct_paths_are_paths_under_other_rules(grid: Bytes, movement: Movement) -> None:
-    """Some are missed, none is found wrongly."""
-    free = np.argwhere(grid == 0)
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    words = board_of(grid).free
-    for row, column in free.tolist():
-        found = [is_direct((r, c), (row, column), lattice, words) for r, c in free.tolist()]
-        distances = distance_field(grid, (row, column), movement)[tuple(free.T)]
-        least = heuristics(free, np.array([[row, column]]), movement)
-        assert (distances[found] >= 0).all()
-        assert (distances <= least + 1e-3)[found].all()
+    """None is found wrongly; missed are at most those that cut corners or take more diagonal moves
+    than they need, so that Movement(8) has none of them.
+    """
+    for row, column in np.argwhere(grid == 0).tolist():
+        goal = (row, column)
+        found = direct_cells(grid, goal, movement)
+        assert found <= truly_direct_cells(grid, goal, movement)
+        assert found >= truly_direct_cells(grid, goal, Movement(8))
