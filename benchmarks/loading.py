@@ -475,25 +475,26 @@ def band_rows(folder: Path, rounds: int) -> list[Row]:
             dataset = MapDataset(root, "train", problems=problems)
             runs[name] = partial(drain, loader_of(dataset, len(dataset), 10))
         times = interleaved(runs, rounds)
-        fields = ("cost", "length", "hardness")
+        fields = ("cost", "length", "hardness", "iterations")
         drawn = MapDataset(root, "train", fields, problems="random")[:]
         values = torch.stack([drawn.cost, drawn.hardness, drawn.length])  # as `Random.bands`
         meeting = {}
         for name, problems in bands.items():
             lowest, highest = torch.tensor(problems.bands).T[:, :, None]
             meeting[name] = ((values >= lowest) & (values <= highest)).all(dim=0)
-        rows += [
-            Row(
+        expansions = drawn.iterations.float()
+        for name, meets in meeting.items():
+            effort = expansions[meets].mean() / expansions.mean()
+            row = Row(
                 f"{preset}, {movement.connectivity}-connected: random problems, {name}",
                 rate(times[name], 10 * BATCH),
                 rate(times["any"], 10 * BATCH),
                 f"{median_ratio(times['any'], times[name]):.2f}x",
                 "0.5x",
                 "default fields; beside random problems without conditions, of which "
-                f"{meeting[name].float().mean():.0%} meet it",
+                f"{meets.float().mean():.0%} meet it, with {effort:.1f} times the expansions",
             )
-            for name in bands
-        ]
+            rows.append(row)
     return rows
 
 
