@@ -302,7 +302,16 @@ def corners(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
 def medial_axis(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """Return (n, 2) points on the ridges of the distance to obstacles, in farthest-point order.
 
-    The places to which MAPRM moves its samples (Wilmarth, Amato, Stiller, ICRA 1999).
+    The places to which MAPRM moves its samples (Wilmarth, Amato, Stiller, ICRA 1999). Points are
+    (row, col) in cells. Where the ridges have fewer than n cells, Halton's points follow.
+
+    Args:
+        grid: (H, W), 0 free and 1 occupied.
+        n: how many points.
+        seed: of the first point, and of those inside their cells.
+
+    Raises:
+        ValueError: a map that is not two-dimensional or has no free cell, or n below 1.
     """
     cells = _free(grid, n)
     clearance = distance_transform_edt(np.pad(cells == 0, 1))  # the border is an obstacle

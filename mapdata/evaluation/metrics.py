@@ -167,7 +167,11 @@ def confidence_intervals(
 
 
 def to_text(table: pd.DataFrame) -> str:
-    """Return the table of `evaluate` as text: each metric with half its interval's width."""
+    """Return a table of `evaluate`, with all of its columns, as text.
+
+    Each metric stands with half its interval's width; the problems of each subset, all or the hard
+    ones, are a block of their own.
+    """
     blocks = []
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})

@@ -119,7 +119,11 @@ def read_terrain(path: StrPath, limits: Limits = LIMITS) -> Bytes:
 
 
 def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
-    """Return the number of the first row's line, and the sides that the lines above it state."""
+    """Return the number of the first row's line, from 0, and the sides that the lines above state.
+
+    Raises:
+        FormatError: another line among them, or no line "map" among the first 20.
+    """
     sides: dict[str, int] = {}
     for number, line in enumerate(lines[:20]):
         words = " ".join(line.lower().split())

@@ -189,7 +189,8 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     machine do not matter.
 
     Raises:
-        ValueError: a seed or an index that is not a non-negative integer of 64 (63) bits.
+        ValueError: a seed or an index that is not a non-negative integer of 64 (63) bits; a family
+            that draws no seed points, or some outside of the map.
 
     >>> from mapdata import MapSpec
     >>> maps = generate(MapSpec(), seed=0, indices=range(3))
@@ -203,7 +204,14 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     good = index.size == 0 or (whole and index.min() >= 0 and int(index.max()) < 2**63)
     if index.ndim != 1 or not good:
         raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
-    return spec.draw(check_seed(seed), np.ascontiguousarray(index, np.int64))
+    maps = spec.draw(check_seed(seed), np.ascontiguousarray(index, np.int64))
+    # Compiled code relies on these, and a family of one's own may not keep them.
+    points = maps.seed_points
+    is_outside = (points < -1) | (points >= spec.map_size)
+    counts = (points[:, :, 0] >= 0).sum(axis=1)
+    if is_outside.any() or ((counts < 1) | (counts != maps.rooms)).any():
+        raise ValueError(f"{spec.name}: drew seed points outside of a map, none, or not as stated")
+    return maps
 
 
 def identity(spec: Generator, seed: int) -> str:

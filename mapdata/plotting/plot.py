@@ -152,12 +152,18 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes.figure.colorbar(
         image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
     )
-    size = 9 if n <= 10 else 6
     for (row, column), value in np.ndenumerate(matrix):
         if value >= 0 and n <= _NUMBERED:
             ink = "black" if value > 0.55 * top else "white"
-            text = f"{value:.4g}"
-            axes.text(column + 1, row + 1, text, color=ink, ha="center", va="center", fontsize=size)
+            axes.text(
+                column + 1,
+                row + 1,
+                f"{value:.4g}",
+                color=ink,
+                ha="center",
+                va="center",
+                fontsize=9 if n <= 10 else 6,
+            )
     word = _points(labels, i).removesuffix("s")
     axes.set(xlabel=word, ylabel=word)
     name = "BFS and A*" if same_matrices(labels, i) else NAMES[search]

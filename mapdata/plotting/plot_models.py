@@ -157,5 +157,6 @@ def _in_words(name: str, path: Ints) -> str:
 
 
 def _cells(path: ArrayLike) -> Ints:
+    """Return the cells of a path, (k, 2), without the rows of -1 that fill it up."""
     cells = np.asarray(path, np.int64).reshape(-1, 2)
     return np.asarray(cells[(cells != -1).any(axis=1)])

@@ -147,7 +147,8 @@ class Problems:
 
         It is that of a dataset in epoch 0, where one of the first 32 draws meets the conditions.
 
-        The goal is a uniform free cell, the start a uniform one of the cells that reach it and are
+        The goal is a uniform free cell, or the map's first seed point with
+        `Random.to_first_seed_point`; the start is a uniform one of the cells that reach it and are
         far enough. Where the problem does not meet all conditions, both are drawn anew, up to 1,000
         draws in all; then the map is left out. The problem on map i is a pure function of (spec,
         seed, i), of the conditions and of ``movement``.
@@ -156,7 +157,7 @@ class Problems:
             spec: the distribution of maps; its own movement is not used.
             seed: 64-bit seed of the maps and of the problems.
             maps: how many maps; with ``until_hard`` at most that many.
-            problems: the conditions on distance, hardness and length.
+            problems: the conditions on distance, hardness and length, and on the goal.
             until_hard: stop at the map that brings the number of hard problems to this.
             movement: how one moves.
             radius: of the robot, in metres: maps are those of `mapdata.inflate` for ``radius /

@@ -126,6 +126,8 @@ def sample_problems(
                     write_cells(buffers.came, target, lattice, cells[used : used + length])
                     offsets[b + 1] = used + length
                     break
+            elif goals is not None:
+                break  # there is no other goal
             # No start, or one that does not fit: another goal. This one may be its start.
             board.reached[word] |= bit
     return ends, cells[: offsets[count]], offsets, iterations

@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.spec import check_number, did_you_mean, known_values
+from mapdata.spec import check_flag, check_number, did_you_mean, known_values
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
@@ -59,7 +59,7 @@ class Random:
             imported are, instead of any free cell.
 
     Raises:
-        ValueError: a band that is not two numbers in ascending order.
+        ValueError: a band that is not two numbers in ascending order, or a flag that is no bool.
 
     >>> Random(distance=(10, None)).distance
     (10.0, inf)
@@ -74,7 +74,8 @@ class Random:
     to_first_seed_point: bool = False
 
     def __post_init__(self) -> None:
-        """Check the bands and bring them to floats."""
+        """Check the values and bring the bands to floats."""
+        check_flag("to_first_seed_point", self.to_first_seed_point)
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
             if band is not None:

@@ -111,7 +111,13 @@ def bit_at(column: Int) -> Int:
 
 @kernel
 def nth_cell(words: Words, stride: Int, number: Int) -> tuple[Int, Int]:
-    """Return the ``number``-th cell of a set in row-major order."""
+    """Return cell ``number``, from 0, of a set in row-major order, which has more than so many.
+
+    Args:
+        words: (words,) the set, a field of a `Board`.
+        stride: words of a row.
+        number: which cell.
+    """
     k = 0
     while number >= count_bits(words, k, k + 1):
         number -= count_bits(words, k, k + 1)

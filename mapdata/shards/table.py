@@ -19,9 +19,14 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     ``bfs`` or ``astar`` stands before what a search found. A path is the whole route, the cell
     where two segments meet once, and its iterations are those of all segments.
 
-    Not the paper's: ``segment_iterations``, one number per segment, and ``path_gaps``, for each
-    segment without a path the number of cells before it. There the line jumps, and
-    ``np.split(row_path, path_gaps)`` gives the pieces that can be walked.
+    Two items are not the paper's: ``segment_iterations``, one number per segment, and
+    ``path_gaps``, for each segment without a path the number of cells before it. There the line
+    jumps, and ``np.split(row_path, path_gaps)`` gives the pieces that can be walked.
+
+    Args:
+        labels: of the batch.
+        k: which of its maps.
+        resolution: metres per cell.
     """
     maps = labels.maps
     rooms = int(maps.rooms[k])

@@ -85,6 +85,37 @@ def test_a_family_of_ones_own_is_built_and_verified(stripes: type[Stripes], tmp_
     np.testing.assert_array_equal(maps.occupancy, generate(spec, 2, range(3)).occupancy)
 
 
+@pytest.mark.parametrize(
+    ("cell", "rooms"),
+    [
+        ((9, 3), 3),
+        ((3, 8), 3),
+        ((10**9, 3), 3),
+        ((3, -5), 3),
+        ((-1, -1), 3),
+        ((3, 0), 0),
+        ((3, 0), 2),
+        ((3, 0), 4),
+    ],
+)
+def test_a_family_that_draws_unsound_seed_points_is_refused(
+    cell: tuple[int, int], rooms: int
+) -> None:
+    """Cells outside of the map, a count that is not theirs: compiled code would go astray."""
+
+    @dataclass(frozen=True)
+    class Unsound(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return the maps of `Stripes`, whose first seed point is another cell."""
+            maps = super().draw(seed, indices)
+            maps.seed_points[-1, 0] = cell
+            maps.rooms[-1] = rooms
+            return maps
+
+    with pytest.raises(ValueError, match="stripes: drew seed points outside of a map"):
+        generate(Unsound(), 0, range(4))
+
+
 def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: Path) -> None:
     """Whoever reads its data without it is told which family is missing."""
     manifest = build(tmp_path / "maps", stripes(), maps=2)

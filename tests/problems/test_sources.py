@@ -31,6 +31,11 @@ SAME: list[tuple[Any, Source, str]] = [
         Random(hardness=(0, 1.5)),
         '{"random": {"hardness": [0.0, 1.5]}}',
     ),
+    (
+        {"random": {"distance": [5, None], "to_first_seed_point": True}},
+        Random(distance=(5, None), to_first_seed_point=True),
+        '{"random": {"distance": [5.0, null], "to_first_seed_point": true}}',
+    ),
 ]
 
 
@@ -77,6 +82,10 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
             "unknown min_distance; known are distance, hardness, length",
         ),
         ({"random": {"distance": ["3", None]}}, "distance: got '3', expected a number"),
+        (
+            {"random": {"to_first_seed_point": "false"}},
+            "to_first_seed_point: got 'false', expected True or False",
+        ),
     ],
 )
 def test_bad_sources_are_refused(value: Any, says: str) -> None:
