@@ -67,6 +67,17 @@ class RosMap:
     resolution: float
     origin: tuple[float, float, float]
 
+    def to_metres(self, row: float, column: float) -> tuple[float, float]:
+        """Return (x, y), in metres, of the middle of a cell (row, col)."""
+        x0, y0, yaw = self.origin
+        # metres from the lower left corner, along the edges of the picture
+        across = (column + 0.5) * self.resolution
+        up = (len(self.cells) - row - 0.5) * self.resolution
+        # the picture is rotated by yaw about that corner
+        x = x0 + across * math.cos(yaw) - up * math.sin(yaw)
+        y = y0 + across * math.sin(yaw) + up * math.cos(yaw)
+        return x, y
+
 
 def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     """Return the map of a .yaml file.

@@ -143,6 +143,15 @@ def test_negate_and_thresholds(tmp_path: Path) -> None:
     assert read_map(write(tmp_path, mode="scale", free_thresh="0.1")).cells[1, 0] == 17
 
 
+def test_metres(tmp_path: Path) -> None:
+    """The origin is the lower left corner; row 0 is on top; yaw turns about the origin."""
+    one = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
+    assert one.to_metres(1, 0) == pytest.approx((1.025, 2.025))
+    assert one.to_metres(0, 2) == pytest.approx((1.125, 2.075))
+    turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
+    assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
+
+
 def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without a word the map is refused with its share; with one it is what was said, and told."""
     path = write(tmp_path)

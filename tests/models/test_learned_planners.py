@@ -92,12 +92,18 @@ def searched_by_the_book(
     return path[::-1], len(expanded)
 
 
+@pytest.mark.parametrize("all_tie", [False, True])
 @pytest.mark.parametrize("trust", [0.0, 0.4, 5.0])
 @pytest.mark.parametrize("movement", MOVEMENTS)
-def test_the_search_is_the_slow_one(movement: Movement, trust: float) -> None:
-    """The same path and as many expansions, for random answers."""
+def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: bool) -> None:
+    """The same path and as many expansions, for random answers and for those that decide nothing,
+    where the order among equals is all.
+    """
     problems = Problems.sample(Forest((12, 14)), 1, 30, movement=movement)
     model = answers(problems, 2)
+    if all_tie:
+        model.scores.fill(0)
+        model.ratios.fill(1)
     plans = GuidedSearch("search", model, trust).plan_batch(
         problems.grids, problems.starts, problems.goals
     )
