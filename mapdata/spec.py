@@ -59,7 +59,8 @@ class Movement:
         """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
         if self.connectivity not in (4, 8):
             raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
-        check_flag("corner_cutting", self.corner_cutting)
+        if not isinstance(self.corner_cutting, bool):
+            raise ValueError(f"corner_cutting: got {self.corner_cutting!r}, expected True or False")
         cost = check_number("diagonal_cost", self.diagonal_cost)
         near = [exact for exact in (1.0, math.sqrt(2)) if math.isclose(cost, exact, rel_tol=1e-6)]
         if not near:
@@ -83,6 +84,18 @@ def canonical_json(values: object) -> str:
     return json.dumps(
         values, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
     )
+
+
+def parsed_json(name: str, text: str) -> Any:
+    """Return the value of a JSON text.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"{name}: not JSON ({error})") from None
 
 
 def hash_of(values: object) -> str:
@@ -112,12 +125,6 @@ def check_count(name: str, value: object, lowest: int = 1) -> int:
     if count < lowest:
         raise ValueError(f"{name}: got {count}, expected an integer of at least {lowest}")
     return count
-
-
-def check_flag(name: str, value: object) -> None:
-    """Refuse what is neither True nor False."""
-    if not isinstance(value, bool):
-        raise ValueError(f"{name}: got {value!r}, expected True or False")
 
 
 def check_choice(name: str, value: object, choices: Collection[str]) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import pandas as pd
 
 from mapdata import Movement, Problems, Sample, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
@@ -36,11 +37,10 @@ class LearnedPlanner(Batched, Model):
 
     movement: Movement
 
-    def __init__(self) -> None:
+    def on_validation_epoch_start(self) -> None:
         """Begin without a validation batch."""
-        super().__init__()
-        # number of problems, Opt and Exp of each validation batch
-        self.validated: list[tuple[int, float, float]] = []
+        # the row of `evaluate` for each of them
+        self.validated: list[pd.Series] = []
 
     def score(self, planner: Planner, batch: Sample) -> None:
         """Plan the problems of a batch: `on_validation_epoch_end` logs the results."""
@@ -52,17 +52,15 @@ class LearnedPlanner(Batched, Model):
         if asked.any():
             problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
             row = evaluate([planner], problems, bootstrap=1).iloc[0]
-            self.validated.append((len(problems), row["opt"], row["p_exp"]))
+            self.validated.append(row)
 
     def on_validation_epoch_end(self) -> None:
         """Log Opt and Hmean of the planner on all validation problems, for the progress bar."""
         if self.validated:
-            counts, opts, saved = np.array(self.validated).T
-            opt = np.average(opts, weights=counts)
-            exp = np.average(saved, weights=counts)
+            rows = pd.DataFrame(self.validated)
+            opt, exp = np.average(rows[["opt", "p_exp"]], axis=0, weights=rows["n"])
             hmean = 2 * opt * exp / max(opt + exp, 1e-9)
             self.log_dict({"val_opt": opt, "val_hmean": hmean}, prog_bar=True)
-            self.validated.clear()
 
 
 class Predictor(Protocol):

@@ -16,6 +16,7 @@ Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``or
 
 from __future__ import annotations
 
+import cmath
 import math
 from contextlib import suppress
 from dataclasses import dataclass
@@ -73,10 +74,9 @@ class RosMap:
         # metres from the lower left corner, along the edges of the picture
         across = (column + 0.5) * self.resolution
         up = (len(self.cells) - row - 0.5) * self.resolution
-        # the picture is rotated by yaw about that corner
-        x = x0 + across * math.cos(yaw) - up * math.sin(yaw)
-        y = y0 + across * math.sin(yaw) + up * math.cos(yaw)
-        return x, y
+        # the picture is rotated by yaw about that corner, as a product of complex numbers is
+        place = complex(across, up) * cmath.rect(1.0, yaw)
+        return x0 + place.real, y0 + place.imag
 
 
 def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:

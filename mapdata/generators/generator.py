@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -25,6 +24,7 @@ from mapdata.spec import (
     hash_of,
     known_values,
     least_version,
+    parsed_json,
 )
 
 G = TypeVar("G", bound="Generator")
@@ -147,11 +147,7 @@ class Generator(ABC):
         Raises:
             ValueError: not JSON, or no spec.
         """
-        try:
-            values = json.loads(text)
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise ValueError(f"spec: not JSON ({error})") from None
-        return cls.from_dict(values)
+        return cls.from_dict(parsed_json("spec", text))
 
 
 GENERATORS: dict[str, type[Generator]] = {}

@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.spec import check_flag, check_number, did_you_mean, known_values
+from mapdata.spec import check_number, did_you_mean, known_values, parsed_json
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
@@ -59,7 +59,7 @@ class Random:
             imported are, instead of any free cell.
 
     Raises:
-        ValueError: a band that is not two numbers in ascending order, or a flag that is no bool.
+        ValueError: a band that is not two numbers in ascending order.
 
     >>> Random(distance=(10, None)).distance
     (10.0, inf)
@@ -74,8 +74,7 @@ class Random:
     to_first_seed_point: bool = False
 
     def __post_init__(self) -> None:
-        """Check the values and bring the bands to floats."""
-        check_flag("to_first_seed_point", self.to_first_seed_point)
+        """Check the bands and bring them to floats."""
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
             if band is not None:
@@ -102,18 +101,6 @@ SourceLike = str | Source | dict[str, Any]
 SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
 
 
-def _parsed(text: str) -> Any:
-    """Return the value of a JSON text.
-
-    Raises:
-        ValueError: it is not sound.
-    """
-    try:
-        return json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"problems: {text!r} is not sound JSON ({error})") from None
-
-
 def problem_source(value: SourceLike) -> Source:
     """Return the source that ``value`` stands for.
 
@@ -128,7 +115,7 @@ def problem_source(value: SourceLike) -> Source:
         return value
     given: Any = value
     if isinstance(value, str):
-        given = _parsed(value) if value.startswith("{") else {value: {}}
+        given = parsed_json(f"problems: {value!r}", value) if value.startswith("{") else {value: {}}
     name = " ".join(map(str, given)) if isinstance(given, dict) else ""
     if name not in SOURCES:
         expected = f'one of {", ".join(SOURCES)}, or one with its arguments, {{"random": {{...}}}}'

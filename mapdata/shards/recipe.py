@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mapdata.generators.generator import PRESETS, Generator, identity
 from mapdata.shards.shard import check_version
-from mapdata.spec import check_choice, check_count, check_seed, did_you_mean
+from mapdata.spec import check_choice, check_count, check_seed, did_you_mean, parsed_json
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,4 @@ def _parsed(text: str) -> object:
                 f"{did_you_mean(text, PRESETS)}"
             )
         text = Path(text).read_text(encoding="utf-8")
-    try:
-        return json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise ValueError(f"recipe: not JSON ({error})") from None
+    return parsed_json("recipe", text)
