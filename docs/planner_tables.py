@@ -41,7 +41,7 @@ WORLDS: dict[str, tuple[Generator, int]] = {
     "forest": (Generator.preset("forest"), 300),
     "noise": (Generator.preset("noise"), 300),
     "dungeon128": (Generator.preset("dungeon128"), 300),
-    "dungeon256": (WIDE_ROOMS, 100),
+    "dungeon256": (WIDE_ROOMS, 300),
 }
 """The worlds, and how many hard problems of each are compared."""
 

@@ -52,7 +52,7 @@ class Residual(nn.Module):
         self.first = nn.Conv2d(width, width, 3, padding=1)
         self.second = nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation)
         nn.init.kaiming_normal_(self.first.weight, nonlinearity="relu")
-        nn.init.zeros_(self.second.weight)  # the block begins as the identity
+        nn.init.zeros_(self.second.weight)  # the block begins as the identity, but for a bias
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, width, H, W) for the same."""
@@ -90,8 +90,18 @@ class Pass(nn.Module):
 class Trunk(nn.Module):
     """Features of every cell from near and far, for maps of any size once they are `padded`."""
 
-    def __init__(self, inputs: int, outputs: int, widths: Sequence[int], passes: int) -> None:
-        """Take channels in and out, widths at strides 2, 4, 8 and 16, and how many `Pass`."""
+    def __init__(
+        self, inputs: int, outputs: int, widths: Sequence[int], passes: int, refinements: int = 0
+    ) -> None:
+        """Make the layers.
+
+        Args:
+            inputs: channels in.
+            outputs: channels out.
+            widths: channels at strides 2, 4, 8 and 16; the last two may be left out.
+            passes: how many `Pass`.
+            refinements: how many `Residual` at stride 2 follow them.
+        """
         super().__init__()
         shallow, width = widths[:2]
         self.coarser = len(widths) - 2
@@ -102,6 +112,7 @@ class Trunk(nn.Module):
         self.end = Residual(width)
         self.up = nn.Conv2d(width, 4 * shallow, 1)
         self.join = nn.Conv2d(2 * shallow, shallow, 3, padding=1)
+        self.refine = nn.Sequential(*(Residual(shallow) for _ in range(refinements)))
         self.head = nn.Conv2d(shallow, 4 * outputs, 1)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -118,8 +129,8 @@ class Trunk(nn.Module):
             states = each(states)
         up = self.up(F.relu(self.end(states[0])))  # (B, 4 shallow, H/4, W/4)
         up = F.pixel_shuffle(F.relu(up), 2)  # (B, shallow, H/2, W/2)
-        joined = F.relu(self.join(torch.cat([up, skip], dim=1)))  # (B, shallow, H/2, W/2)
-        return F.pixel_shuffle(self.head(joined), 2)  # (B, outputs, H, W)
+        fine = self.refine(self.join(torch.cat([up, skip], dim=1)))  # (B, shallow, H/2, W/2)
+        return F.pixel_shuffle(self.head(F.relu(fine)), 2)  # (B, outputs, H, W)
 
 
 def padded(occupied: Tensor) -> Tensor:
@@ -436,9 +447,8 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
     except Exception as error:
         # what torch's readers and a model's own arguments raise is not documented
         reason = str(error).strip().split("\n")[0]
-        names = " or ".join(known)
-        message = f"{file}: holds no saved {names} ({type(error).__name__}: {reason})"
-        raise ValueError(message) from None
+        why = f"{type(error).__name__}: {reason}"
+        raise ValueError(f"{file}: holds no saved {' or '.join(known)} ({why})") from None
     return model.eval()
 
 

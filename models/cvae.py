@@ -34,10 +34,13 @@ DIVERGENCE_WEIGHT = 4e-4
 
 def hidden_layers(inputs: int, width: int, outputs: int) -> nn.Sequential:
     """Return the published encoder or decoder: two hidden layers with ReLU."""
-    layers = []
-    for size in (inputs, width):
-        layers += [nn.Linear(size, width), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Linear(width, outputs))
+    return nn.Sequential(
+        nn.Linear(inputs, width),
+        nn.ReLU(),
+        nn.Linear(width, width),
+        nn.ReLU(),
+        nn.Linear(width, outputs),
+    )
 
 
 def to_unit(points: Tensor, occupied: Tensor) -> Tensor:

@@ -51,8 +51,7 @@ class LearnedPlanner(Batched, Model):
         asked = cost > 0  # there is a path, of more than one cell
         if asked.any():
             problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
-            row = evaluate([planner], problems, bootstrap=1).iloc[0]
-            self.validated.append(row)
+            self.validated.append(evaluate([planner], problems, bootstrap=1).iloc[0])
 
     def on_validation_epoch_end(self) -> None:
         """Log Opt and Hmean of the planner on all validation problems, for the progress bar."""

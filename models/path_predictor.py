@@ -20,8 +20,9 @@ short. With the fields of ``FIELDS`` every cell knows all of its optimal moves, 
 
 So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
 scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,000 steps of 39
-maps of all families and 4 larger ones, 50 minutes of one core. Those of other rules,
-path_predictor_cut.pt and path_predictor_4.pt, are by its side (docs/planners.md).
+maps of all families and 4 larger ones, 50 minutes of one core; then 1,000 steps, 10 minutes more,
+with what scripts/refine_path_predictor.yaml adds. Those of other rules, path_predictor_cut.pt and
+path_predictor_4.pt, are by its side (docs/planners.md).
 `torch.export.export(model, (map, goal))` and ONNX take the network as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
@@ -35,8 +36,8 @@ import math
 from collections import defaultdict
 
 import numpy as np
-import numpy.typing as npt
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from mapdata import Movement, Sample
@@ -118,12 +119,10 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
     free = (occupied[:, 0] == 0).float()
     at_goal = (least == 0).float()
     # finer ones, near the goal's row, its column and its diagonals
-    apart = (down, right, down.abs() - right.abs())
-    fine = [(each / 4).clamp(-1, 1) for each in apart]
+    fine = [(each / 4).clamp(-1, 1) for each in (down, right, down.abs() - right.abs())]
     # divisors bring all planes to a size of about 1
-    planes = [free, at_goal, least / 64, down / 32, right / 32, *fine]
-    seen = torch.stack(torch.broadcast_tensors(*planes), dim=1)
-    return seen, torch.stack(detours, dim=1)
+    planes = torch.broadcast_tensors(free, at_goal, least / 64, down / 32, right / 32, *fine)
+    return torch.stack(planes, dim=1), torch.stack(detours, dim=1)
 
 
 # --- network, loss and training -----------------------------------------------------------------
@@ -141,6 +140,8 @@ class PathPredictor(LearnedPlanner):
         diagonal_cost: of a diagonal move, sqrt(2) or 1.
         widths: channels at strides 2, 4, 8 and so on; 16 is the last.
         passes: exchanges between strides from 4 on: how far information travels.
+        refinements: residual blocks at stride 2 after them: how well it decides where single cells
+            matter, as in noise.
         learning_rate: the highest; it rises over 100 steps and falls until the last step.
         ratio_weight: weight of the heuristic ratio's squared error.
         detour_weight: how much more cells count where the heuristic is more than 2 % too low.
@@ -153,6 +154,7 @@ class PathPredictor(LearnedPlanner):
         diagonal_cost: float = math.sqrt(2),
         widths: tuple[int, ...] = (32, 48, 48),
         passes: int = 3,
+        refinements: int = 0,
         learning_rate: float = 0.004,
         ratio_weight: float = 5.0,
         detour_weight: float = 2.0,
@@ -161,7 +163,7 @@ class PathPredictor(LearnedPlanner):
         super().__init__()
         self.save_hyperparameters()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
-        self.network = Trunk(8, connectivity + 1, widths, passes)
+        self.network = Trunk(8, connectivity + 1, widths, passes, refinements)
         nn.init.zeros_(self.network.head.weight)
 
     def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
@@ -215,8 +217,7 @@ class PathPredictor(LearnedPlanner):
         good_scores = scores.masked_fill(~good, -math.inf)
         move_loss = scores.logsumexp(1) - good_scores.logsumexp(1)  # (n,)
         squared_error = (ratios[cells] - ratio) ** 2  # (n,)
-        answer = scores.argmax(1, keepdim=True)  # (n, 1)
-        right = good.gather(1, answer)[:, 0].float()  # (n,)
+        right = good.gather(1, scores.argmax(1, keepdim=True))[:, 0].float()  # (n,)
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)  # (n,)
         return torch.stack([move_loss, squared_error, right, weight])
 
@@ -254,7 +255,7 @@ class PathPredictor(LearnedPlanner):
             ratios += turned_ratios.flip(1, 2)
         return (scores / 2).cpu().contiguous().numpy(), (ratios / 2).cpu().numpy()
 
-    def predict_path(self, map: npt.ArrayLike, start: npt.ArrayLike, goal: npt.ArrayLike) -> Ints:
+    def predict_path(self, map: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Ints:
         """Return the predicted path, (k, 2) cells; (0, 2) where there is none.
 
         From the start on, the most probable legal move to a cell that the walk has not been to;
@@ -270,5 +271,4 @@ class PathPredictor(LearnedPlanner):
             ValueError: a start or goal outside the map or on an occupied cell.
         """
         walk = GuidedSearch("walk", self, trust=math.inf)
-        plan = walk.plan_batch(np.asarray(map), np.asarray(start), np.asarray(goal))[0]
-        return plan.path.astype(np.int64)
+        return walk.plan(map, start, goal).path.astype(np.int64)

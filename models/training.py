@@ -33,7 +33,7 @@ class TrainingCli(LightningCLI):
         parser.add_argument(
             "--start_from",
             type=str | None,
-            help="file of weights to begin with, of the same network",
+            help="file of weights to begin with, of the same network or one with fewer layers",
         )
         parser.add_argument(
             "--weights",
@@ -57,7 +57,9 @@ class TrainingCli(LightningCLI):
             self.trainer.limit_val_batches = 1
         file = self.config["fit"]["start_from"]
         if file is not None:
-            self.model.load_state_dict(self.model.load(file).state_dict())
+            # layers that the file lacks, such as refinements, keep what they begin with
+            weights = self.model.state_dict() | self.model.load(file).state_dict()
+            self.model.load_state_dict(weights)
 
     def after_fit(self) -> None:
         """Write the weights."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
@@ -45,7 +46,7 @@ def classical(movement: Movement = Movement(8)) -> list[Planner]:
 class Batched:
     """A planner with `plan_batch`, which solves one problem as a batch of one."""
 
-    def plan(self: BatchPlanner, grid: Bytes, start: Cell, goal: Cell) -> Plan:
+    def plan(self: BatchPlanner, grid: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Plan:
         """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
         return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
 

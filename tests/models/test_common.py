@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from models.common import STRIDE, Muon, Trunk, _orthogonal, one_cycle, padded
+from models.common import STRIDE, Muon, Residual, Trunk, _orthogonal, one_cycle, padded
 
 
 @pytest.mark.parametrize("shape", [(8, 20), (20, 8), (6, 3, 3, 3), (4, 16, 3, 3)])
@@ -76,6 +76,28 @@ def test_a_trunk_takes_any_multiple_of_its_stride() -> None:
         assert maps.sum() == 2 * (high * wide - rows * columns)
         cells = trunk(maps.float().expand(-1, 3, -1, -1))
         assert cells.shape == (2, 5, high, wide)
+
+
+def test_refinements_add_their_layers_alone_and_take_part() -> None:
+    """Weights without any fit all other layers. A block whose last convolution is zero changes
+    nothing, any other one does.
+    """
+    torch.manual_seed(0)
+    plain = Trunk(3, 5, (4, 6, 8), passes=1)
+    refined = Trunk(3, 5, (4, 6, 8), passes=1, refinements=2)
+    missing, unexpected = refined.load_state_dict(plain.state_dict(), strict=False)
+    assert unexpected == []
+    assert {name.rsplit(".", 2)[0] for name in missing} == {"refine.0", "refine.1"}
+    seen = torch.randn(2, 3, 16, 32)
+    blocks = [block for block in refined.refine if isinstance(block, Residual)]
+    for block in blocks:
+        for parameter in block.second.parameters():
+            nn.init.zeros_(parameter)
+    assert torch.equal(refined(seen), plain(seen))
+    for block in blocks:
+        before = refined(seen)
+        nn.init.normal_(block.second.weight)
+        assert not torch.allclose(refined(seen), before)
 
 
 def test_the_smallest_numbers_change_no_step() -> None:

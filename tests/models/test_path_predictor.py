@@ -538,6 +538,16 @@ def test_the_script(
     with pytest.raises(RuntimeError, match="size mismatch"):
         script(["fit", *flags, "--start_from=weights.pt"])
 
+    # a network with layers more, but not one with fewer
+    more = [*again, "--model.refinements=1"]
+    script(["fit", *more, "--start_from=weights.pt", "--weights=more.pt"])
+    refined = PathPredictor.load("more.pt").state_dict()
+    assert {name.split(".")[1] for name in refined.keys() - weights.state_dict()} == {"refine"}
+    for name, value in weights.state_dict().items():
+        assert torch.equal(value, refined[name]), name
+    with pytest.raises(RuntimeError, match="Unexpected key"):
+        script(["fit", *again, "--start_from=more.pt"])
+
 
 @pytest.mark.parametrize("unsolvable", [False, True])
 def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None:
