@@ -33,7 +33,8 @@ class TrainingCli(LightningCLI):
         parser.add_argument(
             "--start_from",
             type=str | None,
-            help="file of weights to begin with, of the same network or one with fewer layers",
+            help="file of weights to begin with, of the same network or one with fewer layers "
+            "(path predictors that ship have --model.refinements 1)",
         )
         parser.add_argument(
             "--weights",
