@@ -153,8 +153,8 @@ def offsets(cells: Tensor, shape: torch.Size) -> tuple[Tensor, Tensor]:
 
 def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
     """Return the cost of going so far on an empty map: Manhattan, octile or Chebyshev distance."""
-    down = down.abs().float()
-    right = right.abs().float()
+    down = down.abs()
+    right = right.abs()
     if movement.connectivity == 4:
         return down + right
     return (down - right).abs() + movement.diagonal_cost * torch.minimum(down, right)

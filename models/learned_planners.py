@@ -47,8 +47,8 @@ class LearnedPlanner(Batched, Model):
         grids = batch.map[:, 0].byte().cpu().numpy()
         starts = batch.start.cpu().numpy()
         goals = batch.goal.cpu().numpy()
-        cost = search_batch("astar", grids, starts, goals, self.movement).cost
-        asked = cost > 0  # there is a path, of more than one cell
+        # where there is a path, of more than one cell
+        asked = search_batch("astar", grids, starts, goals, self.movement).cost > 0
         if asked.any():
             problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
             self.validated.append(evaluate([planner], problems, bootstrap=1).iloc[0])

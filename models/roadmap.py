@@ -119,7 +119,7 @@ def build_roadmap(grid: ArrayLike, points: ArrayLike, reach: float) -> Roadmap:
     pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")  # (p, 2)
     first = places[pairs[:, 0]]  # (p, 2)
     second = places[pairs[:, 1]]  # (p, 2)
-    seen = _all_see(cells, first, second)  # (p,)
+    seen = sees(cells, first, second)  # (p,)
     lengths = np.linalg.norm(first - second, axis=1)  # (p,)
     return Roadmap(places, pairs[seen], lengths[seen])
 
@@ -134,7 +134,7 @@ def between(grid: ArrayLike, start: ArrayLike, goal: ArrayLike, samples: ArrayLi
     """
     cells = _grid(grid)
     inner = _as_points(samples)
-    ends = np.array([start, goal], np.int64).reshape(2, 2) + 0.5
+    ends = np.array([start, goal], np.int64) + 0.5
     return build_roadmap(cells, np.concatenate([ends, inner]), radius(len(inner), cells.shape))
 
 
@@ -160,14 +160,6 @@ def free_at(grid: ArrayLike, points: ArrayLike) -> Flags:
     # of order 0, the value of a cell itself; outside the map all is occupied
     free: Flags = map_coordinates(np.asarray(grid), cells.T, order=0, cval=1) == 0
     return free
-
-
-def sees(grid: ArrayLike, first: ArrayLike, second: ArrayLike) -> Flags:
-    """Return (n,) bool: which segments between points (n, 2) meet no occupied cell.
-
-    A segment through the corner of a cell meets it, too. The ends must lie in the map.
-    """
-    return _all_see(_grid(grid), _as_points(first), _as_points(second))
 
 
 def _as_points(points: ArrayLike) -> Floats:
@@ -222,7 +214,11 @@ def _sees(grid: Bytes, x0: float, y0: float, x1: float, y1: float) -> bool:
 
 
 @kernel
-def _all_see(grid: Bytes, first: Floats, second: Floats) -> Flags:
+def sees(grid: Bytes, first: Floats, second: Floats) -> Flags:
+    """Return (n,) bool: which segments between points (n, 2) float64 meet no occupied cell.
+
+    A segment through the corner of a cell meets it, too. The ends must lie in the map (H, W).
+    """
     seen = np.empty(len(first), np.bool_)
     for k in range(len(first)):
         seen[k] = _sees(grid, first[k, 0], first[k, 1], second[k, 0], second[k, 1])

@@ -72,22 +72,22 @@ def test_segments_meet_exactly_the_cells_they_touch(start: Point, end: Point, bi
     """Every cell that a segment meets, corners included, decides; both ways alike."""
     grid = np.array([bits >> k & 1 for k in range(49)], np.uint8).reshape(7, 7)
     free = not any(touches(start, end, (int(i), int(j))) for i, j in np.argwhere(grid))
-    ends = [[float(x) for x in point] for point in (start, end)]
-    assert sees(grid, ends[0], ends[1]).tolist() == [free]
-    assert sees(grid, ends[1], ends[0]).tolist() == [free]
+    ends = np.array([start, end], np.float64)
+    assert sees(grid, ends, ends[::-1].copy()).tolist() == [free, free]
 
 
 def test_segments_at_borders_and_corners() -> None:
     """A diagonal between two occupied cells is closed; a segment along a border belongs to the
     cells below it.
     """
-    grid = np.array([[0, 1], [1, 0]], np.uint8)
-    assert not sees(grid, [0.5, 0.5], [1.5, 1.5])[0]
-    assert not sees(np.array([[0, 1], [0, 0]], np.uint8), [0.5, 0.5], [1.5, 1.5])[0]
+    first = np.array([[0.5, 0.5]])
+    second = np.array([[1.5, 1.5]])
+    assert not sees(np.array([[0, 1], [1, 0]], np.uint8), first, second)[0]
+    assert not sees(np.array([[0, 1], [0, 0]], np.uint8), first, second)[0]
     wall = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]], np.uint8)
-    assert not sees(wall, [1.0, 0.5], [1.0, 2.5])[0]
-    assert sees(wall, [2.0, 0.5], [2.0, 2.5])[0]
-    assert sees(wall, [2.5, 0.5], [0.5, 0.5])[0]
+    first = np.array([[1.0, 0.5], [2.0, 0.5], [2.5, 0.5]])
+    second = np.array([[1.0, 2.5], [2.0, 2.5], [0.5, 0.5]])
+    assert sees(wall, first, second).tolist() == [False, True, True]
 
 
 def plain_edges(grid: Grid, places: npt.NDArray[np.float64], reach: float) -> set[tuple[int, int]]:
