@@ -59,8 +59,7 @@ class Movement:
         """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
         if self.connectivity not in (4, 8):
             raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
-        if not isinstance(self.corner_cutting, bool):
-            raise ValueError(f"corner_cutting: got {self.corner_cutting!r}, expected True or False")
+        check_flag("corner_cutting", self.corner_cutting)
         cost = check_number("diagonal_cost", self.diagonal_cost)
         near = [exact for exact in (1.0, math.sqrt(2)) if math.isclose(cost, exact, rel_tol=1e-6)]
         if not near:
@@ -189,6 +188,12 @@ def check_sides(name: str, values: object) -> Size:
     if not 1 <= min(sides) <= max(sides) <= MAX_SIDE:
         raise ValueError(f"{name}: got {sides}, expected 1 to {MAX_SIDE} rows and columns")
     return sides
+
+
+def check_flag(name: str, value: object) -> None:
+    """Refuse what is neither True nor False, such as the text "false", which counts as true."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name}: got {value!r}, expected True or False")
 
 
 def check_number(name: str, value: object) -> float:

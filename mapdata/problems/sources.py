@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.spec import check_number, did_you_mean, known_values, parsed_json
+from mapdata.spec import check_flag, check_number, did_you_mean, known_values, parsed_json
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
@@ -18,29 +18,43 @@ Bands = tuple[Limits, Limits, Limits]
 
 
 @dataclass(frozen=True)
-class Route:
+class _BetweenSeedPoints:
+    """What `Route` and `Pairs` share."""
+
+    unsolvable: bool = False
+
+    def __post_init__(self) -> None:
+        check_flag("unsolvable", self.unsolvable)
+
+
+@dataclass(frozen=True)
+class Route(_BetweenSeedPoints):
     """The stored segments between consecutive seed points, whose paths are read and not searched.
 
     Attributes:
         unsolvable: keep segments without a path, too.
+
+    Raises:
+        ValueError: ``unsolvable`` that is no bool.
     """
 
     name: ClassVar[str] = "route"
     counted: ClassVar[str] = "route"  # in the counts of a manifest
-    unsolvable: bool = False
 
 
 @dataclass(frozen=True)
-class Pairs:
+class Pairs(_BetweenSeedPoints):
     """All pairs i < j of the seed points of a map, searched as they are asked for.
 
     Attributes:
         unsolvable: keep pairs without a path, too.
+
+    Raises:
+        ValueError: ``unsolvable`` that is no bool.
     """
 
     name: ClassVar[str] = "pairs"
     counted: ClassVar[str] = "rooms"  # in the counts of a manifest
-    unsolvable: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,7 +73,8 @@ class Random:
             imported are, instead of any free cell.
 
     Raises:
-        ValueError: a band that is not two numbers in ascending order.
+        ValueError: a band that is not two numbers in ascending order, or ``to_first_seed_point``
+            that is no bool.
 
     >>> Random(distance=(10, None)).distance
     (10.0, inf)
@@ -74,7 +89,8 @@ class Random:
     to_first_seed_point: bool = False
 
     def __post_init__(self) -> None:
-        """Check the bands and bring them to floats."""
+        """Check the values, and bring the bands to floats."""
+        check_flag("to_first_seed_point", self.to_first_seed_point)
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
             if band is not None:

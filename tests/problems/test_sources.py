@@ -82,6 +82,12 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
             "unknown min_distance; known are distance, hardness, length",
         ),
         ({"random": {"distance": ["3", None]}}, "distance: got '3', expected a number"),
+        ('{"route": {"unsolvable": "false"}}', "unsolvable: got 'false', expected True or False"),
+        ({"pairs": {"unsolvable": 1}}, "unsolvable: got 1, expected True or False"),
+        (
+            {"random": {"to_first_seed_point": "false"}},
+            "to_first_seed_point: got 'false', expected True or False",
+        ),
     ],
 )
 def test_bad_sources_are_refused(value: Any, says: str) -> None:
