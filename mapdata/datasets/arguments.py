@@ -12,7 +12,7 @@ from mapdata.problems.sources import Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import least_squared
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_choice, check_seed, did_you_mean
+from mapdata.spec import Movement, check_choice, check_flag, check_seed, did_you_mean
 
 FieldFunction = Callable[[Sample], Any]
 
@@ -43,6 +43,7 @@ class Serving:
         check_choice("search", self.search, SEARCHES)
         if self.movement is not None:
             rule_of(self.movement)  # refuses what is no movement
+        check_flag("augment", self.augment)
         least_squared(self.radius)  # refuses what is no radius
         object.__setattr__(self, "sampling_seed", check_seed(self.sampling_seed))
         if self.max_length is not None and ("path" not in self.fields or self.max_length < 1):

@@ -737,6 +737,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "sampling_seed": ({"sampling_seed": -1}, "seed: got -1, expected 0 to"),
     "sampling_seed-text": ({"sampling_seed": "7"}, "seed: got '7', expected an integer"),
     "max_length": ({"max_length": 0}, "max_length: got 0, expected at least 1"),
+    "augment": ({"augment": "false"}, "augment: got 'false', expected True or False"),
     "max_length-nothing": (
         {"max_length": 9, "fields": ("map",)},
         "max_length: .*'path' among the fields",
