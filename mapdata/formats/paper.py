@@ -23,7 +23,7 @@ Lists are written as JSON.
 | size_rows, size_columns | one number per room |
 | direction_for_passages | two a passage, its legs: 1 horizontal, 0 vertical, -1 none |
 | connected | one a passage: whether it was drawn |
-| reachable | one a segment: whether it has a path (path_exists in files of mapdata 0.1) |
+| reachable | one a segment: whether it has a path (ours; path_exists in files of mapdata 0.1) |
 | all_connected | whether paths join all rooms (ours) |
 | bfs_row_path, bfs_column_path | the cells of the route in one line, joints once |
 | astar_row_path, astar_column_path | likewise |

@@ -15,13 +15,14 @@ from mapdata.spec import SPLITS
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     """Return the items of map ``k`` of a batch as plain Python values.
 
-    The names are those of the lists in sections 3 and 4 of arXiv 2110.13242, with underscores;
-    ``bfs`` or ``astar`` stands before what a search found. A path is the whole route, the cell
-    where two segments meet once, and its iterations are those of all segments.
+    The names are short for those of the lists in sections 3 and 4 of arXiv 2110.13242; ``bfs`` or
+    ``astar`` stands before what a search found. A path is the whole route, the cell where two
+    segments meet once, and its iterations are those of all segments.
 
-    Two items are not the paper's: ``segment_iterations``, one number per segment, and
-    ``path_gaps``, for each segment without a path the number of cells before it. There the line
-    jumps, and ``np.split(row_path, path_gaps)`` gives the pieces that can be walked.
+    Not the paper's are ``split``, ``rooms``, ``reachable`` and ``all_connected``;
+    ``segment_iterations``, one number per segment; and ``path_gaps``, for each segment without a
+    path the number of cells before it. There the line jumps, and ``np.split(row_path, path_gaps)``
+    gives the pieces that can be walked.
 
     Args:
         labels: of the batch.

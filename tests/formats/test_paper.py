@@ -331,6 +331,16 @@ def test_what_was_taken_for_free_is_told(release: Path) -> None:
     assert any("border of 24 of 24 maps is mostly free" in note for note in read(release).notes)
 
 
+def test_some_free_borders_are_no_mistake(tmp_path: Path) -> None:
+    """Rooms of the default maps reach the border: a fifth of the borders are mostly free."""
+    build(tmp_path / "root", MapSpec(), maps=100, seed=0, progress=False)
+    export(tmp_path / "root", tmp_path / "release", "paper")
+    found = read(tmp_path / "release")
+    borders = [one.grid[[0, -1]] for one in found.maps]
+    assert any(border.mean() < 0.2 for border in borders)
+    assert not any("mostly free" in note for note in found.notes)
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_tables_of_other_programs(separator: str, root: Path, release: Path) -> None:
     """Semicolons or tabs, a byte order mark, CRLF, quotes, paths for names, JPEG or BMP."""
