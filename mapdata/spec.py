@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from operator import index
-from typing import Any, SupportsIndex, TypeGuard
+from typing import Any
 
 FORMAT_VERSIONS = (1, 2)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
@@ -57,7 +57,9 @@ class Movement:
 
     def __post_init__(self) -> None:
         """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
-        if self.connectivity not in (4, 8):
+        connectivity = check_count("connectivity", self.connectivity)
+        object.__setattr__(self, "connectivity", connectivity)  # not 4.0, which equals 4
+        if connectivity not in (4, 8):
             raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
         check_flag("corner_cutting", self.corner_cutting)
         cost = check_number("diagonal_cost", self.diagonal_cost)
@@ -66,7 +68,7 @@ class Movement:
             raise ValueError(f"diagonal_cost: got {cost!r}, expected 1 or sqrt(2) = {math.sqrt(2)}")
         cost = near[0]
         object.__setattr__(self, "diagonal_cost", cost)
-        if self.connectivity == 4 and (self.corner_cutting or cost == 1):
+        if connectivity == 4 and (self.corner_cutting or cost == 1):
             raise ValueError(
                 "connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do "
                 "nothing"
@@ -167,19 +169,16 @@ def items_of(values: object) -> tuple[Any, ...]:
 def check_integers(name: str, values: object) -> Range:
     """Return ``values`` as two ints; numpy integers are welcome, floats and bools are not."""
     items = items_of(values)
-    if len(items) != 2 or not all(map(_is_integer, items)):
+    if len(items) != 2:
         raise ValueError(f"{name}: got {values!r}, expected 2 integers")
-    return index(items[0]), index(items[1])
+    return _integer(name, items[0]), _integer(name, items[1])
 
 
-def _integer(name: str, value: object) -> int:
-    if not _is_integer(value):
-        raise ValueError(f"{name}: got {value!r}, expected an integer")
-    return index(value)
-
-
-def _is_integer(value: object) -> TypeGuard[SupportsIndex]:
-    return hasattr(value, "__index__") and not isinstance(value, bool)
+def _integer(name: str, value: Any) -> int:
+    with suppress(TypeError):  # of what is no integer, and of arrays
+        if not isinstance(value, bool):
+            return index(value)
+    raise ValueError(f"{name}: got {value!r}, expected an integer")
 
 
 def check_sides(name: str, values: object) -> Size:
@@ -199,7 +198,7 @@ def check_flag(name: str, value: object) -> None:
 def check_number(name: str, value: object) -> float:
     """Return ``value`` as a float; text and bools are no numbers."""
     if hasattr(value, "__float__") and not isinstance(value, (bool, str)):
-        with suppress(OverflowError):
+        with suppress(OverflowError, TypeError):  # of arrays
             return float(value)
     raise ValueError(f"{name}: got {value!r}, expected a number")
 

@@ -108,11 +108,18 @@ class GuidedSearch(Batched):
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
 
         Raises:
-            ValueError: a start or goal outside its map or on an occupied cell.
+            ValueError: a start or goal outside its map or on an occupied cell, or predictions of
+                other shapes than `Predictor` says.
         """
         grids, starts, goals = check_problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals)
-        rule = rule_of(self.model.movement)
+        movement = self.model.movement
+        # the search is compiled, and reads past the end of smaller arrays without a word
+        found = scores.shape, ratios.shape
+        expected = (len(grids), movement.connectivity, *grids.shape[1:]), grids.shape
+        if found != expected:
+            raise ValueError(f"{self.name}: predict gave shapes {found}, expected {expected}")
+        rule = rule_of(movement)
         problems = zip(grids, scores, ratios, starts, goals, strict=True)
         return [Plan(*_search(*each, rule, self.trust)) for each in problems]
 

@@ -246,7 +246,7 @@ class PathPredictor(LearnedPlanner):
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
-        occupied, cells = self.tensors(np.asarray(grids, np.uint8)[:, None], goals)
+        occupied, cells = self.tensors(np.asarray(grids)[:, None] != 0, goals)
         last = torch.tensor(occupied.shape[2:], device=self.device) - 1
         with self.inference():
             scores, ratios = self(occupied, cells)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
+from functools import partial
 from typing import Any
 
 from mapdata.datasets.fields import FIELDS
@@ -12,7 +13,16 @@ from mapdata.problems.sources import Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import least_squared
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_choice, check_flag, check_seed, did_you_mean
+from mapdata.spec import (
+    Movement,
+    check_choice,
+    check_count,
+    check_flag,
+    check_number,
+    check_seed,
+    did_you_mean,
+    items_of,
+)
 
 FieldFunction = Callable[[Sample], Any]
 
@@ -39,18 +49,19 @@ class Serving:
     def __post_init__(self) -> None:
         """Check the arguments."""
         self._check_fields()
-        object.__setattr__(self, "fields", tuple(self.fields))
+        keep = partial(object.__setattr__, self)  # plain values, which checkpoints can hold
+        keep("fields", tuple(self.fields))
         check_choice("search", self.search, SEARCHES)
         if self.movement is not None:
             rule_of(self.movement)  # refuses what is no movement
         check_flag("augment", self.augment)
         least_squared(self.radius)  # refuses what is no radius
-        object.__setattr__(self, "sampling_seed", check_seed(self.sampling_seed))
-        if self.max_length is not None and ("path" not in self.fields or self.max_length < 1):
-            raise ValueError(
-                f"max_length: got {self.max_length!r}, expected at least 1 and 'path' among the "
-                "fields"
-            )
+        keep("radius", check_number("radius", self.radius))
+        keep("sampling_seed", check_seed(self.sampling_seed))
+        if self.max_length is not None:
+            keep("max_length", check_count("max_length", self.max_length))
+            if "path" not in self.fields:
+                raise ValueError("max_length: expected 'path' among the fields")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,7 +81,7 @@ class Serving:
         return plain
 
     def _check_fields(self) -> None:
-        if isinstance(self.fields, str) or not self.fields:
+        if not items_of(self.fields):
             raise ValueError(
                 f"fields: got {self.fields!r}, expected a sequence of names or functions"
             )

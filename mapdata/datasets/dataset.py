@@ -29,11 +29,11 @@ from mapdata.datasets.sample import (
     stack,
 )
 from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import Random, Route, SourceLike, problem_source
+from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
-from mapdata.spec import SPLITS, Movement, Range, Size, check_choice
+from mapdata.spec import SPLITS, Movement, Size, check_choice, check_flag
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -367,15 +367,15 @@ class MapDataset(ProblemDataset):
     def filter(
         self,
         *,
-        rooms: Range | None = None,
-        path_length: Range | None = None,
+        rooms: Band | None = None,
+        path_length: Band | None = None,
         reachable: bool | None = None,
         all_connected: bool | None = None,
-        hardness: tuple[float, float] | None = None,
+        hardness: Band | None = None,
     ) -> MapDataset:
         """Return a view on the stored problems that meet all conditions.
 
-        Ranges are (lowest, highest), both included.
+        Ranges are (lowest, highest), both included; None leaves a side open.
 
         Args:
             rooms: number of rooms of the map.
@@ -387,7 +387,7 @@ class MapDataset(ProblemDataset):
 
         Raises:
             ValueError: random problems, which are not stored; no condition; a range that is not two
-                numbers.
+                numbers in ascending order, or a condition that is no bool.
         """
         if isinstance(self.serving.problems, Random):
             raise ValueError(
@@ -403,9 +403,11 @@ class MapDataset(ProblemDataset):
         conditions = {name: value for name, value in given.items() if value is not None}
         if not conditions:
             raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
-        for name in ("rooms", "path_length", "hardness"):
-            if name in conditions and len(conditions[name]) != 2:
-                raise ValueError(f"{name}: got {conditions[name]!r}, expected (lowest, highest)")
+        for name, value in conditions.items():
+            if name in ("reachable", "all_connected"):
+                check_flag(name, value)
+            else:
+                conditions[name] = check_band(name, value)
         view = object.__new__(type(self))
         vars(view).update(vars(self))
         view.filters = (*self.filters, conditions)
@@ -420,14 +422,15 @@ class MapDataset(ProblemDataset):
             batch = self._stored_batch(part)
             meets = np.ones(len(part), np.bool_)
             for name, wanted in conditions.items():
-                lowest, highest = np.broadcast_to(wanted, 2)  # one value is both
+                # One value is both. The hardness is of 32 bits, too, or its ends were not in it.
+                lowest, highest = np.broadcast_to(np.array(wanted, np.float32), 2)
                 values = CONDITIONS[name](batch)
                 meets &= (values >= lowest) & (values <= highest)
             found.append(part[meets])
         return np.concatenate(found)
 
     def table(self) -> pd.DataFrame:
-        """Return a table of the maps of this split: the items of the paper, and ``split``."""
+        """Return a table of the maps of this split: the paper's items, and ours (docs/paper.md)."""
         import pandas as pd
 
         from mapdata.shards.table import map_rows

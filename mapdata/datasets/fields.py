@@ -275,7 +275,7 @@ def seed_points(batch: Batch) -> Ints:
 
 
 def problem(batch: Batch) -> Ints:
-    """``problem``: (B,) int64, the problem's number in the dataset."""
+    """``problem``: (B,) int64, the problem's number in the dataset, filters and radius aside."""
     return batch.problems
 
 

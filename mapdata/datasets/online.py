@@ -73,7 +73,7 @@ class OnlineMapDataset(ProblemDataset):
         self.movement = movement or spec.movement
         self.map_size = spec.map_size
         self._least = least_squared(radius, spec.resolution)
-        self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * length)
+        self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * self.length)
 
     def __len__(self) -> int:
         """Return the number of problems."""

@@ -17,7 +17,7 @@ import pandas as pd
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.search.api import check_path
-from mapdata.spec import Cell, check_choice
+from mapdata.spec import Cell, check_choice, check_count, check_seed
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
@@ -104,13 +104,14 @@ def evaluate(
             resample, or a ``plan_batch`` with too few plans.
         Exception: whatever a planner raises.
     """
+    planners = list(planners)
     names = [planner.name for planner in planners]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"planners: got the names {names}, expected at least one and each once")
-    if not len(problems) or bootstrap < 1:
-        raise ValueError(
-            f"got {len(problems)} problems and {bootstrap} resamples, expected at least one of each"
-        )
+    if not len(problems):
+        raise ValueError("problems: got none, expected at least one")
+    check_count("bootstrap", bootstrap)
+    check_seed(seed)
     if baseline is not None:
         check_choice("baseline", baseline, names)
     runs = [_run(planner, problems) for planner in planners]

@@ -61,18 +61,19 @@ class ForeignMap:
         """Pack the cells.
 
         Raises:
-            ValueError: not two-dimensional, or another value.
+            ValueError: cells that are not two-dimensional or hold another value; no such split.
         """
-        most = cells.max(initial=0)
-        if cells.ndim != 2 or most > 1:
-            what = f"values up to {most} in shape {cells.shape}"
+        if np.ndim(cells) != 2 or not np.isin(cells, (0, 1)).all():
             raise ValueError(
-                f"cells: {self.name}: got {what}, expected 0 free and 1 occupied in shape (H, W)"
+                f"cells: {self.name}: got shape {np.shape(cells)}, expected (H, W) of 0 and 1"
             )
+        if self.split not in (None, 0, 1, 2):
+            raise ValueError(f"split: {self.name}: got {self.split!r}, expected 0, 1, 2 or None")
+        grid = np.ascontiguousarray(cells, np.uint8)
         # the way to set attributes of a frozen dataclass
-        object.__setattr__(self, "shape", cells.shape)
+        object.__setattr__(self, "shape", grid.shape)
         # contiguous, which kernels need: packed, a transposed grid would stay one
-        object.__setattr__(self, "_bits", np.packbits(np.ascontiguousarray(cells), axis=1))
+        object.__setattr__(self, "_bits", np.packbits(grid, axis=1))
 
     @property
     def grid(self) -> Bytes:

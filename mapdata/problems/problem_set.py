@@ -6,10 +6,11 @@ import hashlib
 import json
 import math
 import sys
-import zipfile
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import StrPath
+from mapdata.shards.shard import StrPath, write_file
 from mapdata.spec import SPLITS, Movement, canonical_json, check_choice, check_count, check_seed
 
 HARD = 1.05
@@ -107,12 +108,14 @@ class Problems:
     def save(self, path: StrPath) -> None:
         """Write the problems to a compressed .npz; the same problems are the same bytes.
 
-        It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: JSON of the rest.
+        It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: JSON of the rest. A
+        file that is there is replaced at once, or not at all.
         """
         about = {"movement": asdict(self.movement), "description": self.description}
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        with open(path, "wb") as file:  # a name would get another ending
-            np.savez_compressed(file, about=np.array(canonical_json(about)), **arrays)
+        file = BytesIO()
+        np.savez_compressed(file, about=np.array(canonical_json(about)), **arrays)
+        write_file(Path(path), file.getvalue())
 
     @staticmethod
     def load(path: StrPath) -> Problems:
@@ -128,7 +131,9 @@ class Problems:
                 arrays = {name: file[name] for name in _ARRAYS}
                 movement = Movement(**about["movement"])
                 description = str(about["description"])
-        except (KeyError, TypeError, ValueError, AttributeError, zipfile.BadZipFile) as error:
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # what numpy's and zip's readers raise is not documented
             raise ValueError(f"{path}: holds no saved problems ({error})") from None
         return Problems(**arrays, movement=movement, description=description)
 
@@ -244,6 +249,8 @@ def _collect(
     With ``until_hard``, the last problem is that which brings the hard ones to this number. Cells
     are free from the clearance ``least`` on.
     """
+    if not isinstance(problems, Random):
+        raise ValueError(f"problems: got {problems!r}, expected mapdata.Random(...)")
     if until_hard is not None:
         check_count("until_hard", until_hard)
     left = sys.maxsize if maps is None else check_count("maps", maps)

@@ -94,7 +94,7 @@ class Random:
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
             if band is not None:
-                object.__setattr__(self, name, _check_band(name, band))
+                object.__setattr__(self, name, check_band(name, band))
 
     @property
     def bands(self) -> Bands:
@@ -149,10 +149,15 @@ def plain_text(source: Source) -> str:
 
 
 def _limits(band: Band | None) -> Limits:
-    return _check_band("", band or (None, None))
+    return check_band("", band or (None, None))
 
 
-def _check_band(name: str, band: object) -> Limits:
+def check_band(name: str, band: object) -> Limits:
+    """Return the limits of a band, 0 and inf where it is open.
+
+    Raises:
+        ValueError: it is not two numbers in ascending order.
+    """
     if isinstance(band, (tuple, list)) and len(band) == 2:
         lowest = 0.0 if band[0] is None else max(check_number(name, band[0]), 0.0)
         highest = math.inf if band[1] is None else check_number(name, band[1])

@@ -202,7 +202,7 @@ def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement(
     rule = rule_of(movement)
     good = write_field(array, row, column, rule, _scratch_memory(array, rule), out)
     if not good:
-        raise ValueError(_values_complaint(array))
+        raise ValueError(values_complaint(array))
     if array[row, column]:
         raise ValueError(f"goal: {row, column} is on an occupied cell")
     return out
@@ -234,7 +234,7 @@ def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()
         straight = len(cells) - 1 - diagonal
         return float(straight + diagonal * movement.diagonal_cost)
     if bad == -2:
-        raise ValueError(_values_complaint(array))
+        raise ValueError(values_complaint(array))
     why = why_not_free(array, cells[bad])
     if why:
         raise ValueError(f"path: cell {bad}, {why}")
@@ -311,7 +311,7 @@ def _as_bytes(array: Array) -> Bytes:
     )  # contiguous, aligned, writable: one flavour each
     narrowed = np.empty(array.shape, np.uint8)
     if not narrow(values.reshape(-1), narrowed.reshape(-1)):
-        raise ValueError(_values_complaint(array))
+        raise ValueError(values_complaint(array))
     return narrowed
 
 
@@ -347,7 +347,7 @@ def _whole(name: str, cells: ArrayLike) -> Ints:
 def _complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
     """Return why a problem was refused."""
     if np.any(grid > 1):
-        return _values_complaint(grid)
+        return values_complaint(grid)
     why = why_not_free(grid, start)
     return f"start: {why}" if why else f"goal: {why_not_free(grid, goal)}"
 
@@ -360,7 +360,8 @@ def why_not_free(grid: Bytes, cell: Cell) -> str:
     return f"({row}, {column}) is on an occupied cell" if grid[row, column] else ""
 
 
-def _values_complaint(grid: Array) -> str:
+def values_complaint(grid: Array) -> str:
+    """Return what is wrong with a grid that holds other values than 0 and 1."""
     other = grid[(grid != 0) & (grid != 1)][0]
     return f"grid: got the value {other}, expected 0 free and 1 occupied only"
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Float32s, Int32s
 from mapdata.jit import Int, inlined, kernel
-from mapdata.search.api import as_grid
+from mapdata.search.api import as_grid, values_complaint
 from mapdata.spec import check_number
 
 
@@ -33,7 +33,7 @@ def clearance(grid: ArrayLike) -> Float32s:
            [0.5, 0.5, 0. ],
            [0.5, 0.5, 0.5]], dtype=float32)
     """
-    found: Float32s = clearances(as_grid(grid, 2)[None])[0]
+    found: Float32s = clearances(_binary(grid)[None])[0]
     return found
 
 
@@ -51,7 +51,7 @@ def inflate(grid: ArrayLike, radius: float) -> Bytes:
         (H, W) uint8, 0 free and 1 occupied.
 
     Raises:
-        ValueError: what `clearance` refuses, or a radius that is no finite number of at least 0.
+        ValueError: what `clearance` refuses, or a radius that is not from 0 to 1,000,000.
 
     Source: Lozano-Pérez, "Spatial planning: a configuration space approach", 1983,
     https://doi.org/10.1109/TC.1983.1676196.
@@ -61,9 +61,16 @@ def inflate(grid: ArrayLike, radius: float) -> Bytes:
            [1, 0, 0, 1],
            [1, 1, 1, 1]], dtype=uint8)
     """
-    inflated = as_grid(grid, 2).copy()
+    inflated = _binary(grid).copy()
     inflate_all(inflated[None], least_squared(radius))
     return inflated
+
+
+def _binary(grid: ArrayLike) -> Bytes:
+    cells = as_grid(grid, 2)
+    if cells.max() > 1:
+        raise ValueError(values_complaint(cells))
+    return cells
 
 
 def least_squared(radius: float, resolution: float = 1.0) -> int:
@@ -77,11 +84,11 @@ def least_squared(radius: float, resolution: float = 1.0) -> int:
         resolution: what a cell measures, in the same unit.
 
     Raises:
-        ValueError: a radius that is no finite number of at least 0.
+        ValueError: a radius that is not from 0 to 1,000,000.
     """
-    if not 0 <= check_number("radius", radius) < math.inf:
-        raise ValueError(f"radius: got {radius}, expected a finite number of at least 0")
-    return math.ceil(round((2 * radius / resolution) ** 2, 6))
+    if not 0 <= check_number("radius", radius) < 1e6:  # whose square is a whole number of 64 bits
+        raise ValueError(f"radius: got {radius}, expected a number of at least 0, below 1,000,000")
+    return math.ceil(round((2 * radius / resolution) ** 2, 5))
 
 
 @kernel

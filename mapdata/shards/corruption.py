@@ -277,7 +277,9 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
 def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
     """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
-    # What a damaged manifest still says comes first: a shard that is alone may be a partial one.
+    if len(limits) == 1:
+        sizes.insert(0, 1000)  # the default: a shard that is alone may be a partial one
+    # what a damaged manifest still says comes first
     with suppress(OSError, ShardError), open(path_in(root, MANIFEST), "rb") as file:
         # it stands before the list of shards
         stated = re.search(rb'"shard_size": (\d{1,9})\b', file.read(2**20))

@@ -163,7 +163,7 @@ class Manifest(Origin):
         """The largest number of seed points that a map can have."""
         if self.spec is not None:
             return self.spec.most_seed_points
-        return max(int(entry.counts["most_rooms"]) for entry in self.shards)
+        return max((int(entry.counts["most_rooms"]) for entry in self.shards), default=1)
 
     def __repr__(self) -> str:
         return (

@@ -443,6 +443,19 @@ def plain(value: object) -> bool:
     return value is None or type(value) in (str, int, float, bool)
 
 
+def test_numpys_numbers_become_plain_ones(root: str) -> None:
+    """Among the arguments: checkpoints and loggers take no others."""
+    data = MapDataModule(
+        root,
+        batch_size=np.int64(8),  # type: ignore[arg-type]
+        max_length=np.int64(128),  # type: ignore[arg-type]
+        sampling_seed=np.int64(3),  # type: ignore[arg-type]
+        radius=np.float32(0.05),  # type: ignore[arg-type]
+    )
+    for name in ("batch_size", "max_length", "sampling_seed", "radius"):
+        assert type(data.hparams[name]) in (int, float), name
+
+
 @pytest.mark.parametrize("kind", ["disk", "roots", "online", "imported"])
 def test_logs_and_checkpoints_say_what_was_trained_on(root: str, tmp_path: Path, kind: str) -> None:
     """Recipe, identity, content hash and all arguments, in plain values; the recipe builds it."""

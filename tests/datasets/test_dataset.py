@@ -4,6 +4,7 @@ change nothing.
 
 from __future__ import annotations
 
+import math
 import pickle
 import random
 import re
@@ -544,11 +545,35 @@ def test_filters_keep_what_meets_all_conditions(root: str) -> None:
     assert len(dataset) == len(truth)  # a view leaves the dataset as it is
 
 
+def test_the_ends_of_a_range_are_in_it(root: str) -> None:
+    """Of the hardness, too, which is float32; None leaves a side open."""
+    dataset = MapDataset(root, fields=("length", "hardness"), movement=Movement(4))
+    for name, values in (("path_length", dataset[:].length), ("hardness", dataset[:].hardness)):
+        for value in values.unique().numpy():
+            end = float(str(value))  # as one writes it: 1.2, and not the nearest float32
+            for band, expected in (
+                ((end, end), values == value),
+                ((end, None), values >= value),
+                ((None, end), values <= value),
+            ):
+                view = dataset.filter(**{name: band})  # type: ignore[arg-type]
+                assert len(view) == int(expected.sum()), (name, band)
+
+
+def test_a_list_that_changes_afterwards_changes_no_view(root: str) -> None:
+    """A view that workers make again is the same."""
+    rooms: Any = [2, 3]
+    view = MapDataset(root).filter(rooms=rooms)
+    rooms[1] = 9
+    again = pickle.loads(pickle.dumps(view))
+    assert len(again) == len(view) < len(MapDataset(root))
+
+
 def test_filters_remember_how_they_were_made(root: str) -> None:
     """`filters` and the repr tell; a view survives pickling with its conditions."""
     view = MapDataset(root, "train").filter(rooms=(3, 5)).filter(hardness=(1.05, 4.0))
     assert view.filters == ({"rooms": (3, 5)}, {"hardness": (1.05, 4.0)})
-    assert ".filter(rooms=(3, 5)).filter(hardness=(1.05, 4.0))" in repr(view)
+    assert ".filter(rooms=(3.0, 5.0)).filter(hardness=(1.05, 4.0))" in repr(view)
     assert f"{len(view)} problems" in repr(view)
     assert MapDataset(root).filters == ()
     again = pickle.loads(pickle.dumps(view))
@@ -736,7 +761,13 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "augment-test": ({"split": "test", "augment": True}, "augment: would change the split 'test'"),
     "sampling_seed": ({"sampling_seed": -1}, "seed: got -1, expected 0 to"),
     "sampling_seed-text": ({"sampling_seed": "7"}, "seed: got '7', expected an integer"),
-    "max_length": ({"max_length": 0}, "max_length: got 0, expected at least 1"),
+    "max_length": ({"max_length": 0}, "max_length: got 0, expected an integer of at least 1"),
+    "max_length-float": ({"max_length": 96.0}, "max_length: got 96.0, expected an integer"),
+    "max_length-text": ({"max_length": "96"}, "max_length: got '96', expected an integer"),
+    "fields-generator": (
+        {"fields": (name for name in ("map", "goal"))},
+        "fields: got <generator .*expected a sequence",
+    ),
     "augment": ({"augment": "false"}, "augment: got 'false', expected True or False"),
     "max_length-nothing": (
         {"max_length": 9, "fields": ("map",)},
@@ -761,6 +792,8 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
         MapDataset([])
     with pytest.raises(ValueError, match="length: got 0, expected an integer of at least 1"):
         OnlineMapDataset(samples.SPEC, length=0)
+    short = OnlineMapDataset(samples.SPEC, length=np.uint8(200), split="train")  # type: ignore[arg-type]
+    assert len(short[150:]) == len(short[:50])
     with pytest.raises(ValueError, match="seed: got -3"):
         OnlineMapDataset(samples.SPEC, seed=-3)
     with pytest.raises(ValueError, match=r"split: the spec gives no map to 'val'"):
@@ -769,9 +802,14 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
     for conditions, says in (
         ({}, "filter: got no condition, expected one of rooms, path_length"),
         ({"rooms": (1, 2, 3)}, r"rooms: got \(1, 2, 3\), expected \(lowest, highest\)"),
+        ({"rooms": 3}, r"rooms: got 3, expected \(lowest, highest\)"),
+        ({"rooms": (5, 3)}, r"rooms: got \(5, 3\), expected \(lowest, highest\)"),
+        ({"path_length": "ab"}, "path_length: got 'ab'"),
+        ({"hardness": (math.nan, 2)}, "hardness: got"),
+        ({"reachable": "false"}, "reachable: got 'false', expected True or False"),
     ):
         with pytest.raises(ValueError, match=says):
-            dataset.filter(**conditions)  # type: ignore[arg-type]
+            dataset.filter(**conditions)
     with pytest.raises(ValueError, match="filter: random problems are not stored"):
         MapDataset(root, problems="random").filter(rooms=(2, 3))
 

@@ -262,8 +262,15 @@ def test_bad_arguments_are_refused() -> None:
         evaluate([], three())
     with pytest.raises(ValueError, match=r"'A\*', 'A\*'"):
         evaluate([planners[2], planners[2]], three())
-    with pytest.raises(ValueError, match="0 resamples"):
-        evaluate(planners, three(), bootstrap=0)
+
+    def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:
+        raise AssertionError("refused before any planner runs")
+
+    for arguments in ({"bootstrap": 0}, {"bootstrap": 10.0}, {"seed": -1}):
+        (name,) = arguments
+        with pytest.raises(ValueError, match=f"{name}: got"):
+            evaluate([Functional(plan)], three(), **arguments)
+    assert len(evaluate(iter(planners[:2]), three(), bootstrap=1)) == 4  # type: ignore[arg-type]
 
     class Lazy(Scripted):
         def plan_batch(self, grids: Grid, starts: Cells, goals: Cells) -> list[Plan]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -258,6 +259,23 @@ def test_maps_are_kept_as_bits() -> None:
     one = ForeignMap("x", grid)
     assert one.grid.tolist() == grid.tolist()
     assert (one.shape, one._bits.nbytes) == ((5, 13), 5 * 2)
-    for bad in (grid[0], 255 * grid):
+    for bad in (grid[0], 255 * grid, -grid.astype(np.int8), grid / 2):
         with pytest.raises(ValueError, match="cells: x: got"):
-            ForeignMap("x", bad)
+            ForeignMap("x", bad)  # type: ignore[arg-type]
+    assert ForeignMap("x", grid.astype(float)).grid.tolist() == grid.tolist()
+
+
+@pytest.mark.parametrize("split", [3, -1, "train", 1.7])
+def test_a_split_that_is_none_is_refused(split: object) -> None:
+    """A dataset with it could not be read."""
+    with pytest.raises(ValueError, match=f"split: x: got {split!r}, expected 0, 1, 2 or None"):
+        ForeignMap("x", np.zeros((3, 3), np.uint8), split=split)  # type: ignore[arg-type]
+
+
+def test_an_import_that_has_not_begun_can_be_opened(tmp_path: Path) -> None:
+    """As a build can: a dataset without a problem yet, which says that it is not finished."""
+    (made,) = import_maps(tmp_path / "out", collection(*random_grids(5)), shard_size=2)
+    (made.root / MANIFEST).write_text(replace(made.manifest, shards=()).to_json())
+    dataset = MapDataset(made.root)
+    assert len(dataset) == 0
+    assert "not finished" in repr(dataset)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -115,6 +115,21 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
         )
         assert plan.path.tolist() == [list(cell) for cell in path]
         assert plan.expansions == expansions
+
+
+@pytest.mark.parametrize("cut", [(1, 8, 12, 14), (5, 4, 12, 14), (5, 8, 11, 14), (5, 8, 12, 1)])
+def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
+    """Compiled code would read past their end."""
+    problems = Problems.sample(Forest((12, 14)), 1, 5)
+    model = answers(problems, 3)
+    count, moves, rows, columns = cut
+    asked = problems.grids, problems.starts, problems.goals
+    wrong = replace(model, scores=model.scores[:count, :moves, :rows, :columns])
+    with pytest.raises(ValueError, match=r"predict gave shapes .* expected .*5, 8, 12, 14"):
+        GuidedSearch("search", wrong).plan_batch(*asked)
+    wrong = replace(model, ratios=model.ratios[:, 1:])
+    with pytest.raises(ValueError, match="search: predict gave shapes"):
+        GuidedSearch("search", wrong).plan_batch(*asked)
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0])

@@ -4,6 +4,7 @@ answer is refused.
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -277,6 +278,24 @@ def test_a_saved_set_is_the_same(movement: Movement, tmp_path: Path) -> None:
     assert saved_again.read_bytes() == path.read_bytes()
 
 
+def test_a_full_disk_leaves_the_set_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing half-written under the name, and no other file."""
+    path = tmp_path / "set.npz"
+    problems = Problems.sample(DUNGEON, 77, 5)
+    problems.save(path)
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        Problems.sample(DUNGEON, 77, 20).save(path)
+    assert_same(Problems.load(path), problems)
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_the_hash_tells_sets_apart() -> None:
     """By maps, ends and movement; not by words. One is golden."""
     grid = np.array([[0, 0, 0], [0, 1, 0]])
@@ -314,11 +333,35 @@ def test_what_is_no_saved_set_is_refused(arrays: dict[str, Any], tmp_path: Path)
 def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     """By name: text, and no file at all."""
     path = tmp_path / "set.npz"
-    path.write_text("text")
-    with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
-        Problems.load(path)
+    for text in ("text", ""):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
+            Problems.load(path)
     with pytest.raises(FileNotFoundError):
         Problems.load(tmp_path / "none.npz")
+
+
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # numpy's
+def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
+    """Whatever numpy, zip and zlib raise; a file that is read holds the same problems."""
+    path = tmp_path / "set.npz"
+    problems = Problems.sample(DUNGEON, 77, 3)
+    problems.save(path)
+    sound = path.read_bytes()
+    refused = 0
+    for k in range(len(sound)):
+        path.write_bytes(sound[:k] + bytes([sound[k] ^ 0xFF]) + sound[k + 1 :])
+        try:
+            assert_same(Problems.load(path), problems)
+        except ValueError:
+            refused += 1
+    assert refused > len(sound) / 2
+
+
+def test_conditions_that_are_no_random_problems_are_refused() -> None:
+    """A name, or problems of another kind."""
+    with pytest.raises(ValueError, match=r"problems: got 'random', expected mapdata\.Random"):
+        Problems.sample(DUNGEON, 0, 3, problems="random")  # type: ignore[arg-type]
 
 
 class Row(NamedTuple):

@@ -67,6 +67,12 @@ def test_metres_over_resolution_count_as_meant() -> None:
         assert inflate(corridor, radius)[2, 1:-1].sum() == 0
         assert inflate(corridor, radius)[[1, 3]].all()
     assert inflate(corridor, 1.501).all()
+    assert inflate(corridor, 999_999).all()
+    # a radius that was a float32, as a tensor's item() is
+    assert float(np.float32(0.15)) / 0.1 > 1.5
+    np.testing.assert_array_equal(
+        inflate(corridor, float(np.float32(0.15)) / 0.1), inflate(corridor, 1.5)
+    )
 
 
 def test_inflating_leaves_the_grid_alone() -> None:
@@ -80,14 +86,16 @@ def test_inflating_leaves_the_grid_alone() -> None:
     assert inflate(np.zeros((1, 1)), 0.51).tolist() == [[1]]
 
 
-@pytest.mark.parametrize("radius", [-1, math.nan, math.inf, "wide", True, None])
+@pytest.mark.parametrize("radius", [-1, math.nan, math.inf, 1e6, 1e200, "wide", True, None])
 def test_a_bad_radius_is_named(radius: object) -> None:
     """With what was expected."""
     with pytest.raises(ValueError, match="radius: got " + re.escape(repr(radius))):
         inflate([[0]], radius)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("grid", [[[2]], [0, 1], [[[0]]], [[]], [["a"]]])
+@pytest.mark.parametrize(
+    "grid", [[[2]], [0, 1], [[[0]]], [[]], [["a"]], np.array([[0, 255]], np.uint8), [[-1, 0]]]
+)
 def test_a_bad_grid_is_named(grid: Any) -> None:
     """As by the searches."""
     with pytest.raises(ValueError, match="grid: got"):

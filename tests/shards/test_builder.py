@@ -42,6 +42,7 @@ from mapdata import (
     identity,
     label,
     read_shard,
+    repair,
     verify,
 )
 from mapdata.shards import MANIFEST, Manifest, Recipe, content_hash, read_manifest
@@ -352,6 +353,18 @@ def test_a_lost_manifest_is_made_again(root: Path) -> None:
     make(root)
     assert stamps(root) == before
     assert (root / MANIFEST).read_bytes() == text
+
+
+def test_a_repaired_manifest_is_that_of_the_build(tmp_path: Path) -> None:
+    """A shard that is alone is a partial one of the default size: the dataset can grow."""
+    root = tmp_path / "lone"
+    build(root, MapSpec(), maps=3)
+    text = (root / MANIFEST).read_bytes()
+    (root / MANIFEST).unlink()
+    repair(root)
+    assert (root / MANIFEST).read_bytes() == text
+    assert build(root, MapSpec(), maps=5).maps == 5
+    assert verify(root) == []
 
 
 def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
