@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
@@ -40,7 +39,7 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
-from mapdata.search.api import search_batch, solve_batch
+from mapdata.search.api import search_batch, solve_batch, why_not_free
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
 from mapdata.shards.shard import StrPath
@@ -162,10 +161,9 @@ def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
         if problems and is_after_gap and not words[0].isdecimal():
             break  # a citation ends the file
         problems.append(_problem(line, number, path))
-    lengths = [problem.length for problem in problems]
-    decimals = {len(length.partition(".")[2]) for length in lengths}
-    has_last_zero = any(re.search(r"\.\d*0$", length) for length in lengths)
-    is_fixed = len(decimals) == 1 and has_last_zero
+    decimals = [problem.length.partition(".")[2] for problem in problems]
+    has_last_zero = any(digits.endswith("0") for digits in decimals)
+    is_fixed = has_last_zero and len(set(map(len, decimals))) == 1
     return [problem._replace(unit=_unit(problem.length, is_fixed)) for problem in problems]
 
 
@@ -205,7 +203,7 @@ def _unit(length: str, is_fixed: bool) -> float:
     places = len(decimals)
     if not is_fixed:
         places = max(places, 6 - len(whole))
-    return float(10.0**-places)
+    return 10.0**-places
 
 
 @dataclass
@@ -277,7 +275,7 @@ def check_scen(
                 starts = [problem.start for problem in part]
                 goals = [problem.goal for problem in part]
                 # an end on a blocked cell is a problem without a path here
-                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost.tolist()
+                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost
                 for problem, found in zip(part, costs, strict=True):
                     if found > 0:
                         report.solved.append((grid, problem))
@@ -395,17 +393,15 @@ def read(
         points = _end_points(source, limits, maps, found)
     else:
         points = ((path, []) for path in files_of(source, (".map",), limits, found))
-    closed: Counter[str] = Counter()
+    cells = np.zeros(128, np.int64)  # of each letter, by its code
     for path, ends in points:
         with found.leaving_out(path):
             terrain = read_terrain(path, limits)
             grid = world(terrain)
-            for letter in _ISLANDS:
-                closed[letter] += int(np.count_nonzero(terrain == ord(letter)))
-            cells = np.array(list(dict.fromkeys(ends)), np.int64).reshape(-1, 2)  # each once
-            cells = cells[(cells < grid.shape).all(axis=1)]
-            is_free = grid[tuple(cells.T)] == 0
-            chosen = cells[is_free][:seed_points]
+            cells += np.bincount(terrain.ravel(), minlength=len(cells))
+            each_once = dict.fromkeys(ends)
+            free = [cell for cell in each_once if not why_not_free(grid, cell)]
+            chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)
             found.maps.append(
                 ForeignMap(
                     str(path),
@@ -416,8 +412,9 @@ def read(
                 )
             )
     for letter, name in _ISLANDS.items():
-        if closed[letter]:
-            what = f"{closed[letter]} cells of {name} ({letter}) are occupied"
+        closed = cells[ord(letter)]
+        if closed:
+            what = f"{closed} cells of {name} ({letter}) are occupied"
             found.notes.append(f"{what}: nothing leads there from land")
     return found
 
@@ -450,8 +447,8 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     """
     rows, columns = root.map_size
     for path, grid, seed_points in map_files(target, root, progress):
-        letters = np.where(grid, ord("@"), ord(".")).astype(np.uint8)
-        body = "\n".join(row.tobytes().decode() for row in letters)
+        letters = np.where(grid, "@", ".").tolist()
+        body = "\n".join(map("".join, letters))
         text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
         path.with_suffix(".map").write_text(text, newline="\n")
         scen = _scen(f"{path.name}.map", grid, seed_points)
@@ -464,8 +461,8 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))].tolist()
-    costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost.tolist()
+    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))]
+    costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost
     lines = ["version 1"]
     for (y, x), (goal_y, goal_x), cost in zip(starts, goals, costs, strict=True):
         length = max(cost, 0.0)  # 0 stands for no path
