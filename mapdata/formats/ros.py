@@ -49,10 +49,6 @@ from mapdata.spec import check_resolution
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
 
-# pixels as map_saver writes them
-_FREE = 254
-_OCCUPIED = 0
-
 
 @dataclass(frozen=True, eq=False)
 class RosMap:
@@ -88,11 +84,11 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     """
     path = Path(path)
     fields = _fields(path)
-    resolution = _number(path, fields, "resolution")
+    resolution = _number(path, "resolution", fields["resolution"])
     if resolution <= 0:
         raise FormatError(f"{path}: resolution is {resolution}, expected metres per cell above 0")
-    low = _number(path, fields, "free_thresh")
-    high = _number(path, fields, "occupied_thresh")
+    low = _number(path, "free_thresh", fields["free_thresh"])
+    high = _number(path, "occupied_thresh", fields["occupied_thresh"])
     if not 0 <= low <= high <= 1:
         raise FormatError(
             f"{path}: free_thresh {low} and occupied_thresh {high}, expected 0 <= free <= "
@@ -111,33 +107,32 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     origin = fields.get("origin", [0.0, 0.0, 0.0])
     if not isinstance(origin, list) or len(origin) != 3:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
-    x, y, yaw = (_number(path, {"origin": value}, "origin") for value in origin)
-    pixels = read_pixels(_image(path, fields), limits)
+    x, y, yaw = (_number(path, "origin", value) for value in origin)
+    pixels = read_pixels(_image(path, fields["image"]), limits)
     cells = _classify(pixels, mode, negate, low, high)
     return RosMap(cells, resolution, (x, y, yaw))
 
 
 def _fields(path: Path) -> dict[str, Any]:
-    """Return the fields of a .yaml file by name."""
+    """Return the fields of a .yaml file by name; those without a default are there."""
     text = read_text(path, Limits(unpacked=2**20))
     with refusing(f"{path}: not plain YAML"):
         # 700 bytes with aliases of aliases can stand for minutes of work.
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
             raise FormatError(f"{path}: not plain YAML (an alias: write out what it stands for)")
         fields = yaml.safe_load(text)
-    if not isinstance(fields, dict) or "image" not in fields:
-        raise FormatError(f"{path}: has no field 'image', expected the YAML of a ROS map")
-    return fields
+    named = fields if isinstance(fields, dict) else {}
+    for name in ("image", "resolution", "free_thresh", "occupied_thresh"):
+        if name not in named:
+            raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
+    return named
 
 
-def _number(path: Path, fields: dict[str, Any], name: str) -> float:
-    """Return the finite number of a field.
+def _number(path: Path, name: str, value: object) -> float:
+    """Return the finite number that is the value of a field.
 
     Text of a number is one too: to YAML 1.1, 5e-2 without a point is text.
     """
-    if name not in fields:
-        raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
-    value = fields[name]
     number = math.nan
     if isinstance(value, (int, float, str)) and not isinstance(value, bool):
         with suppress(ValueError, OverflowError):
@@ -147,12 +142,11 @@ def _number(path: Path, fields: dict[str, Any], name: str) -> float:
     return number
 
 
-def _image(path: Path, fields: dict[str, Any]) -> Path:
+def _image(path: Path, name: object) -> Path:
     """Return the picture's path, which must lie in the folder of the yaml, links followed.
 
     Another picture is never opened: a yaml from elsewhere may name any file of this machine.
     """
-    name = fields["image"]
     if not isinstance(name, str) or not name or "\0" in name:
         raise FormatError(f"{path}: image is {str(name)[:40]!r}, expected the name of a picture")
     folder = path.parent.resolve()
@@ -316,7 +310,7 @@ def write(
         Notes for the user.
     """
     for path, grid, _ in map_files(target, root, progress):
-        pixels = np.where(grid, _OCCUPIED, _FREE).astype(np.uint8)
+        pixels = np.where(grid, 0, 254).astype(np.uint8)  # what map_saver writes
         picture = path.with_suffix(f".{image}")
         Image.fromarray(pixels).save(picture)
         path.with_suffix(".yaml").write_text(
