@@ -55,7 +55,7 @@ from mapdata.spec import (
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
 
-_CELLS_A_SHARD = 2**24
+_CELLS_A_SHARD = MAX_SIDE**2
 """Most cells of a shard where its size is not given, so that large maps fit in memory."""
 
 Group = tuple[Size, float]
@@ -165,12 +165,11 @@ def import_maps(
             kept = separate(ordered, codes, drop_leaks, source.notes)
             maps = [ordered[k] for k in kept]
             advance(len(ordered) - len(maps))
-            most = max(1, _CELLS_A_SHARD // prod(size))
             wanted = Manifest(
                 spec=None,
                 seed=None,
                 maps=len(maps),
-                shard_size=shard_size or min(1000, most),
+                shard_size=shard_size or min(1000, _CELLS_A_SHARD // prod(size)),
                 map_size=size,
                 movement=movement,
                 resolution=metres,
