@@ -22,7 +22,7 @@ def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]
         The numbers of the maps that are left.
     """
     digests = [digests_of(one.grid[None]) for one in maps]
-    exact, symmetric = (np.concatenate(each) for each in zip(*digests, strict=True))
+    exact, symmetric = map(np.concatenate, zip(*digests, strict=True))
     # the number of each kind of map, and the last split that has one of it
     _, kinds = np.unique(symmetric, return_inverse=True)
     last = np.zeros_like(splits)
