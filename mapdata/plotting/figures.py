@@ -59,7 +59,7 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     add(counted(most, noun), of.rooms == most)
     if len(of) and not fewer:
         marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest")
-        for mark in marks.tolist():
+        for mark in marks:
             add(f"hardness {mark:.2f}", of.hardest == mark)
     hardest = of.hardest.max(initial=0)
     if hardest > 1:

@@ -70,7 +70,7 @@ def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
 def _pack(of: DatasetStatistics, places: Ints) -> bytes:
     """Return what the page's script reads: the maps at ``places`` as compressed JSON."""
     root = of.root
-    wanted = set(places.tolist())
+    wanted = set(places)
     maps = []
     every = ((labels, i) for labels in root.labels() for i in range(len(labels.maps)))
     for place, (labels, i) in enumerate(every):
@@ -107,7 +107,7 @@ def _shown(labels: Labels, i: int) -> dict[str, Any]:
     first, last = maps.segment_offsets[i : i + 2]
     for name in SEARCHES:
         search = labels.of(name)
-        bounds = pairwise(search.offsets[first : last + 1].tolist())
+        bounds = pairwise(search.offsets[first : last + 1])
         shown[name] = {
             "moves": ["".join(map(str, search.moves[a:b].tolist())) for a, b in bounds],
             "iterations": labels.iterations(name, i),

@@ -9,6 +9,7 @@ others, make the figure that way, too, within ``matplotlib.rc_context(STYLE)``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,8 +83,7 @@ def plot_map(
     maps = labels.maps
     axes = plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours)
     for search, lane in (("bfs", -1), ("astar", 1)):
-        steps = int(labels.iterations(search, i).sum())
-        label = f"{NAMES[search]}, {steps:,} iterations"
+        label = f"{NAMES[search]}, {labels.iterations(search, i).sum():,} iterations"
         for path in labels.route(search, i):
             plot_cells(axes, path, COLOURS[search], label, lane=lane)
             label = "_"
@@ -116,7 +116,7 @@ def plot_path(
     iterations = labels.iterations(search, i)
     route = labels.route(search, i)
     styles = ("-", (0, (4, 1.5)), (0, (1, 1)))
-    for q, (path, count) in enumerate(zip(route, iterations.tolist(), strict=True)):
+    for q, (path, count) in enumerate(zip(route, iterations, strict=True)):
         moves = f"{len(path) - 1} moves" if len(path) else "no path"
         label = f"{q + 1} to {q + 2}: {moves}, {count:,} iterations"
         # Neighbouring segments often share cells, so they take three lanes in turn.
@@ -193,13 +193,12 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     check_choice("subset", subset, ("hard", "all"))
     axes = axes or new_axes()[0]
     rows = table[table["subset"] == subset]
-    for k, row in enumerate(rows.to_dict("records")):
+    planners = rows.to_dict("records")
+    for row, colour, marker in zip(planners, cycle(PALETTE), cycle(MARKERS)):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
-        colour = PALETTE[k % len(PALETTE)]
         axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
         axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour, linewidth=1)
-        marker = MARKERS[k % len(MARKERS)]
         axes.plot(x, y, marker, color=colour, fillstyle="none", mew=2, ms=9, label=row["planner"])
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
@@ -238,9 +237,10 @@ def plot_cells(
     shift = _LANE * lane
     figure: Any = axes.figure  # the stubs know of no part of a figure here
     aside = offset_copy(axes.transData, figure, shift, -shift, "points")
-    look: dict[str, Any] = {"color": colour, "transform": aside}
     rows, columns = path.T
-    axes.plot(columns, rows, linestyle=style, linewidth=2.2, label=label, **look)
+    axes.plot(
+        columns, rows, color=colour, transform=aside, linestyle=style, linewidth=2.2, label=label
+    )
     # not on the first and last cells, which bear marks
     for middle in range(_ARROW_EVERY // 2, len(path) - 2, _ARROW_EVERY):
         down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
@@ -249,18 +249,19 @@ def plot_cells(
             columns[middle],
             rows[middle],
             s=90,
+            color=colour,
+            transform=aside,
             marker=(3, 0, angle),
             edgecolor="white",
             linewidth=0.7,
             zorder=3,
-            **look,
         )
 
 
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
     """Mark the seeds of map ``i`` with their numbers."""
     seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
-    for number, (row, column) in enumerate(seed_points.tolist(), 1):
+    for number, (row, column) in enumerate(seed_points, 1):
         mark(axes, str(number), row, column)
 
 

@@ -75,7 +75,7 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     ]
     for name, letter in (("start", "S"), ("goal", "G")):
         if name in values:
-            mark(axes, letter, *values[name].tolist())
+            mark(axes, letter, *values[name])
     axes.set_title(", ".join(words))
     return axes
 
