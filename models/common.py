@@ -13,7 +13,7 @@ import contextlib
 import math
 import zipfile
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -374,9 +374,21 @@ class Model(pl.LightningModule):
     Its hyperparameters hold ``learning_rate``, the highest of the schedule.
     """
 
+    optimizer_class: Callable[..., torch.optim.Optimizer] = Muon  # AdamW needs more steps here
+
+    def losses(self, batch: Any) -> Tensors:
+        """Return ``loss`` and its parts, by the names under which `training_step` logs them."""
+        raise NotImplementedError
+
+    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
+        """Return the loss of one step."""
+        values = self.losses(batch)
+        self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
+        return values["loss"]
+
     def configure_optimizers(self) -> Any:
-        """Return Muon, since AdamW needs more steps here, and torch's OneCycleLR."""
-        optimizer = Muon(self.parameters(), self.hparams["learning_rate"])
+        """Return an ``optimizer_class`` and torch's OneCycleLR."""
+        optimizer = self.optimizer_class(self.parameters(), self.hparams["learning_rate"])
         return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
 
     def tensors(self, *arrays: ArrayLike) -> list[Tensor]:

@@ -11,8 +11,6 @@ Targets, training and files are those of `models.lego_sampler.Sampler`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
@@ -20,7 +18,7 @@ from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
-from models.common import Tensors, one_cycle, padded
+from models.common import Tensors, padded
 from models.lego_sampler import Sampler, encode
 from models.roadmap import free_at, uniform
 
@@ -73,6 +71,8 @@ class CVAE(Sampler):
         code: numbers of the convolutional code of map, start and goal.
         learning_rate: the highest.
     """
+
+    optimizer_class = torch.optim.Adam  # as published
 
     def __init__(
         self,
@@ -133,8 +133,3 @@ class CVAE(Sampler):
             spare = uniform(grid, n, int(source.integers(2**31)))
             found[b] = np.concatenate([found[b], spare])[:n]
         return np.stack(found)
-
-    def configure_optimizers(self) -> Any:
-        """Return Adam, as published."""
-        optimizer = torch.optim.Adam(self.parameters(), self.hparams["learning_rate"])
-        return one_cycle(optimizer, self.trainer.estimated_stepping_batches)

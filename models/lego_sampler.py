@@ -130,13 +130,11 @@ class Sampler(Model, ABC):
         points, owners = self.tensors(found.astype(np.float32), numbers)
         return points, owners
 
-    def training_step(self, batch: Sample, batch_idx: int) -> Tensor:
-        """Return the loss of one step."""
+    def losses(self, batch: Sample) -> Tensors:
+        """Return `loss` on the targets of a batch, after a random symmetry."""
         points, owners = self.target_points(batch)
         fields, points = random_symmetry(batch._asdict(), points)
-        values = self.loss(fields, points, owners)
-        self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
-        return values["loss"]
+        return self.loss(fields, points, owners)
 
     def validation_step(self, batch: Sample, batch_idx: int) -> None:
         """Leave it to `models.sampler_table.RoadmapSuccess` to judge the batch."""

@@ -33,6 +33,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import Plan
 from mapdata.search import STEPS
 from models import common
+from models.common import Tensors
 from models.learned_planners import LearnedPlanner
 
 FIELDS = ("map", "start", "goal", "optimal_moves")
@@ -192,11 +193,9 @@ class NeuralAstar(LearnedPlanner):
         expanded, _ = search(costs, *problems, self.movement, most)
         return F.l1_loss(expanded, random_paths(batch.start, batch.optimal_moves))
 
-    def training_step(self, batch: Sample, batch_idx: int) -> Tensor:
-        """Return the loss of one step."""
-        loss = self.loss(batch)
-        self.log("train_loss", loss, prog_bar=True)
-        return loss
+    def losses(self, batch: Sample) -> Tensors:
+        """Return `loss`, which has no parts."""
+        return {"loss": self.loss(batch)}
 
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
         """Search: `on_validation_epoch_end` logs the results."""

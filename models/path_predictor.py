@@ -221,12 +221,6 @@ class PathPredictor(LearnedPlanner):
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)  # (n,)
         return torch.stack([move_loss, squared_error, right, weight])
 
-    def training_step(self, batch: Sample | list[Sample], batch_idx: int) -> Tensor:
-        """Return the loss of one step."""
-        values = self.losses(batch)
-        self.log_dict({f"train_{name}": value for name, value in values.items()}, prog_bar=True)
-        return values["loss"]
-
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
         """Log the losses, and search: `on_validation_epoch_end` logs what comes of it."""
         values = {f"val_{name}": value for name, value in self.losses(batch).items()}
