@@ -62,12 +62,11 @@ HALF_TURN = [2, 3, 0, 1, 6, 7, 4, 5]
 def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     """Return the targets that a path gives its own cells, as `targets` does."""
     cells = batch.path[:, :-1]  # (B, T - 1, 2)
-    following = batch.path[:, 1:]  # (B, T - 1, 2)
-    steps = following - cells
+    steps = batch.path.diff(dim=1)  # (B, T - 1, 2)
     # (moves, 2): N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k
     moves = torch.tensor(STEPS[: movement.connectivity], device=cells.device)
     made = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
-    made[following[:, :, 0] < 0] = False  # not into the padding: from (0, 0) to (-1, -1) is NW
+    made[batch.path[:, 1:, 0] < 0] = False  # not into the padding: from (0, 0) to (-1, -1) is NW
     labelled = made.any(dim=2)  # (B, T - 1): all cells of a path but its goal
     # the true cost to the goal: of all steps that follow, each of which costs its own heuristic
     down, right = steps.unbind(2)  # (B, T - 1) both
@@ -77,11 +76,11 @@ def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
     bits = 2 ** made.long().argmax(dim=2)  # (B, T - 1)
     problem, _ = labelled.nonzero(as_tuple=True)  # (n,), of the cells of all paths
-    row, column = cells[labelled].unbind(1)  # (n,) both: where on its map each of them is
+    at = (problem, *cells[labelled].unbind(1))  # (n,) each: map, row and column of each of them
     optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
-    optimal[problem, row, column] = bits[labelled]
-    ratio = torch.zeros_like(batch.map[:, 0], dtype=torch.float)  # (B, H, W)
-    ratio[problem, row, column] = ratios[labelled]
+    optimal[at] = bits[labelled]
+    ratio = torch.zeros_like(optimal, dtype=torch.float)  # (B, H, W)
+    ratio[at] = ratios[labelled]
     return optimal, ratio
 
 
@@ -191,9 +190,9 @@ class PathPredictor(LearnedPlanner):
         for each in batch if isinstance(batch, list) else [batch]:
             optimal, ratio = targets(each, self.movement)  # (B, H, W) both
             sizes[each.map.shape[2:]].append([each.map, each.goal, optimal, ratio])
-        cells = []
-        for parts in sizes.values():
-            cells.append(self.cell_losses(*map(torch.cat, zip(*parts, strict=True))))
+        cells = [
+            self.cell_losses(*map(torch.cat, zip(*parts, strict=True))) for parts in sizes.values()
+        ]
         move_loss, squared_error, right, weight = torch.cat(cells, dim=1)  # (n,) each
         moves = (weight * move_loss).sum() / weight.sum()
         loss = moves + self.hparams["ratio_weight"] * squared_error.mean()
