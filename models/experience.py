@@ -22,7 +22,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from io import BytesIO
 from itertools import repeat
@@ -33,7 +32,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from torch.utils.data import DataLoader, Dataset, Subset
-from tqdm.auto import tqdm
+from tqdm.contrib.concurrent import thread_map
 
 from mapdata.arrays import Array, Bytes, Floats, Ints
 from mapdata.datasets import LateLoader, MapDataModule, Sample
@@ -207,9 +206,17 @@ class Bank:
         file = Path(folder) / f"{name[:16]}.npz"
         if file.exists():
             return Bank.read(file, name)
-        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-            found = pool.map(mine, grids, starts, goals, repeat(mining), problem.tolist())
-            mined = list(tqdm(found, "experience", len(grids), unit=" problems"))
+        mined = thread_map(
+            mine,
+            grids,
+            starts,
+            goals,
+            repeat(mining),
+            problem.tolist(),
+            max_workers=workers or os.cpu_count(),
+            desc="experience",
+            unit=" problems",
+        )
         arrays = {"problem": problem, "ends": np.concatenate([starts, goals], axis=1)}
         for kind, each in zip(KINDS, zip(*mined, strict=True), strict=True):
             arrays[f"{kind}_points"] = np.concatenate(each).astype(np.float32)
