@@ -198,7 +198,7 @@ def check_problems(
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
     ends = []
     for name, given in (("start", starts), ("goal", goals)):
-        end = np.atleast_2d(np.asarray(given).astype(np.int64))
+        end = np.atleast_2d(given).astype(np.int64)
         # of order 0, the value of a cell itself; outside the map all is occupied
         occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)  # (B,)
         if occupied.any():
@@ -336,14 +336,15 @@ def _momentum(gradient: Tensor, state: dict[str, Any]) -> Tensor:
         if gradient.ndim < 2:
             state["square"] = torch.zeros_like(gradient)
     state["step"] += 1
+    mean: Tensor = state["mean"]
     if gradient.ndim >= 2:
-        state["mean"].lerp_(gradient, 0.05)
-        return gradient.lerp(state["mean"], 0.95)
-    state["mean"].lerp_(gradient, 0.1)
+        mean.lerp_(gradient, 0.05)
+        return gradient.lerp(mean, 0.95)
+    mean.lerp_(gradient, 0.1)
     state["square"].lerp_(gradient**2, 0.02)
-    mean: Tensor = state["mean"] / (1 - 0.9 ** state["step"])
+    unbiased: Tensor = mean / (1 - 0.9 ** state["step"])
     square: Tensor = state["square"] / (1 - 0.98 ** state["step"])
-    return mean / (square.sqrt() + 1e-8)
+    return unbiased / (square.sqrt() + 1e-8)
 
 
 def _orthogonal(x: Tensor) -> Tensor:
@@ -399,15 +400,15 @@ class Model(pl.LightningModule):
     def inference(self) -> Iterator[None]:
         """Predict without gradients; half the time where the processor multiplies bfloat16.
 
-        In evaluation mode, which `fit` leaves: a batch norm would depend on the batch.
+        On another device the autocast of processors changes nothing. In evaluation mode, which
+        `fit` leaves: a batch norm would depend on the batch.
         """
         abilities: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()
         fast = bool(abilities.get("avx512_bf16") or abilities.get("amx_bf16"))
-        on_cpu = self.device.type == "cpu"
         training = self.training
         self.eval()
         try:
-            with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, on_cpu and fast):
+            with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, fast):
                 yield
         finally:
             self.train(training)
@@ -459,8 +460,9 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
     except Exception as error:
         # what torch's readers and a model's own arguments raise is not documented
         reason = str(error).strip().split("\n")[0]
-        why = f"{type(error).__name__}: {reason}"
-        raise ValueError(f"{file}: holds no saved {' or '.join(known)} ({why})") from None
+        raise ValueError(
+            f"{file}: holds no saved {' or '.join(known)} ({type(error).__name__}: {reason})"
+        ) from None
     return model.eval()
 
 

@@ -213,8 +213,8 @@ class NeuralAstar(LearnedPlanner):
         Raises:
             ValueError: a start or goal outside its map or on an occupied cell.
         """
-        problems = common.check_problems(grids, starts, goals)
-        occupied, first, last = self.tensors(problems[0][:, None], *problems[1:])
+        grids, starts, goals = common.check_problems(grids, starts, goals)
+        occupied, first, last = self.tensors(grids[:, None], starts, goals)
         with self.inference():
             costs = self(occupied, first, last)
             most = costs[0].numel()

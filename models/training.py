@@ -54,9 +54,9 @@ class TrainingCli(LightningCLI):
         The command line makes it 1.0, which Lightning takes for all batches: 10,000 of online maps.
         All of them are those without the flag.
         """
-        if self.config["fit"]["trainer"]["limit_val_batches"] == 1:
+        if self.config.fit.trainer.limit_val_batches == 1:
             self.trainer.limit_val_batches = 1
-        file = self.config["fit"]["start_from"]
+        file = self.config.fit.start_from
         if file is not None:
             # layers that the file lacks, such as refinements, keep what they begin with
             weights = self.model.state_dict() | self.model.load(file).state_dict()
@@ -64,7 +64,7 @@ class TrainingCli(LightningCLI):
 
     def after_fit(self) -> None:
         """Write the weights."""
-        file = self.config["fit"]["weights"]
+        file = self.config.fit.weights
         if file is not None and self.trainer.is_global_zero:
             self.model.save(file)
 
