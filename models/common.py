@@ -4,7 +4,8 @@
 - `offsets`, `heuristic`, `legal_moves`: the geometry of maps, on tensors.
 - `random_symmetry` and others: the symmetries of maps.
 - `Muon` and `one_cycle`: the optimizer and its learning rate.
-- `Model` and `load_model`: predictions from arrays, and files of weights, read without trust.
+- `Model` and `load_model`: a step of training, predictions from arrays, and files of weights, read
+  without trust.
 """
 
 from __future__ import annotations
@@ -324,7 +325,7 @@ class Muon(torch.optim.Optimizer):
                 size = 0.2 * math.sqrt(max(shape)) * rate  # steps as large as Adam's
                 for (parameter, _), update in zip(found, near, strict=True):
                     parameter.mul_(1 - rate * group["weight_decay"])
-                    parameter.sub_(update.reshape(parameter.shape), alpha=size)
+                    parameter.sub_(update.reshape_as(parameter), alpha=size)
         return loss
 
 

@@ -211,7 +211,7 @@ class Bank:
             grids,
             starts,
             goals,
-            repeat(mining),
+            repeat(mining, len(grids)),  # a length for the bar
             problem.tolist(),
             max_workers=workers or os.cpu_count(),
             desc="experience",

@@ -20,7 +20,8 @@ weights that ship were made, by the commands in scripts/train_lego_sampler.py:
     roadmap = between(grid, start, goal, points)  # of models/roadmap.py
 
 This file reads from top to bottom: what the network sees; targets, training, sampling; the heat
-map: network, loss, prediction. It needs models/common.py alone: layers, symmetries, optimizer.
+map: network, loss, prediction. It needs models/common.py alone: layers, symmetries, optimizer,
+a step of training.
 """
 
 from __future__ import annotations
@@ -263,7 +264,7 @@ class Heatmap(Sampler):
                 ends = [transform_cells(end, code, occupied.shape) for end in (start, goal)]
                 scores = self(seen, *ends)[:, 0]
                 scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
-                shares = scores.flatten(1).double().softmax(1).view(scores.shape)
+                shares = scores.flatten(1).double().softmax(1).view_as(scores)
                 total += restore_plane(shares, code).cpu()
                 # what one way needs, the way back needs too: the next view is of that
                 start, goal = goal, start

@@ -26,8 +26,8 @@ path_predictor_4.pt, are by its side (docs/planners.md).
 `torch.export.export(model, (map, goal))` and ONNX take the network as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
-prediction. models/common.py has the layers, the moves on a map, the optimizer, the files of
-weights; models/learned_planners.py searches with predictions.
+prediction. models/common.py has the layers, the moves on a map, the optimizer, a step of
+training, the files of weights; models/learned_planners.py searches with predictions.
 """
 
 from __future__ import annotations
