@@ -164,8 +164,8 @@ def solve_batch(
     """
     array = np.asarray(grids)
     stack = as_grid(array if array.ndim == 3 else array[None], 3)
-    begins = np.ascontiguousarray(_whole("starts", starts))
-    ends = np.ascontiguousarray(_whole("goals", goals))
+    begins = _whole("starts", starts)
+    ends = _whole("goals", goals)
     count = len(begins)
     if len(ends) != count or (array.ndim == 3 and len(stack) != count):
         raise ValueError(
@@ -200,8 +200,7 @@ def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement(
     row, column = _cell("goal", goal, array)
     out = np.empty(array.shape, np.float32)
     rule = rule_of(movement)
-    good = write_field(array, row, column, rule, _scratch_memory(array, rule), out)
-    if not good:
+    if not write_field(array, row, column, rule, _scratch_memory(array, rule), out):
         raise ValueError(values_complaint(array))
     if array[row, column]:
         raise ValueError(f"goal: {row, column} is on an occupied cell")
@@ -225,8 +224,6 @@ def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()
     """
     array = as_grid(grid, 2)
     cells = _whole("path", path)
-    if not cells.flags.carray:
-        cells = cells.copy()  # one flavour for the kernel
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
     bad, diagonal = first_bad_cell(array, cells, rule_of(movement)[0])
@@ -306,9 +303,8 @@ def _as_bytes(array: Array) -> Bytes:
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
     wide = np.int64 if array.dtype.kind in "iu" else np.float64
-    values = np.require(
-        array, wide, ["C", "A", "W"]
-    )  # contiguous, aligned, writable: one flavour each
+    # contiguous, aligned, writable: one flavour each
+    values = np.require(array, wide, ["C", "A", "W"])
     narrowed = np.empty(array.shape, np.uint8)
     if not narrow(values.reshape(-1), narrowed.reshape(-1)):
         raise ValueError(values_complaint(array))
@@ -332,7 +328,7 @@ def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
 
 
 def _whole(name: str, cells: ArrayLike) -> Ints:
-    """Return ``cells`` as an (n, 2) int64 array."""
+    """Return ``cells`` as what the kernels are compiled for: writable, contiguous (n, 2) int64."""
     array = np.asarray(cells)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 2), np.int64)
@@ -341,7 +337,8 @@ def _whole(name: str, cells: ArrayLike) -> Ints:
             f"{name}: got shape {array.shape} of {array.dtype}, expected (n, 2) integer cells "
             "(row, col)"
         )
-    return array.astype(np.int64, copy=False)
+    whole = array.astype(np.int64, copy=False)
+    return whole if whole.flags.carray else whole.copy()
 
 
 def _complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
