@@ -22,6 +22,7 @@ from mapdata.generators.points import STEPS
 from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, least_squared
+from mapdata.search.labels import pairs_of
 from mapdata.shards.manifest import Entry, Manifest
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import Shard, ShardError, bits_of
@@ -387,9 +388,7 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> Int32s:
         keep = np.ones(len(rooms), np.bool_)
     else:
         maps = np.repeat(np.arange(len(rooms)), rooms * (rooms - 1) // 2)
-        # i < j of all pairs of a map, by its number of rooms, in the order of labels
-        pairs = {n: np.triu_indices(n, 1) for n in set(rooms.tolist())}
-        first, second = np.concatenate([pairs[n] for n in rooms.tolist()], axis=1)
+        first, second = np.concatenate([pairs_of(n) for n in rooms.tolist()], axis=1)
         seed_points = arrays["seeds"]
         base = arrays["room_offsets"][maps]
         solvable = arrays["astar_straight"] >= 0

@@ -132,9 +132,9 @@ class Labels:
         n = self._rooms(i)
         first, end = self.maps.pair_offsets[i : i + 2]
         straight, diagonal = self.of(search).costs[first:end].T
-        step = 1.0 if search == "bfs" else self.maps.movement.diagonal_cost
         matrix = np.zeros((n, n))
-        matrix[_pairs_of(n)] = straight + diagonal * step
+        # BFS counts all moves as straight ones
+        matrix[pairs_of(n)] = straight + diagonal * self.maps.movement.diagonal_cost
         return matrix + matrix.T
 
     def _rooms(self, i: int) -> int:
@@ -150,8 +150,11 @@ class Labels:
 
 
 @cache
-def _pairs_of(rooms: int) -> tuple[Ints, Ints]:
-    """Return rooms i < j of each pair: `numpy.triu_indices` takes longer than a matrix."""
+def pairs_of(rooms: int) -> tuple[Ints, Ints]:
+    """Return rooms i < j of each pair, in the order of labels.
+
+    Kept, since `numpy.triu_indices` takes longer than to fill a matrix.
+    """
     return np.triu_indices(rooms, 1)
 
 
@@ -179,10 +182,8 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     array([[ 0., 39.],
            [39.,  0.]])
     """
-    segments = int(maps.segment_offsets[-1])
-    pairs = int(maps.pair_offsets[-1])
-    bfs_table = np.empty((segments, 2), np.int64)
-    bfs_costs = np.empty((pairs, 2), np.int64)
+    bfs_table = np.empty((maps.segment_offsets[-1], 2), np.int64)
+    bfs_costs = np.empty((maps.pair_offsets[-1], 2), np.int64)
     astar_table = np.empty_like(bfs_table)
     # Without diagonals both searches are optimal, and each move costs 1: the costs of A* are those
     # of BFS.
@@ -217,7 +218,7 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
             moves = _flood_maps(grids, *work, rule, bfs_table, bfs_costs)
         bfs_moves.append(moves)
         if advance:
-            advance(len(maps.rooms[part]))
+            advance(len(packed))
     if astar_costs is None:
         astar_costs = bfs_costs.copy()
     bfs = _search_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
