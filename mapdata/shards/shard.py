@@ -300,9 +300,8 @@ def encode(labels: Labels) -> dict[str, Array]:
             f"{name}_straight": search.costs[:, 0],
         }
     # BFS counts moves, so it needs no second number; nor does a search without diagonals
-    arrays["astar_diagonal"] = np.empty(0, np.int32)
-    if maps.movement.connectivity == 8:
-        arrays["astar_diagonal"] = labels.astar.costs[:, 1]
+    diagonals = labels.astar.costs[:, 1]
+    arrays["astar_diagonal"] = diagonals if maps.movement.connectivity == 8 else diagonals[:0]
     return arrays
 
 
@@ -364,16 +363,15 @@ def pack_moves(moves: Bytes, bits: int) -> Bytes:
     padded = np.pad(moves, (0, -len(moves) % each))
     packed = np.zeros(len(padded) // each, np.uint8)
     for k in range(each):
-        packed |= padded[k::each] << np.uint8(bits * k)
+        packed |= padded[k::each] << bits * k
     return packed
 
 
 def unpack_moves(packed: Bytes, count: int, bits: int) -> Bytes:
     """Undo `pack_moves` for ``count`` moves."""
     shifts = np.arange(0, 8, bits, dtype=np.uint8)
-    lowest = np.uint8(2**bits - 1)
-    moves = (packed[:, None] >> shifts) & lowest
-    return np.ascontiguousarray(moves.reshape(-1)[:count])
+    moves: Bytes = (packed[:, None] >> shifts) & (2**bits - 1)
+    return moves.reshape(-1)[:count]
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -430,11 +428,9 @@ def sync_folder(folder: Path) -> None:
 def _attributes(header: Header, content: str) -> dict[str, Any]:
     """Return the root attributes of a shard: HDF5 has neither objects nor unsigned seeds."""
     values = header.stated(content, start=header.start, stop=header.stop)
-    for name in ("spec", "movement"):
+    for name in ("spec", "movement", "seed"):
         if values[name] is not None:
             values[name] = canonical_json(values[name])
-    if header.seed is not None:
-        values["seed"] = str(header.seed)
     return {name: "" if value is None else value for name, value in values.items()}
 
 
