@@ -37,7 +37,7 @@ from mapdata.shards.shard import (
     decode,
     read_image,
 )
-from mapdata.spec import Movement
+from mapdata.spec import Movement, check_integers
 
 
 def read_shard(path: StrPath) -> Labels:
@@ -190,14 +190,13 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
     version = int(attributes["format_version"])
     check_version(version)
-    rows, columns = (int(side) for side in attributes["map_size"])
     spec = _spec(attributes["spec"])
     header = Header(
         spec=spec,
         seed=int(attributes["seed"]) if attributes["seed"] else None,
         start=int(attributes["start"]),
         stop=int(attributes["stop"]),
-        map_size=(rows, columns),
+        map_size=check_integers("map_size", attributes["map_size"]),
         movement=Movement(**json.loads(attributes["movement"])),
         resolution=float(attributes["resolution"]),
     )
