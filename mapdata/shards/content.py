@@ -39,11 +39,10 @@ def combine(hashes: list[str]) -> str:
 def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     """Return the records of all maps, one after another, and (N + 1,) where each begins."""
     maps = labels.maps
-    count = len(maps)
     rooms = maps.rooms
     passages = rooms - 1
     pairs = np.diff(maps.pair_offsets)
-    _, rows, words_a_row = maps.packed.shape
+    count, rows, words_a_row = maps.packed.shape
     packed = maps.packed.view(np.uint8).reshape(count, rows * words_a_row * 8)
     columns = np.broadcast_arrays(
         rows,
@@ -64,20 +63,19 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     sizes = 4 * words + packed.shape[1] + padded_moves
     offsets = offsets_of(sizes)
     records = np.zeros(offsets[-1], np.uint8)
-    if count:
-        _write(
-            records,
-            records.view(np.int32),
-            offsets,
-            header,
-            packed,
-            maps.seed_points,
-            maps.sizes,
-            maps.directions,
-            maps.segment_offsets,
-            maps.pair_offsets,
-            (_arrays(labels.bfs), _arrays(labels.astar)),
-        )
+    _write(
+        records,
+        records.view(np.int32),
+        offsets,
+        header,
+        packed,
+        maps.seed_points,
+        maps.sizes,
+        maps.directions,
+        maps.segment_offsets,
+        maps.pair_offsets,
+        (_arrays(labels.bfs), _arrays(labels.astar)),
+    )
     return records, offsets
 
 

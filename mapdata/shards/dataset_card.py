@@ -114,8 +114,7 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
     """
     found = [Section(title(of), _introduction(of)), _facts(of, copied)]
     for name, place, manifest in zip(_names(of), of.root.places, of.root.manifests, strict=True):
-        imported = manifest.spec is None
-        found.append(_origin(place, of.rooms_known) if imported else _rebuild(name, manifest))
+        found.append(_rebuild(name, manifest) if manifest.spec else _origin(place, of.rooms_known))
     return [
         *found,
         _splits(of),
