@@ -104,15 +104,15 @@ def hash_of(values: object) -> str:
     return hashlib.sha256(canonical_json(values).encode()).hexdigest()
 
 
-def check_seed(seed: int) -> int:
+def check_seed(seed: int, name: str = "seed") -> int:
     """Return ``seed`` as an int.
 
     Raises:
         ValueError: not an integer of 64 bits, 0 to 2**64 - 1.
     """
-    value = _integer("seed", seed)
+    value = _integer(name, seed)
     if not 0 <= value < 2**64:
-        raise ValueError(f"seed: got {value}, expected 0 to 2**64 - 1")
+        raise ValueError(f"{name}: got {value}, expected 0 to 2**64 - 1")
     return value
 
 

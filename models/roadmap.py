@@ -164,7 +164,10 @@ def free_at(grid: ArrayLike, points: ArrayLike) -> Flags:
 
 def _as_points(points: ArrayLike) -> Floats:
     """Return points as a new array, (n, 2)."""
-    return np.array(points, np.float64).reshape(-1, 2)
+    places = np.array(points, np.float64)
+    if places.size and places.shape[1:] != (2,):
+        raise ValueError(f"points: got shape {places.shape}, expected (n, 2)")
+    return places.reshape(-1, 2)
 
 
 def _grid(grid: ArrayLike) -> Bytes:

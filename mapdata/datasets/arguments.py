@@ -57,7 +57,7 @@ class Serving:
         check_flag("augment", self.augment)
         least_squared(self.radius)  # refuses what is no radius
         keep("radius", check_number("radius", self.radius))
-        keep("sampling_seed", check_seed(self.sampling_seed))
+        keep("sampling_seed", check_seed(self.sampling_seed, "sampling_seed"))
         if self.max_length is not None:
             keep("max_length", check_count("max_length", self.max_length))
             if "path" not in self.fields:

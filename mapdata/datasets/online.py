@@ -13,7 +13,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform
 from mapdata.datasets.fields import Paths
-from mapdata.generators.generator import Generator, generate
+from mapdata.generators.generator import Generator, check_spec, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
 from mapdata.problems.sampling import solve_pairs
@@ -67,6 +67,7 @@ class OnlineMapDataset(ProblemDataset):
             fields, source, search, movement, augment, sampling_seed, max_length, radius
         )
         super().__init__(split, serving, dtype, transform)
+        check_spec(spec)
         self.spec = spec
         self.seed = check_seed(seed)
         self.length = check_count("length", length)

@@ -179,6 +179,12 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
 
 
+def check_spec(spec: object) -> None:
+    """Refuse what is no family with its parameters, such as the name of a preset."""
+    if not isinstance(spec, Generator):
+        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
+
+
 def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     """Return the maps ``indices`` of (spec, seed).
 
@@ -186,14 +192,15 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     machine do not matter.
 
     Raises:
-        ValueError: a seed or an index that is not a non-negative integer of 64 (63) bits; a family
-            that draws no seed points, or some outside of the map.
+        ValueError: what is no spec; a seed or an index that is not a non-negative integer of 64
+            (63) bits; a family that draws no seed points, or some outside of the map.
 
     >>> from mapdata import MapSpec
     >>> maps = generate(MapSpec(), seed=0, indices=range(3))
     >>> maps.occupancy.shape, maps.rooms.tolist()
     ((3, 64, 64), [5, 9, 2])
     """
+    check_spec(spec)
     if isinstance(indices, Iterable) and not isinstance(indices, np.ndarray):
         indices = list(indices)
     index = np.asarray(indices)

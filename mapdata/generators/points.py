@@ -59,7 +59,11 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
 
     `spread_points` draws them among the free cells of the largest component, far apart, none twice:
     ``spec.most_seed_points`` of them.
+
+    Raises:
+        ValueError: maps of another size than the spec's.
     """
+    grids = grids.reshape(len(indices), *spec.map_size)  # refuses maps of another size
     most = spec.most_seed_points
     maps = Maps.empty(spec.movement, spec.map_size, indices, most)
     key = np.uint64(seed)

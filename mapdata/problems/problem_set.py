@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
-from mapdata.generators.generator import Generator, generate, identity
+from mapdata.generators.generator import Generator, check_spec, generate, identity
 from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
@@ -169,13 +169,14 @@ class Problems:
                 spec.resolution`` cells.
 
         Raises:
-            ValueError: neither ``maps`` nor ``until_hard``; no map with a problem; not enough hard
-                ones (without ``maps``: less than one on 1,000 maps).
+            ValueError: what is no spec; neither ``maps`` nor ``until_hard``; no map with a problem;
+                not enough hard ones (without ``maps``: less than one on 1,000 maps).
 
         >>> from mapdata import MapSpec
         >>> len(Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
         20
         """
+        check_spec(spec)
         if maps is None:
             if until_hard is None:
                 raise ValueError("got neither maps nor until_hard, expected one of them or both")

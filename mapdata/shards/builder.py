@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from mapdata.generators.generator import Generator as MapGenerator
-from mapdata.generators.generator import generate
+from mapdata.generators.generator import check_spec, generate
 from mapdata.search.labels import label
 from mapdata.shards.manifest import (
     MANIFEST,
@@ -83,8 +83,7 @@ def build(
         OSError: the disk is full or may not be written to.
     """
     root = folder_of(root)
-    if not isinstance(spec, MapGenerator):
-        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
+    check_spec(spec)
     if workers is not None:
         if executor is not None:
             raise ValueError("workers: would do nothing beside an executor")

@@ -759,7 +759,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "augment-val": ({"split": "val", "augment": True}, "augment: would change the split 'val'"),
     "augment-test": ({"split": "test", "augment": True}, "augment: would change the split 'test'"),
-    "sampling_seed": ({"sampling_seed": -1}, "seed: got -1, expected 0 to"),
+    "sampling_seed": ({"sampling_seed": -1}, "sampling_seed: got -1, expected 0 to"),
     "sampling_seed-text": ({"sampling_seed": "7"}, "seed: got '7', expected an integer"),
     "max_length": ({"max_length": 0}, "max_length: got 0, expected an integer of at least 1"),
     "max_length-float": ({"max_length": 96.0}, "max_length: got 96.0, expected an integer"),
@@ -792,6 +792,8 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
         MapDataset([])
     with pytest.raises(ValueError, match="length: got 0, expected an integer of at least 1"):
         OnlineMapDataset(samples.SPEC, length=0)
+    with pytest.raises(ValueError, match="spec: got 'paper', expected a MapSpec or another"):
+        OnlineMapDataset("paper")  # type: ignore[arg-type]
     short = OnlineMapDataset(samples.SPEC, length=np.uint8(200), split="train")  # type: ignore[arg-type]
     assert len(short[150:]) == len(short[:50])
     with pytest.raises(ValueError, match="seed: got -3"):

@@ -130,6 +130,15 @@ def test_a_family_that_counts_in_bytes_is_refused() -> None:
         generate(Small(), 0, range(4))
 
 
+def test_what_is_no_family_is_refused() -> None:
+    """The name of a preset, and grids of another size."""
+    with pytest.raises(ValueError, match="spec: got 'paper', expected a MapSpec or another"):
+        generate("paper", 0, [0])  # type: ignore[arg-type]
+    for shape in ((2, 1, 8), (2, 9, 1), (1, 9, 8)):
+        with pytest.raises(ValueError, match="cannot reshape"):
+            with_seed_points(Stripes(), 0, np.arange(2), np.zeros(shape, np.uint8))
+
+
 def test_maps_keep_their_numbers() -> None:
     """Whatever becomes of the array that they were asked by."""
     numbers = np.arange(3)

@@ -362,6 +362,8 @@ def test_conditions_that_are_no_random_problems_are_refused() -> None:
     """A name, or problems of another kind."""
     with pytest.raises(ValueError, match=r"problems: got 'random', expected mapdata\.Random"):
         Problems.sample(DUNGEON, 0, 3, problems="random")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="spec: got 'dungeon', expected a MapSpec or another"):
+        Problems.sample("dungeon", 0, 3)  # type: ignore[arg-type]
 
 
 class Row(NamedTuple):
