@@ -57,9 +57,7 @@ class Movement:
 
     def __post_init__(self) -> None:
         """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
-        connectivity = check_count("connectivity", self.connectivity)
-        object.__setattr__(self, "connectivity", connectivity)  # not 4.0, which equals 4
-        if connectivity not in (4, 8):
+        if self.connectivity not in (4, 8):
             raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
         check_flag("corner_cutting", self.corner_cutting)
         cost = check_number("diagonal_cost", self.diagonal_cost)
@@ -68,7 +66,8 @@ class Movement:
             raise ValueError(f"diagonal_cost: got {cost!r}, expected 1 or sqrt(2) = {math.sqrt(2)}")
         cost = near[0]
         object.__setattr__(self, "diagonal_cost", cost)
-        if connectivity == 4 and (self.corner_cutting or cost == 1):
+        object.__setattr__(self, "connectivity", int(self.connectivity))  # not 4.0, which equals 4
+        if self.connectivity == 4 and (self.corner_cutting or cost == 1):
             raise ValueError(
                 "connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do "
                 "nothing"

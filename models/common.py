@@ -435,7 +435,7 @@ class Model(pl.LightningModule):
         saved = {"class": type(self).__name__, "arguments": arguments, "weights": weights}
         buffer = BytesIO()
         torch.save(saved, buffer)
-        write_file(Path(file), buffer.getvalue())
+        write_file(Path(file).resolve(), buffer.getvalue())
 
     @classmethod
     def load(cls: type[M], file: str | PathLike[str]) -> M:

@@ -113,13 +113,12 @@ class GuidedSearch(Batched):
         """
         grids, starts, goals = check_problems(grids, starts, goals)
         scores, ratios = self.model.predict(grids, goals)
-        movement = self.model.movement
         # the search is compiled, and reads past the end of smaller arrays without a word
         found = scores.shape, ratios.shape
-        expected = (len(grids), movement.connectivity, *grids.shape[1:]), grids.shape
+        expected = (len(grids), self.model.movement.connectivity, *grids.shape[1:]), grids.shape
         if found != expected:
             raise ValueError(f"{self.name}: predict gave shapes {found}, expected {expected}")
-        rule = rule_of(movement)
+        rule = rule_of(self.model.movement)
         problems = zip(grids, scores, ratios, starts, goals, strict=True)
         return [Plan(*_search(*each, rule, self.trust)) for each in problems]
 

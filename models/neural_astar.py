@@ -33,7 +33,6 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import Plan
 from mapdata.search import STEPS
 from models import common
-from models.common import Tensors
 from models.learned_planners import LearnedPlanner
 
 FIELDS = ("map", "start", "goal", "optimal_moves")
@@ -182,8 +181,8 @@ class NeuralAstar(LearnedPlanner):
         seen = torch.stack([(occupied[:, 0] == 0).float(), ends], dim=1)  # (B, 2, H, W)
         return torch.sigmoid(self.encoder(seen)[:, 0].float())
 
-    def loss(self, batch: Sample) -> Tensor:
-        """Return the mean absolute difference between expanded cells and cells of a shortest path.
+    def losses(self, batch: Sample) -> common.Tensors:
+        """Return ``loss``: the mean absolute difference of expanded cells and a shortest path's.
 
         The authors' path leaves out the goal, which every search expands; ours includes it.
         """
@@ -191,11 +190,7 @@ class NeuralAstar(LearnedPlanner):
         costs = self(*problems)
         most = costs[0].numel() // 4  # as in the authors' training
         expanded, _ = search(costs, *problems, self.movement, most)
-        return F.l1_loss(expanded, random_paths(batch.start, batch.optimal_moves))
-
-    def losses(self, batch: Sample) -> Tensors:
-        """Return `loss`, which has no parts."""
-        return {"loss": self.loss(batch)}
+        return {"loss": F.l1_loss(expanded, random_paths(batch.start, batch.optimal_moves))}
 
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
         """Search: `on_validation_epoch_end` logs the results."""

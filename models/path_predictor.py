@@ -239,7 +239,7 @@ class PathPredictor(LearnedPlanner):
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
-        occupied, cells = self.tensors(np.asarray(grids)[:, None] != 0, goals)
+        occupied, cells = self.tensors(np.not_equal(grids, 0)[:, None], goals)
         last = torch.tensor(occupied.shape[2:], device=self.device) - 1
         with self.inference():
             scores, ratios = self(occupied, cells)

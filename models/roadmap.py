@@ -164,14 +164,11 @@ def free_at(grid: ArrayLike, points: ArrayLike) -> Flags:
 
 def _as_points(points: ArrayLike) -> Floats:
     """Return points as a new array, (n, 2)."""
-    places = np.array(points, np.float64)
-    if places.size and places.shape[1:] != (2,):
-        raise ValueError(f"points: got shape {places.shape}, expected (n, 2)")
-    return places.reshape(-1, 2)
+    return np.array(points, np.float64).reshape(-1, 2)
 
 
 def _grid(grid: ArrayLike) -> Bytes:
-    cells: Bytes = (np.asarray(grid) != 0).astype(np.uint8)
+    cells: Bytes = np.not_equal(grid, 0).astype(np.uint8)
     if cells.ndim != 2 or not cells.size:
         raise ValueError(f"grid: got shape {cells.shape}, expected (rows, columns)")
     return cells

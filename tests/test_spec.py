@@ -258,8 +258,6 @@ def test_what_is_larger_than_the_map_is_refused(field: str, sizes: dict[str, Any
         ("connectivity", {"connectivity": 0}),
         ("connectivity", {"connectivity": True}),
         ("connectivity", {"connectivity": "8"}),
-        ("connectivity", {"connectivity": 4.0}),
-        ("connectivity", {"connectivity": np.array([4, 8])}),
         ("diagonal_cost", {"connectivity": 8, "diagonal_cost": np.ones(2)}),
         ("corner_cutting", {"connectivity": 4, "corner_cutting": True}),
         ("corner_cutting", {"connectivity": 8, "corner_cutting": 2}),
@@ -280,8 +278,9 @@ def test_movement_refuses_nonsense_by_name(culprit: str, arguments: dict[str, An
 
 def test_numpy_integers_become_plain_ones() -> None:
     """Equal specs have equal JSON."""
-    spec = MapSpec(movement=Movement(np.int64(8)))  # type: ignore[arg-type]
-    assert spec.to_json() == MapSpec(movement=Movement(8)).to_json()
+    for eight in (np.int64(8), 8.0):
+        spec = MapSpec(movement=Movement(eight))  # type: ignore[arg-type]
+        assert spec.to_json() == MapSpec(movement=Movement(8)).to_json()
 
 
 @pytest.mark.parametrize("value", [MapSpec(), Movement()])

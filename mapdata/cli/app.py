@@ -126,7 +126,8 @@ def info_command(
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    path = folder_of(root[0]) / "README.md" if card is True else local_path(card)
+    # a README.md of others, which may be a link to anything, is replaced; a named one is followed
+    path = folder_of(root[0]) / "README.md" if card is True else local_path(card).resolve()
     write_file(path, card_of(root, progress=True).encode())
     print(f"wrote {path}")
 
@@ -228,7 +229,7 @@ def report_command(root: list[str], *, output: str = "report.html", maps: int = 
 
     path = local_path(output)
     text = report(root, maps, progress=True).encode()
-    write_file(path, text)
+    write_file(path.resolve(), text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 

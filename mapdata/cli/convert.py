@@ -144,7 +144,7 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     for name in file:
         try:
             report = check_scen(name, maps, Limits(progress=True))
-        except ValueError as error:
+        except (ValueError, OSError) as error:  # such as a name that is too long
             unread.append(str(error))
             continue
         print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")

@@ -118,8 +118,12 @@ class MapDataModule(_Base):
             fields, source, search, movement, augment, sampling_seed, max_length, radius
         )
         self.datasets: dict[str, Dataset] = {}
-        plain = {**self.loading, **self.serving.plain(), "build": build}
-        plain["batch_size"] = self.batch_size
+        plain = {
+            **self.loading,
+            **self.serving.plain(),
+            "build": build,
+            "batch_size": self.batch_size,
+        }
         plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None
         self.save_hyperparameters(plain, logger=False)
 

@@ -104,7 +104,6 @@ def evaluate(
             resample, or a ``plan_batch`` with too few plans.
         Exception: whatever a planner raises.
     """
-    planners = list(planners)
     names = [planner.name for planner in planners]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"planners: got the names {names}, expected at least one and each once")

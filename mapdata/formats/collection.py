@@ -63,13 +63,15 @@ class ForeignMap:
         Raises:
             ValueError: cells that are not two-dimensional or hold another value; no such split.
         """
-        if np.ndim(cells) != 2 or not np.isin(cells, (0, 1)).all():
+        given = np.asarray(cells)
+        if given.ndim != 2 or not ((given == 0) | (given == 1)).all():
             raise ValueError(
-                f"cells: {self.name}: got shape {np.shape(cells)}, expected (H, W) of 0 and 1"
+                f"cells: {self.name}: got {np.unique(given)[:3]} in shape {given.shape}, "
+                "expected 0 and 1 in shape (H, W)"
             )
         if self.split not in (None, 0, 1, 2):
             raise ValueError(f"split: {self.name}: got {self.split!r}, expected 0, 1, 2 or None")
-        grid = np.ascontiguousarray(cells, np.uint8)
+        grid = np.ascontiguousarray(given, np.uint8)
         # the way to set attributes of a frozen dataclass
         object.__setattr__(self, "shape", grid.shape)
         # contiguous, which kernels need: packed, a transposed grid would stay one
@@ -105,8 +107,8 @@ class Collection:
 
     @contextmanager
     def leaving_out(self, name: object) -> Iterator[None]:
-        """Catch a `ValueError`, and add ``name`` to ``left_out`` with its message."""
+        """Add ``name`` to ``left_out`` with the message of a `ValueError` or `OSError`."""
         try:
             yield
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             self.left_out.append((str(name), str(error).removeprefix(f"{name}: ")))

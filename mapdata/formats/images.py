@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -72,7 +73,10 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
             # of decompression bombs: our own limit follows, before anything is decoded
             warnings.simplefilter("ignore")
             try:
-                image = Image.open(path, formats=("PNG", "JPEG", "BMP", "WEBP", "TIFF", "GIF"))
+                # by a path Pillow would map the file, and turn some TIFF files wrongly
+                image = Image.open(
+                    BytesIO(data), formats=("PNG", "JPEG", "BMP", "WEBP", "TIFF", "GIF")
+                )
             except UnidentifiedImageError:
                 raise FormatError(
                     f"{path}: not a PNG, JPEG, BMP, PGM, WebP, TIFF or GIF picture"
@@ -90,8 +94,8 @@ def _decoded(image: Image.Image) -> Pixels:
         raise FormatError("pixels of 32 bits, expected 8 or 16: save them as an .npy array")
     if image.mode.startswith("I"):  # integers of 16 bits, in any order of their bytes
         return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
-    if image.mode not in ("L", "RGB", "RGBA"):
-        clear = image.mode in ("LA", "PA", "La", "RGBa") or "transparency" in image.info
+    clear = image.mode[-1] in "Aa" or "transparency" in image.info
+    if clear or image.mode not in ("L", "RGB", "RGBA"):
         image = image.convert("RGBA" if clear else "RGB")
     values = np.asarray(image)
     return Pixels(values.reshape(*values.shape[:2], -1), 255)

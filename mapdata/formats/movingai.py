@@ -39,7 +39,7 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.problems.problem_set import Problems
-from mapdata.search.api import search_batch, solve_batch, why_not_free
+from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
 from mapdata.shards.shard import StrPath
@@ -390,17 +390,20 @@ def read(
     """
     found = Collection(movement=MOVEMENT)
     if scen or source.suffix.lower() == ".scen":
-        points = _end_points(source, limits, maps, found)
+        named = _named_maps(source, limits, maps, found)
     else:
-        points = ((path, []) for path in files_of(source, (".map",), limits, found))
+        named = ((path, []) for path in files_of(source, (".map",), limits, found))
     cells = np.zeros(128, np.int64)  # of each letter, by its code
-    for path, ends in points:
+    for path, problems in named:
         with found.leaving_out(path):
             terrain = read_terrain(path, limits)
+            ends = []
+            for problem in problems:
+                _check_cells(problem, terrain, path)
+                ends += [problem.start, problem.goal]
             grid = world(terrain)
             cells += np.bincount(terrain.ravel(), minlength=len(cells))
-            each_once = dict.fromkeys(ends)
-            free = [cell for cell in each_once if not why_not_free(grid, cell)]
+            free = [cell for cell in dict.fromkeys(ends) if not grid[cell]]  # each once
             chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)
             found.maps.append(
                 ForeignMap(
@@ -419,21 +422,20 @@ def read(
     return found
 
 
-def _end_points(
+def _named_maps(
     source: Path, limits: Limits, maps: StrPath | None, found: Collection
-) -> Iterable[tuple[Path, list[Cell]]]:
-    """Return each map that a .scen names, with the end points of its problems in their order."""
+) -> Iterable[tuple[Path, list[Problem]]]:
+    """Return each map that a .scen names, with its problems in their order."""
     if source.suffix.lower() == ".map":
         raise FormatError(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
         )
-    points: dict[Path, list[Cell]] = {}
+    named: dict[Path, list[Problem]] = {}
     for path in files_of(source, (".scen",), limits, found):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
-                ends = points.setdefault(find_map(problem.map, path, maps), [])
-                ends += (problem.start, problem.goal)
-    return points.items()
+                named.setdefault(find_map(problem.map, path, maps), []).append(problem)
+    return named.items()
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -447,8 +449,8 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     """
     rows, columns = root.map_size
     for path, grid, seed_points in map_files(target, root, progress):
-        letters = np.where(grid, "@", ".").tolist()
-        body = "\n".join(map("".join, letters))
+        letters = np.frombuffer(b".@", np.uint8)[grid]
+        body = "\n".join(row.tobytes().decode() for row in letters)
         text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
         path.with_suffix(".map").write_text(text, newline="\n")
         scen = _scen(f"{path.name}.map", grid, seed_points)
@@ -461,8 +463,8 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
     """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))]
-    costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost
+    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))].tolist()
+    costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost.tolist()
     lines = ["version 1"]
     for (y, x), (goal_y, goal_x), cost in zip(starts, goals, costs, strict=True):
         length = max(cost, 0.0)  # 0 stands for no path

@@ -131,8 +131,8 @@ class Generator(ABC):
             raise ValueError(f"spec: got {values!r}, expected an object of named values")
         given = dict(values)
         name = given.pop("generator", _FIRST)
-        what = "generator, known once its module is imported"
-        check_choice(what, name, tuple(GENERATORS))  # JSON may hold what has no hash
+        families = tuple(GENERATORS)  # JSON may hold what has no hash
+        check_choice("generator, known once its module is imported", name, families)
         kind = GENERATORS[name]
         if not issubclass(kind, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
@@ -213,9 +213,12 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     points = maps.seed_points
     is_outside = (points < -1) | (points >= spec.map_size)
     counts = (points[:, :, 0] >= 0).sum(axis=1)
+    # Of fewer bits, products of counts would overflow.
     as_stated = maps.rooms.dtype == np.int64 and (counts == maps.rooms).all()
     if is_outside.any() or not (counts.all() and as_stated):
-        raise ValueError(f"{spec.name}: drew seed points outside of a map, none, or not as stated")
+        raise ValueError(
+            f"{spec.name}: drew seed points outside of a map, none, or not as stated (by int64)"
+        )
     return maps
 
 

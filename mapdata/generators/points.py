@@ -63,7 +63,9 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
     Raises:
         ValueError: maps of another size than the spec's.
     """
-    grids = grids.reshape(len(indices), *spec.map_size)  # refuses maps of another size
+    expected = (len(indices), *spec.map_size)
+    if grids.shape != expected:
+        raise ValueError(f"grids: got shape {grids.shape}, expected {expected}")
     most = spec.most_seed_points
     maps = Maps.empty(spec.movement, spec.map_size, indices, most)
     key = np.uint64(seed)

@@ -83,7 +83,7 @@ def plot_gallery(
         columns = min(count, 4)
         rows = math.ceil(count / columns)
         high, wide = of.root.map_size
-        axes = new_axes(rows, columns, (2.6 * columns, 2.85 * rows * high / wide + 0.5))
+        axes = new_axes(rows, columns, (2.6 * columns, 2.85 * rows * min(high / wide, 3) + 0.5))
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         labels, i = of.root.map(index)
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)

@@ -115,7 +115,7 @@ class Problems:
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         file = BytesIO()
         np.savez_compressed(file, about=np.array(canonical_json(about)), **arrays)
-        write_file(Path(path), file.getvalue())
+        write_file(Path(path).resolve(), file.getvalue())
 
     @staticmethod
     def load(path: StrPath) -> Problems:

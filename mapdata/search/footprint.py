@@ -77,7 +77,8 @@ def least_squared(radius: float, resolution: float = 1.0) -> int:
     """Return the clearance that a robot needs, in half cells, squared: a whole number.
 
     Clearances squared are whole numbers of squared half cells, so a radius that is off by the last
-    bits of a float, as 0.15 / 0.1 is, has to be taken for the number that it stands for.
+    bits of a float, as 0.15 / 0.1 is, or of a float32, as a tensor's item is, has to be taken for
+    the number that it stands for.
 
     Args:
         radius: of the robot.
@@ -88,7 +89,8 @@ def least_squared(radius: float, resolution: float = 1.0) -> int:
     """
     if not 0 <= check_number("radius", radius) < 1e6:  # whose square is a whole number of 64 bits
         raise ValueError(f"radius: got {radius}, expected a number of at least 0, below 1,000,000")
-    return math.ceil(round((2 * radius / resolution) ** 2, 5))
+    # float32 numbers are off by 6e-8 of themselves, their squares by twice that
+    return math.ceil((2 * radius / resolution) ** 2 * (1 - 3e-7))
 
 
 @kernel

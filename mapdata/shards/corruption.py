@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from math import prod
 from pathlib import Path
 
 from mapdata.shards.builder import headers, make_shard
@@ -47,6 +48,7 @@ from mapdata.shards.root import (
 )
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, decode, write_file
 from mapdata.shards.workers import bar, finished, threads
+from mapdata.spec import MAX_SIDE
 
 _STRANGE = "no file of this dataset: keep it elsewhere"
 
@@ -266,7 +268,7 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
     ((header, _),) = votes.most_common(1)
     limits = [limits_of(path) for path in shards]
     maps = max(stop for _, stop in limits)
-    size = _shard_size(root, limits)
+    size = _shard_size(root, limits, min(1000, MAX_SIDE**2 // prod(header.map_size)))
     if size is None or maps > MOST_SHARDS * size:
         return None
     manifest = Manifest(**header.origin(), maps=maps, shard_size=size)
@@ -274,11 +276,11 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
     return replace(manifest, shards=tuple(sound))
 
 
-def _shard_size(root: Path, limits: Sequence[Span]) -> int | None:
+def _shard_size(root: Path, limits: Sequence[Span], default: int) -> int | None:
     """Return the shard size of a dataset with shards of these limits, or None if none fits."""
     sizes = [max(stop - start for start, stop in limits)]
-    if len(limits) == 1:
-        sizes.insert(0, 1000)  # the default: a shard that is alone may be a partial one
+    if limits == [(0, sizes[0])]:
+        sizes.insert(0, default)  # a shard that is alone may be a partial one
     # what a damaged manifest still says comes first
     with suppress(OSError, ShardError), open(path_in(root, MANIFEST), "rb") as file:
         # it stands before the list of shards

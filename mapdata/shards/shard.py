@@ -377,9 +377,14 @@ def unpack_moves(packed: Bytes, count: int, bits: int) -> Bytes:
 def write_file(path: Path, data: bytes) -> None:
     """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
 
+    A link is replaced; a device or a pipe is written to.
+
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
     temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
     try:
         with open(temporary, "xb") as file:

@@ -37,10 +37,10 @@ def no_bar(count: int) -> None:
 def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
     """Yield what advances a bar of how much is done, the rate and the time left, from any thread.
 
-    A bar that is not shown, or of nothing, is not made: tqdm takes a lock and a thread. Where
-    stderr is no terminal, as in a log file, it prints every two seconds.
+    A bar that is not shown, or of nothing, is not made: tqdm takes a lock and a thread. Nor is one
+    where stderr is closed; where it is no terminal, as in a log file, it prints every two seconds.
     """
-    if shown and total:
+    if shown and total and sys.stderr:
         pause = 0.1 if sys.stderr.isatty() else 2.0
         with tqdm(total=total, initial=initial, unit=unit, mininterval=pause) as shown_bar:
             lock = threading.Lock()

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -213,6 +214,47 @@ def test_verbs_that_read_all_maps_show_a_bar(
     outcome = run(verb, dataset, *flags, tmp_path / "out.png")
     assert outcome.code == 0
     assert f"{MAPS}/{MAPS}" in outcome.err
+
+
+@pytest.mark.parametrize("flags", [("report", "-o"), ("info", "--card")], ids=["report", "card"])
+def test_a_named_output_is_what_the_name_stands_for(
+    flags: tuple[str, str], run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """A link is followed, and a device is written to: neither becomes a file."""
+    verb, flag = flags
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("old")
+    link.symlink_to(target)
+    assert run(verb, dataset, flag, link).code == 0
+    assert link.is_symlink()
+    assert target.read_bytes() not in (b"old", b"")
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    came: list[bytes] = []
+    reader = threading.Thread(target=lambda: came.append(pipe.read_bytes()), daemon=True)
+    reader.start()
+    assert run(verb, dataset, flag, pipe).code == 0
+    reader.join(timeout=60)
+    assert len(came[0]) > 100
+    assert pipe.is_fifo()
+
+
+def test_a_closed_stderr_is_no_damage(dataset: Path) -> None:
+    """As of a service: there is nowhere to show a bar, and all is well."""
+    command = f"'{sys.executable}' -m mapdata verify '{dataset}' 2>&-"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"{dataset}: all is well\n")
+
+
+def test_a_card_of_others_is_no_way_out(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A README.md in the dataset that is a link is replaced: what it points to stays."""
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    outside = tmp_path / "outside"
+    outside.write_text("mine")
+    (copy / "README.md").symlink_to(outside)
+    assert run("info", copy, "--card").code == 0
+    assert outside.read_text() == "mine"
+    assert not (copy / "README.md").is_symlink()
 
 
 def test_show_draws_other_maps_and_colours_otherwise(

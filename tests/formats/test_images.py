@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from helpers.wild import Bytes, cli, npy, npz, png
 from PIL import Image
@@ -54,6 +55,26 @@ def test_pictures_of_all_kinds(tmp_path: Path) -> None:
     grey.save(tmp_path / "20.gif", save_all=True, append_images=[Image.new("L", (4, 3))])
     hole.save(tmp_path / "21.gif")
     assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()] * 22
+
+
+def test_a_colour_that_stands_for_clear_is_free(tmp_path: Path) -> None:
+    """As optimisers write pictures with holes: grey and RGB with a transparent colour."""
+    black = Image.fromarray(np.where(GRID, 0, 1).astype(np.uint8))
+    black.save(tmp_path / "0.png", transparency=1)
+    black.convert("RGB").save(tmp_path / "1.png", transparency=(1, 1, 1))
+    assert grids(tmp_path) == [GRID.tolist()] * 2
+
+
+@pytest.mark.parametrize(
+    ("orientation", "turned"),
+    [(1, GRID), (3, GRID[::-1, ::-1]), (6, np.rot90(GRID, -1)), (8, np.rot90(GRID))],
+)
+def test_a_turned_tiff_is_turned(
+    orientation: int, turned: npt.NDArray[np.uint8], tmp_path: Path
+) -> None:
+    """By its tag 274, uncompressed, too."""
+    Image.fromarray(DARK).save(tmp_path / "0.tif", tiffinfo={274: orientation})
+    assert grids(tmp_path) == [turned.tolist()]
 
 
 def test_threshold_and_inversion(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
 
-from mapdata import Labels, MapDataset, Maps, ShardError, label, read_shard, verify
+from mapdata import Labels, MapDataset, Maps, ShardError, label, read_shard, repair, verify
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
@@ -270,6 +270,23 @@ def test_a_split_that_is_none_is_refused(split: object) -> None:
     """A dataset with it could not be read."""
     with pytest.raises(ValueError, match=f"split: x: got {split!r}, expected 0, 1, 2 or None"):
         ForeignMap("x", np.zeros((3, 3), np.uint8), split=split)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("size", "count"), [((8, 9), 3), ((512, 512), 64), ((600, 500), 5)])
+def test_a_repaired_manifest_is_that_of_the_import(
+    size: tuple[int, int], count: int, tmp_path: Path
+) -> None:
+    """One shard, of the size that an import takes by itself: the same import goes on."""
+    grids = np.zeros((count, *size), np.uint8)
+    grids[:, 0, 0] = 1
+    grids[np.arange(count), 1, np.arange(count) % 8] = 1
+    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=2)
+    assert len(made.manifest.shards) == 1
+    text = (made.root / MANIFEST).read_bytes()
+    (made.root / MANIFEST).unlink()
+    repair(made.root)
+    assert (made.root / MANIFEST).read_bytes() == text
+    import_maps(tmp_path / "out", collection(*grids), seed_points=2)
 
 
 def test_an_import_that_has_not_begun_can_be_opened(tmp_path: Path) -> None:

@@ -411,6 +411,37 @@ def test_a_scen_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert (code, "a map has no end points, expected a .scen file" in err) == (2, True)
 
 
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("0\ta.map\t8\t6\t0\t0\t2\t1\t3", "says (6, 8), the map has (3, 4)"),
+        ("0\ta.map\t4\t3\t0\t0\t2\t5\t6", "is outside the map"),
+    ],
+)
+def test_an_import_refuses_scaled_scenarios(
+    line: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the check does: their ends are other cells."""
+    (tmp_path / "a.map").write_text("type octile\nheight 3\nwidth 4\nmap\n....\n....\n....\n")
+    scen = tmp_path / "a.map.scen"
+    scen.write_text(f"version 1\n{line}\n")
+    code, _, err = cli(capsys, "import", scen, tmp_path / "out")
+    assert (code, why in err) == (2, True), err
+
+
+def test_one_long_name_does_not_end_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A name that no file can have is a fault of its own file."""
+    path = files(tmp_path)
+    long = tmp_path / "long.scen"
+    long.write_text(f"version 1\n0\t{'x' * 300}\t4\t4\t0\t0\t1\t1\t1\n")
+    code, out, err = cli(capsys, "check-scen", long, path)
+    assert code == 2
+    assert f"{path}: " in out
+    assert "too long" in err
+
+
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Maps, seeds and splits come back, and all lengths agree with ours."""
     assert cli(capsys, "export", root, tmp_path / "out", "--format", "movingai")[0] == 0

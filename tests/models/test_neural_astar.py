@@ -226,7 +226,7 @@ def trained() -> NeuralAstar:
     losses = []
     for _ in range(60):
         optimizer.zero_grad()
-        loss = model.loss(batch)
+        loss = model.losses(batch)["loss"]
         loss.backward()
         optimizer.step()
         losses.append(loss.item())

@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
 from mapdata import Generator, clearance, generate, inflate
+from mapdata.search.footprint import least_squared
 
 Grid = npt.NDArray[np.uint8]
 
@@ -68,11 +69,21 @@ def test_metres_over_resolution_count_as_meant() -> None:
         assert inflate(corridor, radius)[[1, 3]].all()
     assert inflate(corridor, 1.501).all()
     assert inflate(corridor, 999_999).all()
-    # a radius that was a float32, as a tensor's item() is
-    assert float(np.float32(0.15)) / 0.1 > 1.5
-    np.testing.assert_array_equal(
-        inflate(corridor, float(np.float32(0.15)) / 0.1), inflate(corridor, 1.5)
-    )
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 1.0])
+def test_a_radius_that_was_a_float32_counts_as_meant(resolution: float) -> None:
+    """As a tensor's item() is: for all whole and half cells up to 99."""
+    hall = np.zeros((1, 200), np.uint8)
+    for half_cells in range(1, 200):
+        radius = half_cells / 2 * resolution
+        exact = least_squared(half_cells / 2)
+        assert exact == half_cells**2
+        assert least_squared(radius, resolution) == exact
+        assert least_squared(float(np.float32(radius)), resolution) == exact
+        assert least_squared(half_cells / 2 * 1.001) > exact
+    assert inflate(hall, 0.5).sum() == 0
+    assert inflate(hall, 0.501).all()
 
 
 def test_inflating_leaves_the_grid_alone() -> None:

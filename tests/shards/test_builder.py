@@ -367,6 +367,17 @@ def test_a_repaired_manifest_is_that_of_the_build(tmp_path: Path) -> None:
     assert verify(root) == []
 
 
+def test_a_shard_that_is_alone_and_not_the_first_is_whole(tmp_path: Path) -> None:
+    """Its own length is then the size: the build goes on."""
+    root = tmp_path / "rest"
+    whole = build(root, MapSpec(), maps=6, shard_size=2)
+    for name in (MANIFEST, whole.shards[0].name, whole.shards[1].name):
+        (root / name).unlink()
+    repair(root)
+    assert build(root, MapSpec(), maps=6, shard_size=2) == whole
+    assert verify(root) == []
+
+
 def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
     """Shards describe themselves: what they hold is not overwritten by another dataset."""
     make(root)
