@@ -15,7 +15,6 @@ import math
 import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,7 +31,6 @@ from torch.optim.lr_scheduler import OneCycleLR
 from mapdata import Movement
 from mapdata.arrays import Bytes, Ints
 from mapdata.search import STEPS
-from mapdata.shards import write_file
 
 Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
@@ -192,8 +190,8 @@ def check_problems(
     """Return one problem or B of them as new arrays: (B, H, W) of 0 and 1, starts, goals (B, 2).
 
     Raises:
-        ValueError: a map without a free cell, a start or goal that is no cell of its map, or an
-            occupied one.
+        ValueError: a map without a free cell, a start or goal outside its map or on an occupied
+            cell.
     """
     cells = np.asarray(maps)
     grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
@@ -201,9 +199,7 @@ def check_problems(
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
     ends = []
     for name, given in (("start", starts), ("goal", goals)):
-        end = np.atleast_2d(given)
-        if end.dtype.kind not in "iu":
-            raise ValueError(f"{name}: got {end.tolist()}, expected a cell of two integers")
+        end = np.atleast_2d(given).astype(np.int64)
         # of order 0, the value of a cell itself; outside the map all is occupied
         occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)  # (B,)
         if occupied.any():
@@ -211,7 +207,7 @@ def check_problems(
                 f"{name}: got {end[occupied.argmax()].tolist()}, outside its map or on an occupied "
                 f"cell, expected a free cell of a map of {grids.shape[1:]}"
             )
-        ends.append(end.astype(np.int64))
+        ends.append(end)
     return grids, ends[0], ends[1]
 
 
@@ -419,10 +415,7 @@ class Model(pl.LightningModule):
             self.train(training)
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write class, arguments and weights, as plain types and float16 tensors: half the size.
-
-        A file that is there is replaced at once, or not at all.
-        """
+        """Write class, arguments and weights, as plain types and float16 tensors: half the size."""
         arguments = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hparams.items()
@@ -432,10 +425,7 @@ class Model(pl.LightningModule):
             name: value.to("cpu", torch.float16).contiguous()
             for name, value in self.state_dict().items()
         }
-        saved = {"class": type(self).__name__, "arguments": arguments, "weights": weights}
-        buffer = BytesIO()
-        torch.save(saved, buffer)
-        write_file(Path(file).resolve(), buffer.getvalue())
+        torch.save({"class": type(self).__name__, "arguments": arguments, "weights": weights}, file)
 
     @classmethod
     def load(cls: type[M], file: str | PathLike[str]) -> M:

@@ -113,7 +113,7 @@ def info_command(
         recipe: print the few lines of JSON that are the dataset
         card: write the dataset card (default: README.md in ROOT)
     """
-    from mapdata.shards import Root, write_file
+    from mapdata.shards import Root, write_file, write_output
     from mapdata.shards import card as card_of
     from mapdata.shards.root import folder_of, local_path
 
@@ -126,9 +126,10 @@ def info_command(
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    # a README.md of others, which may be a link to anything, is replaced; a named one is followed
-    path = folder_of(root[0]) / "README.md" if card is True else local_path(card).resolve()
-    write_file(path, card_of(root, progress=True).encode())
+    path = folder_of(root[0]) / "README.md" if card is True else local_path(card)
+    # a README.md of others may be a link to anything
+    write = write_file if card is True else write_output
+    write(path, card_of(root, progress=True).encode())
     print(f"wrote {path}")
 
 
@@ -224,12 +225,12 @@ def report_command(root: list[str], *, output: str = "report.html", maps: int = 
         maps: how many maps to browse
     """
     from mapdata.plotting.html_report import report
-    from mapdata.shards import write_file
+    from mapdata.shards import write_output
     from mapdata.shards.root import local_path
 
     path = local_path(output)
     text = report(root, maps, progress=True).encode()
-    write_file(path.resolve(), text)
+    write_output(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 

@@ -17,7 +17,7 @@ import pandas as pd
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.problems.problem_set import HARD, Problems
 from mapdata.search.api import check_path
-from mapdata.spec import Cell, check_choice, check_count, check_seed
+from mapdata.spec import Cell, check_choice, check_count
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
@@ -110,7 +110,6 @@ def evaluate(
     if not len(problems):
         raise ValueError("problems: got none, expected at least one")
     check_count("bootstrap", bootstrap)
-    check_seed(seed)
     if baseline is not None:
         check_choice("baseline", baseline, names)
     runs = [_run(planner, problems) for planner in planners]

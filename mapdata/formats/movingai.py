@@ -261,7 +261,7 @@ def check_scen(
         if problem.map not in terrains:
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
         terrain = terrains[problem.map]
-        _check_cells(problem, terrain, path)
+        _check_cells(problem, terrain.shape, path)
         letter = chr(terrain[problem.start])
         letters = letter if letter in _ISLANDS else LAND
         groups.setdefault((problem.map, letters), []).append(problem)
@@ -313,18 +313,15 @@ def problems(
     return Problems(grids, ends[:, 0], ends[:, 1], MOVEMENT, text)
 
 
-def _check_cells(problem: Problem, terrain: Bytes, path: Path) -> None:
+def _check_cells(problem: Problem, shape: Size, path: Path) -> None:
     """Refuse a problem that does not fit on its map."""
-    if problem.size not in (None, terrain.shape):
+    if problem.size not in (None, shape):
         raise FormatError(
-            f"{path}: line {problem.line} says {problem.size}, the map has {terrain.shape} rows, "
-            "columns"
+            f"{path}: line {problem.line} says {problem.size}, the map has {shape} rows, columns"
         )
     for cell in (problem.start, problem.goal):
-        if np.greater_equal(cell, terrain.shape).any():
-            raise FormatError(
-                f"{path}: line {problem.line}: {cell} is outside the map of {terrain.shape}"
-            )
+        if np.greater_equal(cell, shape).any():
+            raise FormatError(f"{path}: line {problem.line}: {cell} is outside the map of {shape}")
 
 
 def agrees(problem: Problem, found: float) -> bool:
@@ -390,17 +387,13 @@ def read(
     """
     found = Collection(movement=MOVEMENT)
     if scen or source.suffix.lower() == ".scen":
-        named = _named_maps(source, limits, maps, found)
+        points = _end_points(source, limits, maps, found)
     else:
-        named = ((path, []) for path in files_of(source, (".map",), limits, found))
+        points = ((path, []) for path in files_of(source, (".map",), limits, found))
     cells = np.zeros(128, np.int64)  # of each letter, by its code
-    for path, problems in named:
+    for path, ends in points:
         with found.leaving_out(path):
             terrain = read_terrain(path, limits)
-            ends = []
-            for problem in problems:
-                _check_cells(problem, terrain, path)
-                ends += [problem.start, problem.goal]
             grid = world(terrain)
             cells += np.bincount(terrain.ravel(), minlength=len(cells))
             free = [cell for cell in dict.fromkeys(ends) if not grid[cell]]  # each once
@@ -422,20 +415,25 @@ def read(
     return found
 
 
-def _named_maps(
+def _end_points(
     source: Path, limits: Limits, maps: StrPath | None, found: Collection
-) -> Iterable[tuple[Path, list[Problem]]]:
-    """Return each map that a .scen names, with its problems in their order."""
+) -> Iterable[tuple[Path, list[Cell]]]:
+    """Return each map that a .scen names, with the end points of its problems in their order."""
     if source.suffix.lower() == ".map":
         raise FormatError(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
         )
-    named: dict[Path, list[Problem]] = {}
+    points: dict[Path, list[Cell]] = {}
+    shapes: dict[Path, Size] = {}
     for path in files_of(source, (".scen",), limits, found):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
-                named.setdefault(find_map(problem.map, path, maps), []).append(problem)
-    return named.items()
+                where = find_map(problem.map, path, maps)
+                if where not in shapes:
+                    shapes[where] = read_terrain(where, limits).shape
+                _check_cells(problem, shapes[where], path)
+                points.setdefault(where, []).extend([problem.start, problem.goal])
+    return points.items()
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:

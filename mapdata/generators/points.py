@@ -63,9 +63,10 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
     Raises:
         ValueError: maps of another size than the spec's.
     """
-    expected = (len(indices), *spec.map_size)
-    if grids.shape != expected:
-        raise ValueError(f"grids: got shape {grids.shape}, expected {expected}")
+    if grids.shape != (len(indices), *spec.map_size):
+        raise ValueError(
+            f"grids: got shape {grids.shape}, expected {len(indices)} maps of {spec.map_size}"
+        )
     most = spec.most_seed_points
     maps = Maps.empty(spec.movement, spec.map_size, indices, most)
     key = np.uint64(seed)

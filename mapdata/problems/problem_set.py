@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import hardness, rule_of
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import StrPath, write_file
+from mapdata.shards.shard import StrPath, write_output
 from mapdata.spec import SPLITS, Movement, canonical_json, check_choice, check_count, check_seed
 
 HARD = 1.05
@@ -115,7 +114,7 @@ class Problems:
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         file = BytesIO()
         np.savez_compressed(file, about=np.array(canonical_json(about)), **arrays)
-        write_file(Path(path).resolve(), file.getvalue())
+        write_output(path, file.getvalue())
 
     @staticmethod
     def load(path: StrPath) -> Problems:

@@ -14,7 +14,7 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import Root
-from mapdata.shards.shard import ShardError, write_file
+from mapdata.shards.shard import ShardError, write_file, write_output
 from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
 __all__ = [
@@ -36,4 +36,5 @@ __all__ = [
     "repair",
     "verify",
     "write_file",
+    "write_output",
 ]

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from math import prod
 from pathlib import Path
 
 from mapdata.shards.builder import headers, make_shard
@@ -48,7 +47,6 @@ from mapdata.shards.root import (
 )
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, decode, write_file
 from mapdata.shards.workers import bar, finished, threads
-from mapdata.spec import MAX_SIDE
 
 _STRANGE = "no file of this dataset: keep it elsewhere"
 
@@ -268,7 +266,8 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
     ((header, _),) = votes.most_common(1)
     limits = [limits_of(path) for path in shards]
     maps = max(stop for _, stop in limits)
-    size = _shard_size(root, limits, min(1000, MAX_SIDE**2 // prod(header.map_size)))
+    # a build takes 1,000 maps by default, an import less of large ones
+    size = _shard_size(root, limits, 1000 if header.spec else maps)
     if size is None or maps > MOST_SHARDS * size:
         return None
     manifest = Manifest(**header.origin(), maps=maps, shard_size=size)

@@ -377,14 +377,11 @@ def unpack_moves(packed: Bytes, count: int, bits: int) -> Bytes:
 def write_file(path: Path, data: bytes) -> None:
     """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
 
-    A link is replaced; a device or a pipe is written to.
+    Whatever else the name stood for, such as a link, is replaced.
 
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
-    if path.exists() and not path.is_file():
-        path.write_bytes(data)
-        return
     temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
     try:
         with open(temporary, "xb") as file:
@@ -402,6 +399,19 @@ def write_file(path: Path, data: bytes) -> None:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def write_output(path: StrPath, data: bytes) -> None:
+    """Write ``data`` to what a user names: a file at once, a link followed, a device or pipe as is.
+
+    Raises:
+        OSError: as `write_file`.
+    """
+    target = Path(path)
+    if target.exists() and not target.is_file():
+        target.write_bytes(data)
+    else:
+        write_file(Path(os.path.realpath(path)), data)
 
 
 def take_lock(file: IO[bytes], wait: bool = False) -> bool:

@@ -228,15 +228,26 @@ def test_a_named_output_is_what_the_name_stands_for(
     assert run(verb, dataset, flag, link).code == 0
     assert link.is_symlink()
     assert target.read_bytes() not in (b"old", b"")
-    pipe = tmp_path / "pipe"
+    pipe, to_pipe = tmp_path / "pipe", tmp_path / "to_pipe"
     os.mkfifo(pipe)
-    came: list[bytes] = []
-    reader = threading.Thread(target=lambda: came.append(pipe.read_bytes()), daemon=True)
-    reader.start()
-    assert run(verb, dataset, flag, pipe).code == 0
-    reader.join(timeout=60)
-    assert len(came[0]) > 100
-    assert pipe.is_fifo()
+    to_pipe.symlink_to(pipe)
+    for name in (pipe, to_pipe):
+        came: list[bytes] = []
+        reader = threading.Thread(target=lambda: came.append(pipe.read_bytes()), daemon=True)  # noqa: B023
+        reader.start()
+        assert run(verb, dataset, flag, name).code == 0
+        reader.join(timeout=60)
+        assert len(came[0]) > 100
+        assert pipe.is_fifo()
+    ends = os.pipe()  # as `>(...)` of a shell
+    got: list[bytes] = []
+    with os.fdopen(ends[0], "rb") as source:
+        reader = threading.Thread(target=lambda: got.append(source.read()), daemon=True)
+        reader.start()
+        assert run(verb, dataset, flag, f"/dev/fd/{ends[1]}").code == 0
+        os.close(ends[1])
+        reader.join(timeout=60)
+    assert len(got[0]) > 100
 
 
 def test_a_closed_stderr_is_no_damage(dataset: Path) -> None:
@@ -247,14 +258,21 @@ def test_a_closed_stderr_is_no_damage(dataset: Path) -> None:
 
 
 def test_a_card_of_others_is_no_way_out(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """A README.md in the dataset that is a link is replaced: what it points to stays."""
+    """What is a link or a pipe in the dataset is replaced: what it points to stays."""
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    outside = tmp_path / "outside"
+    outside, pipe = tmp_path / "outside", tmp_path / "pipe"
     outside.write_text("mine")
-    (copy / "README.md").symlink_to(outside)
-    assert run("info", copy, "--card").code == 0
-    assert outside.read_text() == "mine"
-    assert not (copy / "README.md").is_symlink()
+    os.mkfifo(pipe)
+    for target in (outside, pipe):
+        for name, command in (
+            ("README.md", ("info", copy, "--card")),
+            (MANIFEST, ("verify", copy, "--repair")),
+        ):
+            (copy / name).unlink(missing_ok=True)
+            (copy / name).symlink_to(target)
+            assert run(*command).code == 0
+            assert outside.read_text() == "mine"
+            assert not (copy / name).is_symlink()
 
 
 def test_show_draws_other_maps_and_colours_otherwise(

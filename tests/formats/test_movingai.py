@@ -426,7 +426,13 @@ def test_an_import_refuses_scaled_scenarios(
     scen = tmp_path / "a.map.scen"
     scen.write_text(f"version 1\n{line}\n")
     code, _, err = cli(capsys, "import", scen, tmp_path / "out")
-    assert (code, why in err) == (2, True), err
+    assert (code, why in err, "a.map.scen: line" in err) == (2, True, True), err
+    # a sound one for the same map is imported
+    sound = "0\ta.map\t4\t3\t0\t0\t2\t1\t2.41421356"
+    (tmp_path / "b.scen").write_text(f"version 1\n{sound}\n")
+    assert cli(capsys, "import", tmp_path, tmp_path / "out", "--movingai.scen")[0] == 0
+    labels = read_shard(tmp_path / "out" / read_manifest(tmp_path / "out").shards[0].name)
+    assert labels.maps.seed_points[0].tolist() == [[0, 0], [1, 2]]
 
 
 def test_one_long_name_does_not_end_the_run(

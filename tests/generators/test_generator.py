@@ -135,7 +135,7 @@ def test_what_is_no_family_is_refused() -> None:
     with pytest.raises(ValueError, match="spec: got 'paper', expected a MapSpec or another"):
         generate("paper", 0, [0])  # type: ignore[arg-type]
     for shape in ((2, 1, 8), (2, 9, 1), (1, 9, 8), (2, 8, 9), (4, 9, 4)):
-        with pytest.raises(ValueError, match=r"grids: got shape .* expected \(2, 9, 8\)"):
+        with pytest.raises(ValueError, match=r"grids: got shape .* expected 2 maps of \(9, 8\)"):
             with_seed_points(Stripes(), 0, np.arange(2), np.zeros(shape, np.uint8))
 
 

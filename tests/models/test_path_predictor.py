@@ -5,7 +5,6 @@ ship.
 from __future__ import annotations
 
 import json
-import os
 import runpy
 import subprocess
 import sys
@@ -398,31 +397,6 @@ def test_resumes(tmp_path: Path, connectivity: int) -> None:
     assert PathPredictor.load_from_checkpoint(half, weights_only=True).movement == Movement(
         connectivity
     )
-
-
-def test_a_full_disk_leaves_the_weights_that_were_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nothing half-written under the name, and no other file."""
-    file = tmp_path / "weights.pt"
-    PathPredictor(widths=(8, 8)).save(file)
-    before = file.read_bytes()
-
-    def full(descriptor: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        PathPredictor(widths=(8, 16)).save(file)
-    assert file.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [file]
-
-
-def test_a_cell_is_two_integers() -> None:
-    """Half of a cell is not the cell above it."""
-    model = PathPredictor(widths=(8, 8))
-    with pytest.raises(ValueError, match=r"start: got \[\[1\.9, 1\.0\]\], expected a cell of two"):
-        model.predict_path(np.zeros((4, 4)), (1.9, 1), (3, 3))
 
 
 def test_saves_plain_types(tmp_path: Path) -> None:

@@ -355,15 +355,17 @@ def test_a_lost_manifest_is_made_again(root: Path) -> None:
     assert (root / MANIFEST).read_bytes() == text
 
 
-def test_a_repaired_manifest_is_that_of_the_build(tmp_path: Path) -> None:
+@pytest.mark.parametrize("side", [64, 300])
+def test_a_repaired_manifest_is_that_of_the_build(side: int, tmp_path: Path) -> None:
     """A shard that is alone is a partial one of the default size: the dataset can grow."""
     root = tmp_path / "lone"
-    build(root, MapSpec(), maps=3)
+    spec = MapSpec((side, side))
+    build(root, spec, maps=3)
     text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).unlink()
     repair(root)
     assert (root / MANIFEST).read_bytes() == text
-    assert build(root, MapSpec(), maps=5).maps == 5
+    assert build(root, spec, maps=5).maps == 5
     assert verify(root) == []
 
 
