@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 import zipfile
+from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
@@ -370,7 +371,7 @@ MOST = 1024
 """Largest number among the arguments of a saved model: a layer's width, how many layers."""
 
 
-class Model(pl.LightningModule):
+class Model(pl.LightningModule, ABC):
     """What all sample models are, besides their network and loss.
 
     Its hyperparameters hold ``learning_rate``, the highest of the schedule.
@@ -378,9 +379,9 @@ class Model(pl.LightningModule):
 
     optimizer_class: Callable[..., torch.optim.Optimizer] = Muon  # AdamW needs more steps here
 
+    @abstractmethod
     def losses(self, batch: Any) -> Tensors:
         """Return ``loss`` and its parts, by the names under which `training_step` logs them."""
-        raise NotImplementedError
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         """Return the loss of one step."""

@@ -27,7 +27,7 @@ a step of training.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -90,7 +90,7 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
 # --- what all samplers share: targets, training, sampling ---------------------------------------
 
 
-class Sampler(Model, ABC):
+class Sampler(Model):
     """Learns where to sample from batches with ``map, start, goal, path``, or with `FIELDS`."""
 
     def __init__(self, targets: str) -> None:

@@ -217,8 +217,8 @@ def _sees(grid: Bytes, x0: float, y0: float, x1: float, y1: float) -> bool:
 def sees(grid: Bytes, first: Floats, second: Floats) -> Flags:
     """Return (n,) bool: which segments between points (n, 2) float64 meet no occupied cell.
 
-    A segment through the corner of a cell meets it, too. Nothing is checked:
-    the arrays must be as long as each other, and all points lie in the map (H, W).
+    A segment through the corner of a cell meets it, too. Nothing is checked: the arrays must be as
+    long as each other, and all points lie in the map (H, W).
     """
     seen = np.empty(len(first), np.bool_)
     for k in range(len(first)):

@@ -45,7 +45,7 @@ CONFIG = Path(__file__).with_suffix(".yaml")
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    TrainingCli(Sampler, CONFIG, arguments)
+    TrainingCli(Sampler, CONFIG, arguments)  # type: ignore[type-abstract]  # a subclass is asked for
 
 
 if __name__ == "__main__":

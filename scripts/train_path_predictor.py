@@ -46,7 +46,7 @@ class Cli(TrainingCli):
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    Cli(LearnedPlanner, CONFIG, arguments)
+    Cli(LearnedPlanner, CONFIG, arguments)  # type: ignore[type-abstract]  # a subclass is asked for
 
 
 if __name__ == "__main__":

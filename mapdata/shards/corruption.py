@@ -266,7 +266,8 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
     ((header, _),) = votes.most_common(1)
     limits = [limits_of(path) for path in shards]
     maps = max(stop for _, stop in limits)
-    # a build takes 1,000 maps by default, an import less of large ones
+    # A build takes 1,000 maps by default. An import takes less of large ones: its shard that is
+    # alone is taken for a whole one.
     size = _shard_size(root, limits, 1000 if header.spec else maps)
     if size is None or maps > MOST_SHARDS * size:
         return None
