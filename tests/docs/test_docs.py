@@ -95,6 +95,17 @@ def test_what_cannot_run_is_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyP
             pages.run(page)
 
 
+def test_pages_that_use_the_models_say_what_to_install() -> None:
+    """The extra is in this environment, so that running their blocks would not tell."""
+    users = []
+    for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        if re.search(r"^ *(from|import) models|^ {4}python scripts/(train|evaluate)", text, re.M):
+            users.append(page.name)
+            assert ".[examples]" in text, page
+    assert {"tutorial.md", "planners.md", "worlds.md"} <= set(users)
+
+
 def test_the_loops_are_short() -> None:
     """20 lines without imports and blank lines."""
     page = (DOCS / "loading.md").read_text(encoding="utf-8")
