@@ -1,4 +1,8 @@
-"""The one decorator that makes a kernel: compiled on first use, cached on disk, never stale."""
+"""The one decorator that makes a kernel: compiled on first use, and cached on disk.
+
+The kernels of mapdata are never stale. Of others numba watches the file of the kernel alone: what
+it calls, and the constants that it uses, belong into the same file, or into mapdata.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,8 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from multiprocessing import current_process
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -138,6 +144,8 @@ def _cached(function: F, inline: str) -> F:
         _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
         try:
             dispatcher.enable_caching()
+            # of a full disk: what cannot be kept is compiled anew
+            dispatcher._cache._guard_against_spurious_io_errors = partial(suppress, OSError)
         finally:
             _CONFIG.CACHE_DIR = before
     return cast(F, dispatcher)

@@ -86,7 +86,7 @@ def canonical_json(values: object) -> str:
     )
 
 
-def parsed_json(name: str, text: str) -> Any:
+def parsed_json(name: str, text: str | bytes) -> Any:
     """Return the value of a JSON text.
 
     Raises:
@@ -94,7 +94,7 @@ def parsed_json(name: str, text: str) -> Any:
     """
     try:
         return json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # or no UTF-8
         raise ValueError(f"{name}: not JSON ({error})") from None
 
 
@@ -129,7 +129,7 @@ def check_count(name: str, value: object, lowest: int = 1) -> int:
 
 def check_choice(name: str, value: object, choices: Collection[str]) -> None:
     """Refuse a value that is not one of ``choices``; the message names the nearest of them."""
-    if value not in choices:
+    if value not in tuple(choices):  # JSON may hold what has no hash
         hint = did_you_mean(value, choices)
         raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}{hint}")
 
@@ -198,7 +198,7 @@ def check_number(name: str, value: object) -> float:
     """Return ``value`` as a float; text and bools are no numbers."""
     if hasattr(value, "__float__") and not isinstance(value, (bool, str)):
         with suppress(OverflowError, TypeError):  # of arrays
-            return float(value)
+            return float(value) + 0.0  # -0.0 is equal to 0.0, but not in JSON
     raise ValueError(f"{name}: got {value!r}, expected a number")
 
 

@@ -66,7 +66,10 @@ class Serving:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the fields."""
-        return tuple(field if isinstance(field, str) else field.__name__ for field in self.fields)
+        return tuple(
+            field if isinstance(field, str) else getattr(field, "__name__", "")
+            for field in self.fields
+        )
 
     def plain(self) -> dict[str, Any]:
         """Return the arguments as plain values, which checkpoints can hold safely.

@@ -278,7 +278,7 @@ class BatchReader:
             ShardError: the file is gone, or not what the manifest says.
             ConnectionError: it lies at a URL, and cannot be fetched.
         """
-        if k in self._open:
+        if self._addresses[k, 0]:  # which come last: another thread may be about to write them
             return self._open[k]
         place, _, entry = self.shards[k]
         try:
@@ -352,7 +352,7 @@ class BatchReader:
         return Paths(cells, offsets, iterations)
 
     def rooms(self, shards: Ints, maps: Ints, search: str) -> Rooms:
-        """Return the stored connection matrices (B, R, R) and the centres (B, R, 2)."""
+        """Return the stored connection matrices (B, R, R) and the seed points (B, R, 2)."""
         found = read_rooms(
             self._addresses,
             shards,

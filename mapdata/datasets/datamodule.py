@@ -146,14 +146,16 @@ class MapDataModule(_Base):
         recipe = Recipe.load(self.build)
         root = Path(self.roots[0])
         shard_size = read_manifest(root).shard_size if (root / MANIFEST).exists() else 1000
-        build(
+        built = build(
             root,
             recipe.spec,
             maps=recipe.maps,
             seed=recipe.seed,
             shard_size=shard_size,
             progress=True,
-        )
+        ).content_hash
+        if recipe.content_hash not in (None, built):
+            raise ValueError(f"build: content hash {built}, the recipe says {recipe.content_hash}")
 
     def setup(self, stage: str | None = None) -> None:
         """Open the datasets of ``stage``; a second call does nothing.
@@ -190,7 +192,7 @@ class MapDataModule(_Base):
         movement = astuple(dataset.movement)
         told = {**self.hparams, "fields": self.serving.names, "movement": movement}
         for logger in self.trainer.loggers if self.trainer else ():
-            logger.log_hyperparams({"data": json.loads(json.dumps(told))})  # YAML has no tuples
+            logger.log_hyperparams({"data": json.loads(json.dumps(told, default=str))})  # no tuples
 
     def _open(self, split: str) -> Dataset:
         arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}

@@ -6,7 +6,6 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +60,10 @@ CONDITIONS: dict[str, Field] = {
 """What the conditions of `MapDataset.filter` are about: a value for each problem of a batch."""
 
 
+_MADE_AGAIN = ("reader", "_class", "_kept", "_numbers")
+"""Attributes that are not pickled."""
+
+
 class ProblemDataset(Dataset[Sample], ABC):
     """What both datasets share: indexing, fields, epochs, symmetries.
 
@@ -68,9 +71,9 @@ class ProblemDataset(Dataset[Sample], ABC):
     gets whole batches made at once. With a ``transform``, ``dataset[i]`` is what it returns, and
     batches are stacked from such samples as a DataLoader does.
 
-    A sampler may yield ``index + epoch * len(dataset)``: what is drawn anew each epoch is a
-    function of (sampling_seed, epoch, index), never of worker state. A plain ``dataset[i]`` is
-    epoch 0.
+    A batch sampler may yield lists of ``index + epoch * len(dataset)``: what is drawn anew each
+    epoch is a function of (sampling_seed, epoch, index), never of worker state. A plain
+    ``dataset[i]`` is epoch 0, and i below the length.
     """
 
     movement: Movement
@@ -105,7 +108,6 @@ class ProblemDataset(Dataset[Sample], ABC):
         self.serving = serving
         self.dtype = dtype
         self.transform = transform
-        self._arguments = {**vars(serving), "dtype": dtype, "transform": transform}
         self._class = sample_class(serving.names, serving.max_length)
         # glibc hands freed blocks back to the system above a threshold that grows with the largest
         # block that was ever freed. Batches are below that size but above the threshold, so each
@@ -117,6 +119,10 @@ class ProblemDataset(Dataset[Sample], ABC):
     @abstractmethod
     def __len__(self) -> int:
         """Return the number of problems."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without file handles, data and classes made at run time."""
+        return {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
 
     def __getitem__(self, index: Any) -> Sample:
         if isinstance(index, slice):
@@ -331,6 +337,7 @@ class MapDataset(ProblemDataset):
         super().__init__(split, serving, dtype, transform)
         self.reader = BatchReader(root, split, source, radius)
         self.roots = self.reader.root.places
+        self._content = [manifest.content_hash for manifest in self.reader.manifests]
         self.movement = movement or self.reader.movement
         self.map_size = self.reader.map_size
         self.filters: tuple[dict[str, Any], ...] = ()
@@ -352,17 +359,23 @@ class MapDataset(ProblemDataset):
         arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
         if self.serving.radius:
             arguments += f", radius={self.serving.radius}"
-        content = [each.content_hash[:12] for each in self.reader.manifests]
+        content = [each[:12] for each in self._content]
         known = f"map_size={self.map_size}, content_hash={content}"
         if not all(each.complete for each in self.reader.manifests):
             known += ", of a dataset that is not finished"
         return f"MapDataset({arguments}){filters}: {len(self)} problems, {known}"
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as paths and arguments: no file handle, no data."""
-        again = partial(MapDataset, self.roots, self.split, **self._arguments)
-        content = [manifest.content_hash for manifest in self.reader.manifests]
-        return _reopen, (again, self.filters, content)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Open it again, if it still is the same: in another one its problems have other places."""
+        MapDataset.__init__(self, state["roots"], **arguments_of(state))
+        if self._content != state["_content"]:
+            raise ValueError(
+                f"root: {', '.join(self.roots)}: other maps than when this dataset was opened; "
+                "open it again"
+            )
+        vars(self).update(state)
+        for conditions in self.filters:
+            self._kept = self._matching(conditions)
 
     def filter(
         self,
@@ -436,8 +449,8 @@ class MapDataset(ProblemDataset):
         from mapdata.shards.table import map_rows
 
         rows = []
-        for k, (_, _, entry) in enumerate(self.reader.shards):
-            rows += map_rows(self.reader.open(k), self.split, entry.maps)
+        for k, (_, first, entry) in enumerate(self.reader.shards):
+            rows += map_rows(self.reader.open(k), self.split, entry.maps, first)
         return pd.DataFrame(rows)
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:
@@ -504,21 +517,7 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
     )
 
 
-def _reopen(
-    again: Callable[[], MapDataset], filters: tuple[dict[str, Any], ...], content: list[str]
-) -> MapDataset:
-    """Return the dataset that was pickled, if it still is the same.
-
-    In another one, its problems would have other numbers.
-    """
-    dataset = again()
-    for root, manifest, expected in zip(
-        dataset.roots, dataset.reader.manifests, content, strict=True
-    ):
-        if manifest.content_hash != expected:
-            raise ValueError(
-                f"root: {root} holds other maps than when this dataset was opened; open it again"
-            )
-    for conditions in filters:
-        dataset = dataset.filter(**conditions)
-    return dataset
+def arguments_of(state: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a pickled dataset that both datasets take."""
+    serving: dict[str, Any] = vars(state["serving"])
+    return serving | {name: state[name] for name in ("split", "dtype", "transform")}

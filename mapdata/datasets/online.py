@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import torch
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
-from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform
+from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform, arguments_of
 from mapdata.datasets.fields import Paths
 from mapdata.generators.generator import Generator, check_spec, generate
 from mapdata.generators.maps import Maps
@@ -80,11 +79,10 @@ class OnlineMapDataset(ProblemDataset):
         """Return the number of problems."""
         return self.length
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as arguments: no maps, no class made at run time."""
-        return partial(
-            OnlineMapDataset, self.spec, self.seed, self.length, self.split, **self._arguments
-        ), ()
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        given = {name: state[name] for name in ("spec", "seed", "length")}
+        OnlineMapDataset.__init__(self, **given, **arguments_of(state))
+        vars(self).update(state)
 
     def __repr__(self) -> str:
         return (

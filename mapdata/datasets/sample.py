@@ -75,6 +75,10 @@ class Rows(Sequence[Sample]):
     def __len__(self) -> int:
         return len(self.batch[0])
 
+    def pin_memory(self) -> Rows:
+        """Pin the batch: of a sequence torch would pin each sample, and make this class of them."""
+        return Rows(type(self.batch)(*(value.pin_memory() for value in self.batch)))
+
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):
             return [self[k] for k in range(*i.indices(len(self)))]
@@ -122,7 +126,7 @@ def _stack_paths(paths: Sequence[Tensor], capacity: int | None) -> Tensor:
     longest = max(map(len, paths))
     rows = rows_of_path(longest, capacity)
     stacked = pad_sequence(list(paths), batch_first=True, padding_value=PADDING)
-    return pad(stacked, (0, 0, 0, rows - longest), value=PADDING)
+    return pad(stacked, (0, 0) * (stacked.ndim - 2) + (0, rows - longest), value=PADDING)
 
 
 def rows_of_path(longest: int, max_length: int | None) -> int:

@@ -20,7 +20,7 @@ from mapdata.rng import MAP, block, bounded
 from mapdata.spec import Range, check_integers, check_number, check_range, items_of
 
 _MOST_COVER = 0.5
-"""At most half of a map is covered: beyond it no way leads anywhere, and draws run out."""
+"""At most half of a map is asked for: beyond it no way leads anywhere, and draws run out."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,8 @@ class Forest(Scattered):
 
     Attributes:
         map_size: (rows, columns) of a map.
-        cover: (least, most) share of the cells that obstacles cover; that of a map is uniform.
+        cover: (least, most) share of the cells that obstacles cover at least; that of a map is
+            uniform. The obstacle that reaches it is whole, and may go far beyond if it is large.
         sizes: (least, most) diameter of a disc and side of a box, in cells; (1, 1) is noise.
         seed_points: how many seed points a map has where its largest component has as many cells.
     """

@@ -131,8 +131,7 @@ class Generator(ABC):
             raise ValueError(f"spec: got {values!r}, expected an object of named values")
         given = dict(values)
         name = given.pop("generator", _FIRST)
-        families = tuple(GENERATORS)  # JSON may hold what has no hash
-        check_choice("generator, known once its module is imported", name, families)
+        check_choice("generator, known once its module is imported", name, GENERATORS)
         kind = GENERATORS[name]
         if not issubclass(kind, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
@@ -170,13 +169,16 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
         raise ValueError(
             f"{family.__name__}: expected a frozen dataclass with name, most_seed_points and draw"
         )
-    # The same class once more is fine: a notebook runs its cells again.
-    taken = GENERATORS.setdefault(family.name, family)
+    # The same class once more takes the place of its own: a notebook runs its cells again.
+    taken = GENERATORS.get(family.name, family)
     if taken.__qualname__ != family.__qualname__:
         raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken.__name__}")
     for name, spec in presets.items():
-        if PRESETS.setdefault(name, spec) != spec:
+        there = PRESETS.get(name, spec)
+        if there != spec and (there.name != family.name or isinstance(there, family)):
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
+    GENERATORS[family.name] = family
+    PRESETS.update(presets)
 
 
 def check_spec(spec: object) -> None:

@@ -41,10 +41,11 @@ def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
 def maps_of_split(spec: Generator, seed: int, split: str, count: int) -> Ints:
     """Return the indices of the first ``count`` maps of (spec, seed) that belong to ``split``."""
     code = SPLITS.index(split)
-    if spec.splits[code] <= 0:
+    thresholds = split_thresholds(spec.splits)
+    bounds = [0, *thresholds.tolist(), 2**32]
+    if bounds[code] == bounds[code + 1]:
         raise ValueError(f"split: the spec gives no map to {split!r} (splits {spec.splits})")
     key = np.uint64(check_seed(seed))
-    thresholds = split_thresholds(spec.splits)
     found = np.empty(0, np.int64)
     indices = np.arange(max(count, 4096))
     while len(found) < count:

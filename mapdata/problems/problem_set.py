@@ -122,7 +122,7 @@ class Problems:
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: it holds no problems, or what `Problems` refuses.
+            ValueError: it holds no problems, or what `Problems` refuses; the message names it.
         """
         try:
             with np.load(path) as file:
@@ -130,11 +130,11 @@ class Problems:
                 arrays = {name: file[name] for name in _ARRAYS}
                 movement = Movement(**about["movement"])
                 description = str(about["description"])
+            return Problems(**arrays, movement=movement, description=description)
         except FileNotFoundError:
             raise
         except Exception as error:  # what numpy's and zip's readers raise is not documented
             raise ValueError(f"{path}: holds no saved problems ({error})") from None
-        return Problems(**arrays, movement=movement, description=description)
 
     @staticmethod
     def sample(

@@ -190,7 +190,7 @@ def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement(
         (H, W) float32, in cells; -1 where there is no path.
 
     Raises:
-        ValueError: what `bfs` refuses.
+        ValueError: what `bfs` refuses, and a path of 2,097,152 cells or more.
 
     >>> distance_field([[0, 1, 0], [0, 0, 0]], (0, 0))
     array([[ 0., -1.,  4.],

@@ -85,12 +85,15 @@ def least_squared(radius: float, resolution: float = 1.0) -> int:
         resolution: what a cell measures, in the same unit.
 
     Raises:
-        ValueError: a radius that is not from 0 to 1,000,000.
+        ValueError: a radius that is not from 0 to 1,000,000 cells.
     """
-    if not 0 <= check_number("radius", radius) < 1e6:  # whose square is a whole number of 64 bits
-        raise ValueError(f"radius: got {radius}, expected a number of at least 0, below 1,000,000")
+    cells = check_number("radius", radius) / resolution
+    if not 0 <= cells < 1e6:  # whose square is a whole number of 64 bits
+        raise ValueError(
+            f"radius: got {radius}, expected a number of at least 0, below 1,000,000 cells"
+        )
     # float32 numbers are off by 6e-8 of themselves, their squares by twice that
-    return math.ceil((2 * radius / resolution) ** 2 * (1 - 3e-7))
+    return math.ceil((2 * cells) ** 2 * (1 - 3e-7))
 
 
 @kernel
@@ -139,7 +142,8 @@ def _fill_squared(grid: Bytes, squared: Int32s) -> None:
     below = np.zeros(columns, np.int32)
     for row in range(rows - 1, -1, -1):
         for column in range(columns):
-            gap = min(squared[row, column], _next(below[column]))
+            # no gap that is larger than a row can be the nearest, and its square has its limits
+            gap = min(squared[row, column], _next(below[column]), columns)
             squared[row, column] = gap * gap
             below[column] = gap
     # The gaps of a row between two borders, as wide as any step away from one of its cells.

@@ -221,10 +221,6 @@ def _prepare(
         # The manifest comes before the first shard: whoever finds the root knows what it is for.
         found = merge(root, wanted)
     _check_same(root, wanted, found)
-    if wanted.maps < found.maps:
-        raise ValueError(
-            f"root: {root} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows"
-        )
     plan = set(wanted.plan)
     have = {}
     damaged = set()
@@ -249,12 +245,18 @@ def _check_unlisted(root: Path, wanted: Manifest) -> None:
     check_names(root)
     if not os.access(root, os.W_OK):
         raise PermissionError(f"root: no permission to write in {root}")
-    for path in root.glob("maps-*.h5"):
+    for path in sorted(root.glob("maps-*.h5")):
         try:
             header = open_shard(path_in(root, path.name)).header
         except ShardError:
             continue  # a corrupt shard is made again
-        _check_same(path, wanted, replace(wanted, spec=header.spec, seed=header.seed))
+        # the last shard may have fewer maps
+        fits = header.start % wanted.shard_size == 0 and header.maps <= wanted.shard_size
+        size = wanted.shard_size if fits else header.maps
+        found = replace(
+            wanted, spec=header.spec, seed=header.seed, maps=header.stop, shard_size=size
+        )
+        _check_same(path, wanted, found)
 
 
 def _check_same(where: Path, wanted: Manifest, found: Manifest) -> None:
@@ -266,6 +268,10 @@ def _check_same(where: Path, wanted: Manifest, found: Manifest) -> None:
         there = ", ".join(f"{name} {theirs[name]}" for name in names)
         here = ", ".join(f"{name} {mine[name]}" for name in names)
         raise ValueError(f"root: {where} is of a dataset with {there}, asked for {here}")
+    if wanted.maps < found.maps:
+        raise ValueError(
+            f"root: {where} holds {found.maps} maps, asked for {wanted.maps}: a dataset only grows"
+        )
 
 
 def _facts(manifest: Manifest) -> dict[str, object]:

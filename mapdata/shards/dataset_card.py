@@ -21,7 +21,7 @@ from mapdata.generators.generator import PRESETS, Generator
 from mapdata.shards.manifest import PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
-from mapdata.spec import SPLITS, Movement
+from mapdata.spec import SPLITS, Movement, hash_of
 
 HARD = 1.05
 """Hardness from which a problem counts as hard."""
@@ -192,10 +192,13 @@ def _origin(place: str, rooms_known: bool) -> Section:
     """Say where imported maps came from, as far as the import wrote it down."""
     try:
         values = dict(json.loads(read_file(place, PROVENANCE)))
+        if values.pop("hash", None) != hash_of(values):
+            raise ValueError
         sources = [str(source) for source in values.get("sources", ())]
     except (OSError, ValueError, TypeError, RecursionError):
         return Section(
-            "Where it comes from", "Imported; there is no record of the source beside the data."
+            "Where it comes from",
+            "Imported; there is no sound record of the source beside the data.",
         )
     text = f"Imported from {counted(len(sources), 'source')}, all named in {PROVENANCE}. "
     if not rooms_known:

@@ -71,7 +71,7 @@ _TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
 class DatasetNotFoundError(FileNotFoundError):
     """There is no dataset; the message says where it was looked for, and what makes one."""
 
-    def __init__(self, root: object, why: str = "it does not exist") -> None:
+    def __init__(self, root: object, why: str) -> None:
         """Say what was looked for under ``root`` and what to do."""
         self.root = root
         self.why = why

@@ -64,5 +64,5 @@ def _parsed(text: str) -> object:
                 f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text"
                 f"{did_you_mean(text, PRESETS)}"
             )
-        text = Path(text).read_text(encoding="utf-8")
+        return parsed_json(f"recipe: {text}", Path(text).read_bytes())
     return parsed_json("recipe", text)

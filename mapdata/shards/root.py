@@ -245,7 +245,7 @@ def manifest_at(place: str) -> Manifest:
     """
     if not is_url(place):
         return read_manifest(Path(place))
-    return parse_manifest(read_file(place, MANIFEST), place)
+    return parse_manifest(read_file(place, MANIFEST), f"{place}/{MANIFEST}")
 
 
 def read_file(place: str, name: str) -> bytes:
@@ -286,7 +286,7 @@ def local_file(place: str, entry: Entry) -> Path:
     path = _cache(place) / f"{entry.sha256[:16]}-{entry.name}"
     cached = file_size(path) == entry.bytes
     if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
-        data = _fetch(place, entry.name, entry.bytes)
+        data = _fetch(place, entry.name, entry.bytes, entry.bytes)
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise ShardError(
                 f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
@@ -329,8 +329,10 @@ def file_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _fetch(place: str, name: str, most: int) -> bytes:
+def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
     """Return a file at a URL, no more of it than one byte above ``most``; try several times.
+
+    Where less than ``least`` bytes came, they are asked for again, too.
 
     Raises:
         DatasetNotFoundError: it is not there.
@@ -338,10 +340,14 @@ def _fetch(place: str, name: str, most: int) -> bytes:
     """
     for pause in PAUSES:
         try:
-            return _fetch_once(place, name, most)
+            data = _fetch_once(place, name, most)
+            if len(data) >= least:
+                return data
+            why = f"{place}/{name}: {len(data)} of {least} bytes came"
         except ConnectionError as error:
-            warnings.warn(f"{error}. Trying again in {pause:g} s", stacklevel=3)
-            time.sleep(pause)
+            why = str(error)
+        warnings.warn(f"{why}. Trying again in {pause:g} s", stacklevel=3)
+        time.sleep(pause)
     return _fetch_once(place, name, most)
 
 

@@ -67,12 +67,13 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     return row
 
 
-def map_rows(shard: Shard, split: str | None, maps: int) -> list[dict[str, Any]]:
+def map_rows(shard: Shard, split: str | None, maps: int, first: int) -> list[dict[str, Any]]:
     """Return the rows of a shard's first ``maps``, with spaces in the column names.
 
-    Of one split, or all with None.
+    Of one split, or all with None. The root's first map has the number ``first``.
     """
     labels = decode(shard)
+    labels.maps.index[:] += first
     rows = []
     for k, code in enumerate(labels.maps.split[:maps].tolist()):
         if split in (None, SPLITS[code]):

@@ -12,10 +12,11 @@ import resource
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -108,6 +109,29 @@ def test_threads_that_open_at_once(root: Path) -> None:
         found = list(pool.map(lambda _: dataset[:], range(8)))
     for batch in found[1:]:
         samples.assert_same(batch, found[0])
+
+
+class Slow(dict[int, Shard]):
+    """Another thread has its turn as soon as a shard is in here."""
+
+    def setdefault(self, k: int, shard: Any = None) -> Any:
+        """Wait for that thread."""
+        first = super().setdefault(k, shard)
+        time.sleep(0.2)
+        return first
+
+
+def test_a_shard_is_open_once_its_addresses_are_there(root: Path) -> None:
+    """A thread that comes before that would read memory that nobody owns."""
+    dataset = MapDataset(root, fields=FIELDS)
+    expected = MapDataset(root, fields=FIELDS)[:4]
+    dataset.reader._open = Slow()
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(dataset.__getitem__, slice(0, 4))
+        while not dataset.reader._open:
+            time.sleep(0.01)
+        samples.assert_same(dataset[:4], expected)
+        samples.assert_same(first.result(), expected)
 
 
 def test_of_two_threads_the_first_ones_mapping_stays(
@@ -264,7 +288,7 @@ def test_a_pickled_dataset_is_not_opened_as_another(tmp_path: Path) -> None:
     data = pickle.dumps(MapDataset(root))
     pickle.loads(data)
     build(root, TINY, maps=30, seed=3, shard_size=8)
-    with pytest.raises(ValueError, match="holds other maps than when this dataset was opened"):
+    with pytest.raises(ValueError, match="other maps than when this dataset was opened"):
         pickle.loads(data)
 
 

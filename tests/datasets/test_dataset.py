@@ -4,6 +4,7 @@ change nothing.
 
 from __future__ import annotations
 
+import copy
 import math
 import pickle
 import random
@@ -12,7 +13,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -583,6 +584,13 @@ def test_filters_remember_how_they_were_made(root: str) -> None:
     assert list(DataLoader(view.filter(rooms=(99, 99)), 4)) == []
 
 
+def test_a_table_of_several_roots_numbers_maps_once(root: str) -> None:
+    """One after another, as everywhere."""
+    table = MapDataset([root, root]).table()
+    assert table["item"].tolist() == list(range(2 * MAPS))
+    assert table["label"].is_unique
+
+
 def test_table(roots: dict[str, str]) -> None:
     """A row a map with every item that the paper lists, under its names."""
     for name, root in roots.items():
@@ -864,6 +872,44 @@ def test_datasets_pickle_as_their_arguments(root: str, kind: str) -> None:
     assert len(again) == len(dataset)
     assert repr(again) == repr(dataset)
     samples.assert_same(again[:40], before)
+
+
+def number_of_rooms(sample: Sample) -> int:
+    """Return something that is no sample."""
+    return int(sample.map.sum())
+
+
+class Doubled(MapDataset):
+    """A subclass with an argument and an attribute of its own."""
+
+    def __init__(self, folder: str) -> None:
+        """Open the training split."""
+        super().__init__(folder, "train")
+        self.factor = 2
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.factor * index
+
+
+def test_what_was_set_later_is_pickled(root: str) -> None:
+    """Spawned workers serve what forked ones do: attributes and subclasses go with the dataset."""
+    for dataset in (MapDataset(root), OnlineMapDataset(samples.SPEC, 3, 40, "train")):
+        dataset.transform = number_of_rooms
+        for again in (pickle.loads(pickle.dumps(dataset)), copy.deepcopy(dataset)):
+            assert again[3] == dataset[3]
+            assert isinstance(again[3], int)
+    doubled = Doubled(root)
+    doubled.factor = 5
+    assert pickle.loads(pickle.dumps(doubled))[4] == 20
+    view = doubled.filter(rooms=(3, 5))
+    assert len(copy.copy(view)) == len(view) < len(doubled)
+
+
+@pytest.mark.parametrize("field", [partial(number_of_rooms), torch.nn.Identity()])
+def test_a_field_without_a_name_is_refused(root: str, field: Any) -> None:
+    """As a lambda is."""
+    with pytest.raises(ValueError, match="a function gives its name"):
+        MapDataset(root, fields=("map", field))
 
 
 few_cores = pytest.mark.filterwarnings("ignore:This DataLoader will create 3 worker:UserWarning")

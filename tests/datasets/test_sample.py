@@ -265,3 +265,27 @@ def test_rows_of_a_batch() -> None:
     rows = Rows(stack([kind(path) for path in paths]))
     for path, sample in zip(paths, rows, strict=True):
         assert torch.equal(sample.path, path)
+
+
+def flat(sample: Sample) -> Sample:
+    """Number the cells of a path: (T, 2) becomes (T,)."""
+    path = sample.path[:, 0] * 64 + sample.path[:, 1]
+    changed: Sample = sample._replace(path=path)
+    return changed
+
+
+def test_paths_that_a_transform_made_flat_are_padded(root: str) -> None:
+    """Along their own axis, to a multiple of 16."""
+    plain = next(iter(DataLoader(MapDataset(root), 8)))
+    batch = next(iter(DataLoader(MapDataset(root, transform=flat), 8)))
+    numbers = plain.path[:, :, 0] * 64 + plain.path[:, :, 1]
+    assert batch.path.tolist() == torch.where(plain.path[:, :, 0] < 0, -1, numbers).tolist()
+
+
+def test_rows_are_pinned_as_a_batch(root: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A collate function that keeps the list: torch would make rows of rows of it."""
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor, *_: tensor.clone())
+    rows = MapDataset(root).__getitems__(range(8))
+    again: Any = pin_memory(rows)
+    assert len(again) == 8
+    samples.assert_same(again.batch, rows.batch)

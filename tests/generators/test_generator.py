@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -161,6 +161,30 @@ def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: P
             read_shard(tmp_path / "maps" / manifest.shards[0].name)
     finally:
         GENERATORS["stripes"] = stripes
+
+
+CELL = """
+@dataclass(frozen=True)
+class Stripes(Stripes):
+    more: int = {more}
+
+register(Stripes, {{"striped": Stripes()}})
+"""
+
+
+def test_a_cell_that_runs_again_takes_the_place_of_its_family(stripes: type[Stripes]) -> None:
+    """As it is, and edited: with another field, another preset."""
+    for more in (1, 1, 2):
+        cell: dict[str, Any] = {**globals()}
+        exec(CELL.format(more=more), cell)
+        family: Any = cell["Stripes"]
+        assert [GENERATORS["stripes"]] == [family]
+        assert Generator.preset("striped") == family(more=more)
+        seven = family(more=7)
+        assert Generator.from_dict(seven.to_dict()) == seven
+    with pytest.raises(ValueError, match="the preset 'striped' is there already"):
+        register(family, {"striped": family(more=9)})
+    assert Generator.preset("striped") == family(more=2)
 
 
 def test_registering_refuses_what_cannot_work() -> None:

@@ -37,3 +37,7 @@ def test_a_split_without_maps_is_refused() -> None:
     """It would be looked for without end."""
     with pytest.raises(ValueError, match="the spec gives no map to 'val'"):
         maps_of_split(MapSpec(splits=(1.0, 0.0, 0.0)), 0, "val", 1)
+    # what is left by rounding, or less than one in 2**32
+    for splits in ((0.7, 0.3, 1 - 0.7 - 0.3), (0.9, 0.1, 1e-10)):
+        with pytest.raises(ValueError, match="the spec gives no map to 'test'"):
+            maps_of_split(MapSpec(splits=splits), 0, "test", 1)

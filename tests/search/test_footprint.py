@@ -97,6 +97,22 @@ def test_inflating_leaves_the_grid_alone() -> None:
     assert inflate(np.zeros((1, 1)), 0.51).tolist() == [[1]]
 
 
+def test_long_grids_are_exact() -> None:
+    """Gaps of more cells than the root of what an integer of 32 bits holds."""
+    hall = np.zeros((50_000, 4), np.uint8)
+    hall[70, 1] = 1
+    assert np.array_equal(clearance(hall), clearance(hall.T).T)
+    assert clearance(hall).max() == 1.5
+    assert np.array_equal(inflate(hall, 1.5), inflate(hall.T, 1.5).T)
+
+
+@pytest.mark.parametrize("resolution", [1e-10, 1e-200, 1e-320])
+def test_a_radius_of_too_many_cells_is_named(resolution: float) -> None:
+    """In cells it is as large as the resolution is small."""
+    with pytest.raises(ValueError, match=r"radius: got 1, .*below 1,000,000 cells"):
+        least_squared(1, resolution)
+
+
 @pytest.mark.parametrize("radius", [-1, math.nan, math.inf, 1e6, 1e200, "wide", True, None])
 def test_a_bad_radius_is_named(radius: object) -> None:
     """With what was expected."""

@@ -390,6 +390,27 @@ def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
     assert stamps(root) == before
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"shard_size": 1000}, "with shard_size 4, asked for shard_size 1000"),
+        ({"shard_size": 3}, "with shard_size 4, asked for shard_size 3"),
+        ({"maps": 6}, "holds 8 maps, asked for 6: a dataset only grows"),
+    ],
+)
+def test_a_lost_manifest_does_not_change_the_dataset(
+    given: dict[str, int], says: str, root: Path
+) -> None:
+    """Its shards are refused by the arguments that its manifest would be refused by."""
+    make(root)
+    (root / MANIFEST).unlink()
+    (root / shard_name(0, 4)).unlink()
+    before = stamps(root)
+    with pytest.raises(ValueError, match=says):
+        build(root, **{**KNOWN, **given})
+    assert stamps(root) == before
+
+
 def test_more_maps_extend(root: Path, tmp_path: Path) -> None:
     """Whole shards stay, a partial last one becomes whole, the result is that of one build."""
     make(root, maps=6)

@@ -131,10 +131,10 @@ def test_imported_maps_have_an_origin_instead_of_a_recipe(tmp_path: Path) -> Non
     assert repeats["of test, also in train"] == ["1", "1"]
     assert repeats["of val, also in train"] == ["0", "1"]
     (root / PROVENANCE).unlink()
-    assert "no record of the source" in card(root)
+    assert "no sound record of the source" in card(root)
     for damaged in ("[1]", '{"sources": 3}', "x", '"text"'):
         (root / PROVENANCE).write_text(damaged)
-        assert "no record of the source" in card(root)
+        assert "no sound record of the source" in card(root)
 
 
 def test_text_from_files_stays_text(tmp_path: Path) -> None:

@@ -314,7 +314,7 @@ def test_no_dataset(kind: str, tmp_path: Path) -> None:
 
 def test_the_error_crosses_processes(tmp_path: Path) -> None:
     """What a worker raises says the same in its parent."""
-    error = DatasetNotFoundError(tmp_path)
+    error = DatasetNotFoundError(tmp_path, "it does not exist")
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
