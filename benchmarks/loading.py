@@ -236,6 +236,7 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
     pictures = Pictures(folder / "pictures", [tensor[:BATCH] for tensor in tensors])
     for dataset in (ram, naive, npz, pictures):
         check(next(iter(DataLoader(dataset, 8))), tensors, type(dataset).__name__)
+    check([torch.from_numpy(file[:8]) for file in files], tensors, "np.memmap")
 
     def index() -> None:
         for batch in order:
@@ -316,6 +317,7 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
         )
     if not TAR.absence:
         web = web_dataset(folder / "maps.tar", small[:512])
+        check([torch.from_numpy(value)[None] for value in next(iter(web))], tensors, "webdataset")
         found.append(
             Reader(
                 "webdataset, in order", lambda: drain(web), len(small[0]), "tar of npy, no batches"

@@ -42,6 +42,8 @@ class Row(NamedTuple):
             if its_unit == unit
         ]
         is_limit = unit not in ("x", "samples/s") or self.work.startswith("growth")
+        if not found:  # a peer that is not installed
+            return False
         return max(found) > wanted if is_limit else min(found) < wanted
 
 
@@ -50,7 +52,7 @@ SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 def quantities(text: str) -> list[tuple[float, str]]:
     """Return the values of a cell with their units, times in seconds."""
-    found = re.findall(r"([\d.,]*\d) ?(x|us|ms|s|samples/s|bytes|MB)(?![\w/])", text)
+    found = re.findall(r"(-?[\d.,]*\d) ?(x|us|ms|s|samples/s|bytes|MB)(?![\w/])", text)
     return [
         (float(number.replace(",", "")) * SECONDS.get(unit, 1.0), "s" if unit in SECONDS else unit)
         for number, unit in found

@@ -377,7 +377,7 @@ def fields() -> Figure:
 
 
 def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
-    """Return the first hard problem of a family, and the next that is not solved at least cost.
+    """Return the first of a family's ``HARD`` problems, and the next not solved at least cost.
 
     Where all of 200 are, the one with most expansions is the second.
     """

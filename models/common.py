@@ -275,7 +275,7 @@ def one_cycle(optimizer: torch.optim.Optimizer, steps: float) -> dict[str, Any]:
 
     The optimizer's own rate is the highest: reached after 100 steps, then it falls as a cosine.
     """
-    warm_up = min(100 / steps, 0.15)  # not 0.1: OneCycleLR cannot rise for exactly one step
+    warm_up = min(100 / max(steps, 1), 0.15)  # not 0.1: OneCycleLR cannot rise for exactly one step
     highest = optimizer.param_groups[0]["lr"]
     schedule = OneCycleLR(
         optimizer,
@@ -367,14 +367,15 @@ def _orthogonal(x: Tensor) -> Tensor:
 
 M = TypeVar("M", bound=nn.Module)
 
-MOST = 1024
+MOST = 4096
 """Largest number among the arguments of a saved model: a layer's width, how many layers."""
 
 
 class Model(pl.LightningModule, ABC):
     """What all sample models are, besides their network and loss.
 
-    Its hyperparameters hold ``learning_rate``, the highest of the schedule.
+    Its hyperparameters hold ``learning_rate``, the highest of the schedule. They train in 32 bits
+    or in mixed precision ("bf16-mixed").
     """
 
     optimizer_class: Callable[..., torch.optim.Optimizer] = Muon  # AdamW needs more steps here
@@ -473,8 +474,10 @@ def _read(path: Path) -> dict[str, Any]:
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         unpacked = sum(info.file_size for info in archive.infolist())
-    if unpacked > size:
-        raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
+        if unpacked > size:
+            raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
+        if archive.testzip() is not None:  # torch compares no checksums
+            raise ValueError("damaged: its checksums do not fit")
     saved: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     for name in ("arguments", "weights"):
         if not isinstance(saved, dict) or not isinstance(saved.get(name), dict):

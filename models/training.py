@@ -45,22 +45,30 @@ class TrainingCli(LightningCLI):
     def before_instantiate_classes(self) -> None:
         """Refuse a file that could not be written after the training."""
         file = self.config[self.subcommand].weights
-        if file is not None and not Path(file).parent.is_dir():
-            raise SystemExit(f"weights: there is no folder {Path(file).parent}")
+        if file is not None:
+            if not Path(file).parent.is_dir():
+                raise SystemExit(f"weights: there is no folder {Path(file).parent}")
+            if Path(file).is_dir():
+                raise SystemExit(f"weights: {file} is a folder")
 
-    def before_fit(self) -> None:
-        """Begin with the weights of ``--start_from``, and let ``limit_val_batches 1`` be one batch.
-
-        The command line makes it 1.0, which Lightning takes for all batches: 10,000 of online maps.
-        All of them are those without the flag.
-        """
-        if self.config.fit.trainer.limit_val_batches == 1:
-            self.trainer.limit_val_batches = 1
-        file = self.config.fit.start_from
+    def instantiate_classes(self) -> None:
+        """Begin with the weights of ``--start_from``, whatever is to be done."""
+        super().instantiate_classes()
+        file = self.config[self.subcommand].start_from
         if file is not None:
             # layers that the file lacks, such as refinements, keep what they begin with
             weights = self.model.state_dict() | self.model.load(file).state_dict()
             self.model.load_state_dict(weights)
+
+    def before_fit(self) -> None:
+        """Let limits of 1 be one batch.
+
+        The command line makes them 1.0, which Lightning takes for all batches: 10,000 of online
+        maps. All of them are null.
+        """
+        for limit in ("limit_train_batches", "limit_val_batches"):
+            if self.config.fit.trainer[limit] == 1:
+                setattr(self.trainer, limit, 1)
 
     def after_fit(self) -> None:
         """Write the weights."""
@@ -72,7 +80,8 @@ class TrainingCli(LightningCLI):
 class MixedBatches(pl.LightningDataModule):
     """Several data modules at once: a training step gets a list with a batch of each.
 
-    Validation sees them one after another.
+    Validation sees them one after another. What loggers say of the data is of the last part: all
+    parts are in the config.yaml beside it.
     """
 
     def __init__(self, parts: list[MapDataModule]) -> None:

@@ -6,7 +6,7 @@ one every three minutes, so that an interrupted run goes on. The bar shows val_o
 what the search reaches on the validation problems.
 More flags after fit:
 
-    --ckpt_path FILE             go on from a checkpoint
+    --ckpt_path FILE             go on from a checkpoint of an interrupted run
     --trainer.accelerator gpu    the same on a GPU
     --model.connectivity 4       the moves; the data follows
     --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps;
@@ -23,6 +23,7 @@ from pathlib import Path
 from pytorch_lightning.cli import ArgsType
 
 import models.neural_astar  # noqa: F401  (so that --model knows it by its name)
+from mapdata import MapDataModule
 from models.learned_planners import LearnedPlanner
 from models.training import TrainingCli
 
@@ -33,10 +34,15 @@ class Cli(TrainingCli):
     """Its flags; the data moves as the model does."""
 
     def instantiate_classes(self) -> None:
-        """Let the data move as the model does, and refuse data that was told otherwise."""
+        """Let the data move as the model does, and refuse data that was told otherwise.
+
+        Data modules of another class are taken as they are.
+        """
         super().instantiate_classes()
         movement = self.model.movement
         for part in getattr(self.datamodule, "parts", [self.datamodule]):
+            if not isinstance(part, MapDataModule):
+                continue
             given = part.serving.movement
             if given not in (None, movement):
                 raise SystemExit(f"movement: got {given} for the data, {movement} for the model")

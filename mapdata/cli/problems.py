@@ -22,7 +22,7 @@ def given_problems(
 ) -> Problems:
     """Return one problem a map, of new maps or of the test split of a dataset, or those of a file.
 
-    Of a file, ``maps`` takes as many problems of a .scen, and maps of planning-datasets.
+    Of a .scen, ``maps`` is the number of problems; of another file all are taken.
 
     Raises:
         ValueError: what would do nothing beside a root or a file; what `Problems.sample`,

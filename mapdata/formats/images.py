@@ -159,7 +159,8 @@ def _mean(values: Array, maximum: int) -> Bytes:
         values = 255 - (255 - colour) * alpha // 255
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint32)
-    return np.asarray(total * 255 // (channels * maximum), np.uint8)
+    # not black if any colour is there, as in masks of 0 and 1 in 16 bits
+    return np.asarray(np.maximum(total * 255 // (channels * maximum), total > 0), np.uint8)
 
 
 def read(
@@ -214,7 +215,9 @@ def read(
                         f"{path}: {what}, nothing is above --images.threshold {threshold}"
                     )
                 unknown += int(np.count_nonzero(grey == _UNKNOWN))
-                grids = np.asarray(_fit(grey, size, fit) <= threshold * 255, np.uint8)[None]
+                # darkness is rounded up: a cell that is half dark has brightness .5
+                dark = _fit(255 - grey, size, fit)
+                grids = np.asarray(dark >= 255 - threshold * 255, np.uint8)[None]
             split = split_of(path, source)
             for k, grid in enumerate(grids):
                 name = f"{path}[{k}]" if len(grids) > 1 else str(path)

@@ -146,6 +146,7 @@ def import_maps(
             with source.leaving_out(one.name):
                 _check_usable(one, movement)
                 metres = resolution or one.resolution or RESOLUTION
+                metres = check_resolution("resolution", metres)
                 groups.setdefault((one.shape, metres), []).append(one)
             advance(1)
     if not groups:

@@ -24,7 +24,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, files_of
+from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, check_file, files_of
 from mapdata.formats.registry import Format
 from mapdata.search.api import astar
 from mapdata.search.labels import Labels
@@ -55,12 +55,14 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection(movement=Movement())
     for path in files_of(source, (".csv",), limits, found):
         split = SPLIT_NAMES.get(path.stem.lower())
-        with path.open(encoding="latin-1", newline="\n") as file:
-            next(file, "")
-            for number, line in enumerate(file, 2):
-                name = f"{path}, line {number}"
-                with found.leaving_out(name):
-                    found.maps.append(_maze(name, line, split, limits))
+        with found.leaving_out(path):
+            check_file(path, limits)
+            with path.open(encoding="latin-1", newline="\n") as file:
+                next(file, "")
+                for number, line in enumerate(file, 2):
+                    name = f"{path}, line {number}"
+                    with found.leaving_out(name):
+                        found.maps.append(_maze(name, line, split, limits))
     return found
 
 

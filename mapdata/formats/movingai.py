@@ -162,8 +162,7 @@ def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
             break  # a citation ends the file
         problems.append(_problem(line, number, path))
     decimals = [problem.length.partition(".")[2] for problem in problems]
-    has_last_zero = any(digits.endswith("0") for digits in decimals)
-    is_fixed = has_last_zero and len(set(map(len, decimals))) == 1
+    is_fixed = "" not in decimals and len(set(map(len, decimals))) == 1
     return [problem._replace(unit=_unit(problem.length, is_fixed)) for problem in problems]
 
 
@@ -195,9 +194,8 @@ def _unit(length: str, is_fixed: bool) -> float:
 
     Args:
         length: as printed.
-        is_fixed: all lengths of the file have equally many decimals, last zeros included, as in
-            459.10. Else they have six significant digits, so that 440.72 stands for 440.720, or all
-            digits of a double.
+        is_fixed: all lengths of the file have equally many decimals, as in 459.10. Else they have
+            six significant digits, so that 440.72 stands for 440.720, or all digits of a double.
     """
     whole, _, decimals = length.partition(".")
     places = len(decimals)

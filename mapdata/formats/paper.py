@@ -172,17 +172,22 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection()
     files = walk(path.parent, PICTURES, limits, found)
     pictures = {picture.stem.lower(): picture for picture in files}
+    pictures |= {picture.relative_to(path.parent).as_posix().lower(): picture for picture in files}
     movements = set()
     items = set()
     with bar(limits.progress, len(files)) as advance:
         for row in _rows(path, limits):
             movements.add(row["movement"])
             # a label may be the path of a picture, separated by / or by \
-            name = PureWindowsPath(row["label"]).name or f"map{row['item']}"
+            label = PureWindowsPath(row["label"])
+            name = label.name or f"map{row['item']}"
             stem = Path(name).stem if name.lower().endswith(PICTURES) else name
             with found.leaving_out(stem):
-                picture = pictures.get(stem.lower()) or pictures.get(row["item"].lower())
-                if picture is None:
+                for key in (label.as_posix(), stem, row["item"]):
+                    picture = pictures.get(key.lower())
+                    if picture is not None:
+                        break
+                else:
                     raise FormatError(f"its picture {stem}{PICTURES[0]} is missing")
                 cells = np.asarray(brightness(read_pixels(picture, limits)) >= 128, np.uint8)
                 one = _map_of(row, stem, cells)

@@ -39,7 +39,7 @@ from mapdata.problems.problem_set import Problems
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
-from mapdata.spec import NEURAL_ASTAR, SPLITS
+from mapdata.spec import NEURAL_ASTAR, SPLITS, check_seed
 
 ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""
@@ -159,7 +159,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     found = []
     for k, (one, values) in enumerate(_problems(source, limits, Collection())):
         if one.split == SPLITS.index("test"):
-            words = block(np.uint64(seed), np.uint64(k), 0, PROBLEM, 0)
+            words = block(np.uint64(check_seed(seed)), np.uint64(k), 0, PROBLEM, 0)
             for cells, word in zip(starts_of(values), words, strict=False):  # three of four words
                 start = cells[bounded(word, 0, len(cells) - 1)]
                 found.append((one.grid, start, one.seed_points[0]))

@@ -81,7 +81,7 @@ def recognise(source: StrPath) -> str:
     owners = {}
     for path in files_of(source, endings, LIMITS, Collection()):
         for one in FORMATS.values():
-            if path.suffix.lower() in one.endings and one.is_mine(path):
+            if path.suffix.lower() in one.endings and path.is_file() and one.is_mine(path):
                 owners[path] = one
     # the pictures of a ROS map do not make its folder one of images too
     beside = {ending for one in owners.values() for ending in one.beside}

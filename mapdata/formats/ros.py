@@ -7,8 +7,8 @@ The probability that a pixel p is occupied is (255 - p) / 255, or p / 255 with `
 ``mode: trinary`` it is occupied above ``occupied_thresh``, free below ``free_thresh``, else
 unknown; p is the mean of the channels, and alpha is one of them, as in both servers. ``scale``:
 what is not opaque is unknown, and between the thresholds stands a value of 0 to 100. ``raw``: p
-itself is the value up to 100, and unknown above. Values between the thresholds are neither free
-nor occupied, so they are treated as unknown cells.
+itself is the value up to 100, and unknown above, whatever the thresholds. Values between 0 and 100
+are neither free nor occupied, so they are treated as unknown cells.
 
 Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose
 (x, y, yaw) of the lower left corner of the picture, in metres and radians.
@@ -97,9 +97,9 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     negate = fields.get("negate", 0)
     if negate not in (0, 1) or isinstance(negate, float):
         raise FormatError(f"{path}: negate is {negate!r}, expected 0 or 1")
-    mode = fields.get("mode", "trinary")
+    mode = str(fields.get("mode", "trinary")).lower()
     if mode not in MODES:
-        raise FormatError(f"{path}: mode is {str(mode)[:40]!r}, expected {', '.join(MODES)}")
+        raise FormatError(f"{path}: mode is {mode[:40]!r}, expected {', '.join(MODES)}")
     if mode == "raw" and negate:
         raise FormatError(
             f"{path}: mode raw with negate: ROS 1 turns values round, Nav2 does not; say negate: 0"
@@ -171,11 +171,8 @@ def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) 
     most = colours.shape[2] * white
     shade = np.arange(most + 1) / most
     if mode == "raw":
-        percent = np.rint(shade * 255)
-        table = percent.copy()
-        table[percent < 100 * low] = 0
-        table[percent > 100 * high] = 100
-        table[percent > 100] = -1
+        table = np.rint(shade * 255)
+        table[table > 100] = -1
     else:
         occupied = shade if negate else 1 - shade
         table = np.full(len(shade), -1.0)
@@ -271,7 +268,7 @@ def read(
             is (mean); default any.
     """
     if resolution is not None:
-        check_resolution("resolution", resolution)
+        resolution = check_resolution("resolution", resolution)
     elif resample is not None:
         raise ValueError("resample: does nothing without resolution")
     found = Collection()

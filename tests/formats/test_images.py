@@ -105,6 +105,21 @@ def test_resize_and_crop(tmp_path: Path) -> None:
     assert found.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
 
 
+@pytest.mark.parametrize("factor", [2, 4, 6])
+def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> None:
+    """A cell of which half is dark is occupied, so that thin walls stay."""
+    plan = np.ones((24 * factor, 24 * factor), np.uint8)
+    plan[1:-1, 1:-1] = 0
+    plan[:, :: 2 * factor] = 1
+    noise = np.random.default_rng(factor).integers(0, 2, plan.shape, np.uint8)
+    for each in (plan, noise):
+        Image.fromarray(255 * (1 - each)).save(tmp_path / "plan.png")
+        np.save(tmp_path / "plan.npy", each)
+        half = factor * factor / 2
+        exact = each.reshape(24, factor, 24, factor).sum(axis=(1, 3)) >= half
+        assert grids(tmp_path, size=(24, 24)) == [exact.astype(int).tolist()] * 2
+
+
 def test_arrays(tmp_path: Path) -> None:
     """Arrays of any number type and order, one grid or a stack: 1 is occupied."""
     stack = np.stack([GRID, 1 - GRID])
@@ -320,6 +335,10 @@ def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
         in found.left_out[0][1]
     )
     assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
+    for mask in (np.uint16(1 - GRID), np.stack([1 - GRID, 0 * GRID, 0 * GRID], axis=2)):
+        Image.fromarray(mask).save(tmp_path / "mask.png")
+        assert "brightest pixel is 1 of 255" in read(tmp_path).left_out[0][1]
+        assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
 
 
 def test_stacks_with_a_channel(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -239,6 +240,22 @@ def test_bad_arguments(options: dict[str, object], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no map to import"):
         import_maps(tmp_path / "out", Collection())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_resolutions_of_maps(tmp_path: Path) -> None:
+    """What is none leaves its map out, by name; numpy's numbers are numbers."""
+    values: list[Any] = [-1, float("nan"), "0.1", np.float32(0.25), np.int64(1)]
+    grids = random_grids(len(values))
+    maps = [
+        ForeignMap(str(value), grid, resolution=value)
+        for value, grid in zip(values, grids, strict=True)
+    ]
+    source = Collection(maps)
+    made = import_maps(tmp_path / "out", source)
+    assert sorted(each.manifest.resolution for each in made) == [0.25, 1.0]
+    assert [name for name, _ in source.left_out] == ["-1", "nan", "0.1"]
+    (one,) = import_maps(tmp_path / "all", Collection(maps), resolution=np.float64(0.5))
+    assert one.manifest.resolution == 0.5
 
 
 def test_numbers_of_the_source(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from mapdata import MapDataset, MapSpec, Maze, Movement, astar, build, generate
 from mapdata.formats import (
+    Limits,
     export,
     import_maps,
     is_shortest_answer,
@@ -150,6 +151,16 @@ def test_lines_that_are_no_maze_are_left_out(tmp_path: Path, line: str, why: str
     ((name, reason),) = found.left_out
     assert name.endswith("train.csv, line 2")
     assert why in reason
+
+
+def test_files_that_cannot_be_read_are_left_out(tmp_path: Path) -> None:
+    """A dangling link, and a file beyond the limit; the others are read."""
+    (tmp_path / "train.csv").write_text("source,question,answer,rating\nx,S  G,So G,2\n")
+    (tmp_path / "val.csv").symlink_to("gone.csv")
+    (tmp_path / "test.csv").write_text("source,question,answer,rating\n" + 9 * "x,S  G,So G,2\n")
+    found = read_any(tmp_path, "maze-hard", Limits(unpacked=100))
+    assert [each.split for each in found.maps] == [0]
+    assert [Path(name).name for name, _ in found.left_out] == ["test.csv", "val.csv"]
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:

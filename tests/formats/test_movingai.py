@@ -114,6 +114,7 @@ def test_scen_forms(tmp_path: Path) -> None:
         # two decimals: the last zero says so
         (["9.90", "16.97", "2.00"], 3),
         (["9.9", "16.97", "2"], 1),
+        (["9.90", "16.97", "2.01"], 2),
         (["9.89", "16.98", "2.01"], 0),
     ],
 )
@@ -130,6 +131,15 @@ def test_printed_lengths(printed: list[str], says: int, tmp_path: Path) -> None:
     )
     (tmp_path / "a.scen").write_text("version 1\n" + "".join(lines))
     assert check_scen(tmp_path / "a.scen").agreed == says
+
+
+def test_two_decimals_of_which_none_is_zero(tmp_path: Path) -> None:
+    """As in a part of a published file: 16.97 is not 16.9700."""
+    (tmp_path / "a.map").write_text(
+        "type octile\nheight 13\nwidth 13\nmap\n" + 13 * f"{13 * '.'}\n"
+    )
+    (tmp_path / "a.scen").write_text("version 1\n0\ta.map\t13\t13\t0\t0\t12\t12\t16.97\n")
+    assert check_scen(tmp_path / "a.scen").agreed == 1
 
 
 def test_long_published_lengths() -> None:

@@ -180,6 +180,22 @@ def test_other_peoples_csv(root: Path, release: Path, tmp_path: Path) -> None:
     assert (made.checked, made.disagreements) == (24, {})
 
 
+def test_pictures_of_one_name_in_two_folders(release: Path) -> None:
+    """A label that is a path finds its own picture."""
+    rows = rows_of(release)
+    expected = [one.grid for one in read_any(release).maps]
+    for k, row in enumerate(rows):
+        folder = release / f"part{k % 2}"
+        folder.mkdir(exist_ok=True)
+        (release / "images" / f"{row['label']}.png").rename(folder / f"{k // 2}.png")
+        row["label"] = f"part{k % 2}{'/' if k % 3 else chr(92)}{k // 2}.png"
+    write_rows(release, rows)
+    found = read_any(release).maps
+    assert len(found) == len(rows)
+    for one, grid in zip(found, expected, strict=True):
+        assert np.array_equal(one.grid, grid)
+
+
 def test_disagreements_are_counted(
     release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

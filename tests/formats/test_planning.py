@@ -128,6 +128,9 @@ def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
     assert read_problems(path).content_hash != found.content_hash
     with pytest.raises(ValueError, match="count: does nothing for format planning-datasets"):
         read_problems(path, count=1)
+    for seed in (-1, 2**64):
+        with pytest.raises(ValueError, match=f"seed: got {seed}"):
+            read_problems(path, seed=seed)
 
 
 def test_every_start_of_an_interval_comes(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -128,6 +129,14 @@ def test_recognising(square: Path, tmp_path: Path) -> None:
         read_any(tmp_path / "text", "zarr")
     with pytest.raises(ValueError, match="unknown: does nothing for format images"):
         read_any(tmp_path / "stack.npy", unknown="free")
+
+
+def test_tables_that_are_no_files(square: Path, tmp_path: Path) -> None:
+    """A dangling link and a pipe beside maps of a robot are none of them."""
+    export(square, tmp_path / "maps", "ros")
+    (tmp_path / "maps" / "x.csv").symlink_to("gone.csv")
+    os.mkfifo(tmp_path / "maps" / "y.csv")
+    assert recognise(tmp_path / "maps") == "ros"
 
 
 def test_pictures_beside_another_table(tmp_path: Path) -> None:

@@ -93,10 +93,7 @@ def slow(
     occupied = shade if negate else 1.0 - shade
     if mode == "raw":
         value = round(shade * 255)
-        value = value if 0 <= value <= 100 else -1
-        if value >= 0:
-            value = 0 if value < 100 * low else 100 if value > 100 * high else value
-        return value
+        return value if value <= 100 else -1
     if mode == "scale" and len(pixel) == 4 and pixel[3] < white:
         return -1
     if occupied > high:
@@ -393,6 +390,8 @@ def test_resolution_resamples(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert [line.count(1) for line in slowly_resampled(cells, Fraction(3), "any")] == [4, 1, 2]
     (one,) = read_any(path, resolution=0.1).maps
     assert (one.resolution, one.shape) == (0.1, (4, 6))
+    (one,) = read_any(path, resolution=np.float64(0.1)).maps
+    assert one.shape == (4, 6)
     (one,) = read_any(path, resolution=0.05).maps
     assert one.grid.tolist() == cells.tolist()
     path.write_text(path.read_text().replace("0.050000", "0.0500000007450581"))

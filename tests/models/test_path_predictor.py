@@ -600,6 +600,7 @@ def test_one_validation_batch_is_one(script: Callable[[list[str]], None], tmp_pa
     ("flags", "said"),
     [
         (["--weights=nowhere/weights.pt"], "there is no folder nowhere"),
+        (["--weights=/"], "weights: / is a folder"),
         (
             [
                 "--data=mapdata.MapDataModule",
