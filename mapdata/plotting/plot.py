@@ -242,7 +242,8 @@ def plot_cells(
         columns, rows, color=colour, transform=aside, linestyle=style, linewidth=2.2, label=label
     )
     # not on the first and last cells, which bear marks
-    for middle in range(_ARROW_EVERY // 2, len(path) - 2, _ARROW_EVERY):
+    first = min(len(path), _ARROW_EVERY) // 2
+    for middle in range(first, len(path) - 2, _ARROW_EVERY):
         down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
         angle = np.degrees(np.arctan2(-down, right)) - 90  # a triangle points up by itself
         axes.scatter(
