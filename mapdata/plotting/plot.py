@@ -231,7 +231,8 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
-    from matplotlib.transforms import offset_copy
+    from matplotlib.markers import MarkerStyle
+    from matplotlib.transforms import Affine2D, offset_copy
 
     # Down and to the right, so that horizontal and vertical stretches part alike.
     shift = _LANE * lane
@@ -242,17 +243,18 @@ def plot_cells(
         columns, rows, color=colour, transform=aside, linestyle=style, linewidth=2.2, label=label
     )
     # not on the first and last cells, which bear marks
-    first = min(len(path), _ARROW_EVERY) // 2
-    for middle in range(first, len(path) - 2, _ARROW_EVERY):
+    for middle in range(_ARROW_EVERY // 2, len(path) - 2, _ARROW_EVERY):
         down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
         angle = np.degrees(np.arctan2(-down, right)) - 90  # a triangle points up by itself
+        # narrow, since one with three equal sides points three ways
+        turned = Affine2D().scale(0.7, 1.1).rotate_deg(angle)
         axes.scatter(
             columns[middle],
             rows[middle],
             s=90,
             color=colour,
             transform=aside,
-            marker=(3, 0, angle),
+            marker=MarkerStyle("^", transform=turned),
             edgecolor="white",
             linewidth=0.7,
             zorder=3,

@@ -134,16 +134,19 @@ def test_routes_lie_side_by_side_and_show_their_direction() -> None:
     apart = corners[COLOURS["astar"]] - corners[COLOURS["bfs"]]
     assert np.abs(apart).min() > 2
 
-    steps = {"<": (0, -1), ">": (0, 1), "^": (-1, 0), "v": (1, 0)}
+    steps = {"<": (0, -1), ">": (0, 1), "^": (-1, 0), "v": (1, 0), "/": (-1, 1), "steep": (-2, 1)}
     for way, (down, right) in steps.items():
-        path = np.array([(30 + down * k, 30 + right * k) for k in range(20)])
+        path = np.array([(30 + down * k, 30 + right * k) for k in range(12)])
         axes = plot_grid(np.zeros((61, 61)))
         plot_cells(axes, path, "black", "a path")
         (arrow,) = (one for one in axes.collections if isinstance(one, PathCollection))
         points = np.asarray(arrow.get_paths()[0].vertices)[:3]
-        ahead = np.sort(points @ (right, -down))  # on the screen, where rows grow downwards
-        assert ahead[0] == pytest.approx(ahead[1]), way  # the base lies behind,
-        assert ahead[2] > ahead[1] + 0.5, way  # the tip before
+        along = points @ (right, -down)  # on the screen, where rows grow downwards
+        left, last, tip = points[np.argsort(along)]
+        assert along.max() > 0 > along.min(), way  # the base lies behind, the tip before,
+        assert np.dot(left - last, (right, -down)) == pytest.approx(0), way
+        # and no other corner could be taken for it
+        assert np.linalg.norm(tip - left) > 1.5 * np.linalg.norm(last - left), way
     plot_cells(axes, np.empty((0, 2), np.int64), "black", "no path")
 
 
