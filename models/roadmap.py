@@ -260,11 +260,7 @@ def gaussian(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     Boor, Overmars, van der Stappen, ICRA 1999. The other point is as far as a normal distribution
     says, of 3 cells; the border of the map is an obstacle. What 100 rounds do not find is uniform.
     """
-
-    def choose(cells: Bytes, first: Floats, second: Floats) -> Floats:
-        return first[free_at(cells, first) & ~free_at(cells, second)]
-
-    return _rounds(grid, n, seed, 3.0, choose)
+    return _rounds(grid, n, seed, 3.0)
 
 
 def bridge(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
@@ -272,13 +268,7 @@ def bridge(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
 
     Hsu, Jiang, Reif, Sun, ICRA 2003; as `gaussian` otherwise, with 6 cells.
     """
-
-    def choose(cells: Bytes, first: Floats, second: Floats) -> Floats:
-        middle = (first + second) / 2
-        neither_free = ~free_at(cells, first) & ~free_at(cells, second)
-        return middle[neither_free & free_at(cells, middle)]
-
-    return _rounds(grid, n, seed, 6.0, choose)
+    return _rounds(grid, n, seed, 6.0, between_walls=True)
 
 
 def corners(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
@@ -344,20 +334,23 @@ def _farthest_first(grid: Bytes, cells: Ints, n: int, seed: int) -> Floats:
 
 
 def _rounds(
-    grid: ArrayLike,
-    n: int,
-    seed: int,
-    spread: float,
-    choose: Callable[[Bytes, Floats, Floats], Floats],
+    grid: ArrayLike, n: int, seed: int, spread: float, between_walls: bool = False
 ) -> Floats:
-    """Return (n, 2) points that ``choose`` makes of many pairs, whose second is near the first."""
+    """Return (n, 2) points of many random pairs: free first ones, whose second is not free.
+
+    With ``between_walls`` free middles, of pairs of which neither is free.
+    """
     cells = _free(grid, n)
     source = np.random.default_rng(seed)
     found = np.empty((0, 2))
     for _ in range(100):
         first = source.random((16 * n + 256, 2)) * cells.shape
         second = first + source.normal(0, spread, first.shape)
-        found = np.concatenate([found, choose(cells, first, second)])
+        points = (first + second) / 2 if between_walls else first
+        chosen = free_at(cells, points) & ~free_at(cells, second)
+        if between_walls:
+            chosen &= ~free_at(cells, first)
+        found = np.concatenate([found, points[chosen]])
         if len(found) >= n:
             return found[:n]
     return np.concatenate([found, uniform(cells, n - len(found), seed)])
