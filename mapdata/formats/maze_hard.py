@@ -84,7 +84,7 @@ def _maze(name: str, line: str, split: int | None, limits: Limits) -> ForeignMap
         name,
         (cells == _OCCUPIED).astype(np.uint8),
         split,
-        seed_points=_ends(question, len(cells)),
+        seed_points=_ends(cells),
         rooms_known=True,
         check=lambda _labels, _k: wrong,
     )
@@ -107,7 +107,7 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     if answer.replace("o", " ") != question:
         return False
     cells = _cells(answer)
-    start, goal = _ends(answer, len(cells))
+    start, goal = _ends(cells)
     shortest = astar(cells == _OCCUPIED, start, goal).cost
     # With all cells occupied that are not marked, the path can only be the marked one. It passes
     # over all of them if there are as many as it needs.
@@ -127,9 +127,9 @@ def _cells(text: str) -> Bytes:
     return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
 
 
-def _ends(text: str, side: int) -> Ints:
+def _ends(cells: Bytes) -> Ints:
     """Return the start and the goal, (2, 2)."""
-    return np.array([divmod(text.index(end), side) for end in "SG"], np.int64)
+    return np.concatenate([np.argwhere(cells == end) for end in (_START, _GOAL)])
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
