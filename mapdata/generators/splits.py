@@ -30,11 +30,7 @@ def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
     codes = np.empty(len(indices), np.uint8)
     for k in range(len(indices)):
         word, _, _, _ = block(seed, np.uint64(indices[k]), 0, SPLIT, 0)
-        codes[k] = 2
-        if word < thresholds[0]:
-            codes[k] = 0
-        elif word < thresholds[1]:
-            codes[k] = 1
+        codes[k] = int(word >= thresholds[0]) + int(word >= thresholds[1])
     return codes
 
 
