@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from mapdata.search.labels import Labels
-
 
 def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     """Return examples as the paper's Figure 2 has them: a caption and the number of a map each.
@@ -149,18 +147,14 @@ def plot_figure(
     """
     check_choice("figure", kind, FIGURES)
     if kind in OF_ONE_MAP:
-        axes = _plot_one_map(kind, *Root.open(root).map(index), paper_colours)
+        labels, i = Root.open(root).map(index)
     else:
         of = dataset_statistics(root, progress=progress)
-        if kind == "gallery":
-            axes = plot_gallery(of, paper_colours=paper_colours)
-        else:
-            axes = plot_distributions(of)
-    return figure_of(axes[0])
-
-
-def _plot_one_map(kind: str, labels: Labels, i: int, paper_colours: bool) -> list[Axes]:
-    if kind == "map":
+    if kind == "gallery":
+        axes = plot_gallery(of, paper_colours=paper_colours)
+    elif kind == "distributions":
+        axes = plot_distributions(of)
+    elif kind == "map":
         axes = [plot_map(labels, i, paper_colours=paper_colours)]
     elif kind == "path":
         axes = new_axes(1, 2, (11, 8))
@@ -171,7 +165,7 @@ def _plot_one_map(kind: str, labels: Labels, i: int, paper_colours: bool) -> lis
         axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
         for search, ax in zip(searches, axes, strict=True):
             plot_matrix(labels, i, search, ax)
-    return axes
+    return figure_of(axes[0])
 
 
 FIGURES = ("map", "gallery", "path", "matrix", "distributions")
