@@ -24,19 +24,14 @@ def sample_symmetries(seed: np.uint64, epoch: Int, indices: Ints, square: Int) -
 
 @kernel
 def transform_grids(grids: Bytes, codes: Ints) -> Bytes:
-    """Return the grids (B, H, W) after their symmetries."""
+    """Return the grids (B, H, W) after their symmetries; only square ones may be transposed."""
     transformed = np.empty_like(grids)
     rows, columns = grids.shape[1:]
     for b in range(len(grids)):
         cells = grids[b].reshape(-1)
         out = transformed[b].reshape(-1)
-        lines = rows
-        length = columns
-        if codes[b] & 4:
-            lines = columns
-            length = rows
-        for line in range(lines):
-            # A row, or a column where these change places, becomes a row.
+        for line in range(rows):
+            # A row, or a column where these change places (of square maps), becomes a row.
             if codes[b] & 4:
                 first = line
                 step = columns
@@ -45,13 +40,13 @@ def transform_grids(grids: Bytes, codes: Ints) -> Bytes:
                 first = line * columns
                 step = 1
                 row, column = transform_cell(line, 0, rows, columns, codes[b])
-            to = row * length + column
+            to = row * columns + column
             # Forwards or backwards: two loops, each with vector instructions.
             if column == 0:
-                for k in range(length):
+                for k in range(columns):
                     out[np.uint64(to + k)] = cells[np.uint64(first + k * step)]
             else:
-                for k in range(length):
+                for k in range(columns):
                     out[np.uint64(to - k)] = cells[np.uint64(first + k * step)]
     return transformed
 
