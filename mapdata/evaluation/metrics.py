@@ -124,8 +124,8 @@ def evaluate(
             row = {
                 "planner": names[k],
                 "subset": subset,
-                "n": int(mask.sum()),
-                **dict(zip(METRICS, values[k].tolist(), strict=True)),
+                "n": mask.sum(),
+                **dict(zip(METRICS, values[k], strict=True)),
                 "ms": run.ms[mask].mean() if mask.any() else np.nan,
                 "ms_batched": run.ms_batched,
             }
