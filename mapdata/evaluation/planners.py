@@ -5,7 +5,6 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -153,8 +152,7 @@ class BestFirst(Batched):
 
 def _plans(found: BatchResult) -> list[Plan]:
     """Return what a batch of searches found, a plan for each."""
-    bounds = pairwise(found.offsets.tolist())
     return [
-        Plan(found.cells[begin:end], count)
-        for (begin, end), count in zip(bounds, found.iterations.tolist(), strict=True)
+        Plan(found.cells[found.offsets[k] : found.offsets[k + 1]], count)
+        for k, count in enumerate(found.iterations.tolist())
     ]
