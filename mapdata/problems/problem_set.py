@@ -92,7 +92,7 @@ class Problems:
     @cached_property
     def hard(self) -> Flags:
         """(N,) bool: the hardness is at least ``HARD``."""
-        return np.asarray(self.hardness >= HARD)
+        return self.hardness >= HARD
 
     @cached_property
     def content_hash(self) -> str:
@@ -277,9 +277,9 @@ def _collect(
             starts, goals = np.split(sampled[kept], 2, axis=1)
             cost = search_batch("astar", grids[kept], starts, goals, movement).cost
             hard_so_far = hard + np.cumsum(hardness(cost, starts, goals, movement) >= HARD)
-            enough = int(np.searchsorted(hard_so_far, until_hard)) + 1
+            enough = np.searchsorted(hard_so_far, until_hard) + 1
             kept = kept[:enough]
-            hard = int(hard_so_far[:enough].max(initial=hard))
+            hard = hard_so_far[:enough].max(initial=hard)
         found.append((indices[kept], grids[kept], sampled[kept]))
         if left == 0 or hard == until_hard:
             break
