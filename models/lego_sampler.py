@@ -295,7 +295,7 @@ def select(heat_map: Floats, noise: Floats, n: int, spacing: float) -> Floats:
     chosen = np.empty((count, n, 2))
     for k in range(n):
         for b in range(count):
-            row, column = divmod(int(scores[b].argmax()), columns)
+            row, column = divmod(scores[b].argmax(), columns)
             # lay the middle of the table over the chosen cell
             around = penalty[rows - 1 - row :, columns - 1 - column :]
             scores[b] += around[:rows, :columns]

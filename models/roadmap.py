@@ -81,7 +81,7 @@ class Roadmap:
         vertex = 1 if found[1] < np.inf else -1
         while vertex >= 0:  # backwards from the target; a negative number is before the start
             path.append(vertex)
-            vertex = int(before[vertex])
+            vertex = before[vertex]
         return float(found[1]), np.array(path[::-1], np.int64)
 
 
@@ -237,7 +237,7 @@ def halton(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     """
     cells = _free(grid, n)
     shift = np.random.default_rng(seed).random(2)
-    count = 2 * n * cells.size // int((cells == 0).sum()) + 64  # twice what should do
+    count = 2 * n * cells.size // (cells == 0).sum() + 64  # twice what should do
     while True:
         points: Floats = (qmc.Halton(2, scramble=False).random(count) + shift) % 1 * cells.shape
         points = points[free_at(cells, points)]
@@ -251,7 +251,7 @@ def uniform(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
     free = np.argwhere(_free(grid, n) == 0)
     source = np.random.default_rng(seed)
     corners = free[source.integers(len(free), size=n)]
-    return np.asarray(corners + source.random((n, 2)))
+    return corners + source.random((n, 2))
 
 
 def gaussian(grid: ArrayLike, n: int, seed: int = 0) -> Floats:
