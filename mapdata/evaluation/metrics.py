@@ -260,7 +260,7 @@ def _cost(plan: Plan, problems: Problems, k: int) -> float:
         cost = check_path(problems.grids[k], path, problems.movement)
     except ValueError:
         return np.nan
-    ends = np.array([problems.starts[k], problems.goals[k]])
+    ends = problems.starts[k], problems.goals[k]
     return cost if np.array_equal(path[[0, -1]], ends) else np.nan
 
 
