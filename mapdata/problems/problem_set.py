@@ -113,7 +113,7 @@ class Problems:
         about = {"movement": asdict(self.movement), "description": self.description}
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         file = BytesIO()
-        np.savez_compressed(file, about=np.array(canonical_json(about)), **arrays)
+        np.savez_compressed(file, about=canonical_json(about), **arrays)
         write_output(path, file.getvalue())
 
     @staticmethod
