@@ -78,8 +78,7 @@ class MapSpec(Generator):
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64: Algorithm 1."""
         maps = Maps.empty(self.movement, self.map_size, indices, self.most_seed_points)
-        ranges = [self.rooms, self.room_rows, self.room_columns, self.passage_width]
-        limits = np.array(ranges, np.int64)
+        limits = np.array([self.rooms, self.room_rows, self.room_columns, self.passage_width])
         skip = np.uint64(threshold(self.skip_probability))
         key = np.uint64(seed)
         maps.split[:] = draw_splits(key, indices, split_thresholds(self.splits))
