@@ -50,7 +50,7 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
 
     *fewer, most = np.unique(of.rooms).tolist() or [0]
     if fewer:
-        for n in np.quantile(fewer, np.linspace(0, 1, 4), method="nearest").tolist():
+        for n in np.quantile(fewer, np.linspace(0, 1, 4), method="nearest"):
             add(counted(int(n), noun), of.all_connected & (of.rooms == n))
     add("not connected", ~of.all_connected)
     add("redundant", of.redundant)
