@@ -117,8 +117,7 @@ def build_roadmap(grid: ArrayLike, points: ArrayLike, reach: float) -> Roadmap:
             f"points: got {wrong}, expected points in free cells of a map of {cells.shape}"
         )
     pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")  # (p, 2)
-    first = places[pairs[:, 0]]  # (p, 2)
-    second = places[pairs[:, 1]]  # (p, 2)
+    first, second = places[pairs.T]  # (p, 2) both
     seen = sees(cells, first, second)  # (p,)
     lengths = np.linalg.norm(first - second, axis=1)  # (p,)
     return Roadmap(places, pairs[seen], lengths[seen])
