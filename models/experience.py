@@ -217,7 +217,7 @@ class Bank:
             desc="experience",
             unit=" problems",
         )
-        arrays = {"problem": problem, "ends": np.concatenate([starts, goals], axis=1)}
+        arrays = {"problem": problem, "ends": np.column_stack([starts, goals])}
         for kind, each in zip(KINDS, zip(*mined, strict=True), strict=True):
             arrays[f"{kind}_points"] = np.concatenate(each).astype(np.float32)
             arrays[f"{kind}_counts"] = np.array([len(some) for some in each])

@@ -175,7 +175,7 @@ def _outcomes(lengths: Floats, dense: Floats, subset: Flags) -> Floats:
     solved = subset & np.isfinite(lengths)
     both = solved & np.isfinite(dense)
     ratios = np.divide(lengths, dense, out=np.zeros_like(lengths), where=both)
-    return np.stack([subset, solved, both, ratios], axis=-1)
+    return np.column_stack([subset, solved, both, ratios])
 
 
 def _metrics(means: Floats) -> Floats:

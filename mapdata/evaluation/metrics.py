@@ -232,7 +232,7 @@ def _outcomes(run: _Run, problems: Problems, reference: Floats | Ints) -> Floats
     ratio = run.expansions / reference
     cost_ratio = np.nan_to_num(run.costs / optimal)
     saved = np.maximum(0, 1 - ratio)
-    return np.stack([cost_ratio > 0, run.costs == optimal, cost_ratio, ratio, saved], axis=1)
+    return np.column_stack([cost_ratio > 0, run.costs == optimal, cost_ratio, ratio, saved])
 
 
 def _batched(planner: BatchPlanner, problems: Problems) -> float:

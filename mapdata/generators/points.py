@@ -74,7 +74,7 @@ def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) ->
         cells = largest_component(grid, 0)  # by straight steps, which every movement has
         points = spread_points(cells, maps.columns, key, np.uint64(indices[k]), most)
         maps.rooms[k] = len(points)
-        maps.seed_points[k, : len(points)] = np.stack(np.divmod(points, maps.columns), axis=1)
+        maps.seed_points[k, : len(points)] = np.column_stack(np.divmod(points, maps.columns))
     maps.packed[:] = pack(grids)
     maps.split[:] = draw_splits(key, indices, split_thresholds(spec.splits))
     return maps
