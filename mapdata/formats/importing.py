@@ -331,8 +331,7 @@ def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> I
         return one.seed_points
     _, columns = one.shape
     given = one.seed_points @ (columns, 1)
-    cells = largest_component(one.grid, rule_of(header.movement)[0])
-    cells = cells[~np.isin(cells, given)]
+    cells = np.setdiff1d(largest_component(one.grid, rule_of(header.movement)[0]), given)
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
     rows_and_columns = np.divmod(np.concatenate((given, drawn)), columns)
-    return np.stack(rows_and_columns, axis=1)
+    return np.column_stack(rows_and_columns)
