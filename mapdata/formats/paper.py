@@ -105,20 +105,17 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     (target / "images").mkdir(parents=True)
     with open(target / "maps.csv", "w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
-        header: list[str] = []
         for labels in root.labels(progress=progress):
             movement = canonical_json(asdict(labels.maps.movement))
             for k, grid in enumerate(labels.maps.occupancy):
-                row = map_row(labels, k, root.resolution)
+                row = map_row(labels, k, root.resolution) | {"movement": movement}
                 image = Image.fromarray(grid.view(np.bool_))  # of bool, a PNG of 1 bit a pixel
                 image.save(target / "images" / f"{row['label']}.png")
-                if not header:
-                    header = [*row, "movement"]
-                    table.writerow(header)
-                cells = [
+                if file.tell() == 0:
+                    table.writerow(row.keys())
+                table.writerow(
                     value if isinstance(value, str) else json.dumps(value) for value in row.values()
-                ]
-                table.writerow([*cells, movement])
+                )
     return []
 
 
