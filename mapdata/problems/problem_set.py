@@ -182,7 +182,7 @@ class Problems:
             # fewer hard ones than one on 1,000 maps are not worth the wait
             maps = 1000 * check_count("until_hard", until_hard)
         check_count("maps", maps)
-        chunks = (np.arange(k, min(k + _MAPS_A_CHUNK, maps)) for k in range(0, maps, _MAPS_A_CHUNK))
+        chunks = (range(maps)[k : k + _MAPS_A_CHUNK] for k in range(0, maps, _MAPS_A_CHUNK))
         chosen = ((generate(spec, seed, chunk), slice(None)) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"
         least = least_squared(radius, spec.resolution)
