@@ -7,7 +7,14 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.spec import check_flag, check_number, did_you_mean, known_values, parsed_json
+from mapdata.spec import (
+    check_flag,
+    check_number,
+    did_you_mean,
+    items_of,
+    known_values,
+    parsed_json,
+)
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
@@ -158,9 +165,10 @@ def check_band(name: str, band: object) -> Limits:
     Raises:
         ValueError: it is not two numbers in ascending order.
     """
-    if isinstance(band, (tuple, list)) and len(band) == 2:
-        lowest = 0.0 if band[0] is None else max(check_number(name, band[0]), 0.0)
-        highest = math.inf if band[1] is None else check_number(name, band[1])
+    limits = items_of(band)
+    if len(limits) == 2:
+        lowest = 0.0 if limits[0] is None else max(check_number(name, limits[0]), 0.0)
+        highest = math.inf if limits[1] is None else check_number(name, limits[1])
         if lowest <= highest and lowest < math.inf:
             return lowest, highest
     raise ValueError(
