@@ -247,7 +247,7 @@ def check_scen(
             .scen says.
     """
     path = local_path(path)
-    terrains: dict[str, Bytes] = {}
+    terrains = {}
     # problems of one map and one world are solved together
     groups: dict[tuple[str, str], list[Problem]] = {}
     all_problems = read_scen(path, limits)
@@ -422,7 +422,7 @@ def _end_points(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
         )
     points: dict[Path, list[Cell]] = {}
-    shapes: dict[Path, Size] = {}
+    shapes = {}
     for path in files_of(source, (".scen",), limits, found):
         with found.leaving_out(path):
             for problem in read_scen(path, limits):
