@@ -167,7 +167,7 @@ class NeuralAstar(LearnedPlanner):
         super().__init__()
         self.save_hyperparameters()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
-        layers: list[nn.Module] = []
+        layers = []
         for inputs, outputs in pairwise((2, 32, 64, 128, 256, 1)):
             layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.BatchNorm2d(outputs), nn.ReLU()]
         self.encoder = nn.Sequential(*layers[:-1])
