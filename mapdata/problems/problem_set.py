@@ -254,7 +254,7 @@ def _collect(
     if until_hard is not None:
         check_count("until_hard", until_hard)
     left = sys.maxsize if maps is None else check_count("maps", maps)
-    found: list[tuple[Ints, Bytes, Ints]] = []
+    found = []
     hard = 0
     for each, which in chosen:
         indices = each.index[which][:left]
