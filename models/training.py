@@ -45,11 +45,8 @@ class TrainingCli(LightningCLI):
     def before_instantiate_classes(self) -> None:
         """Refuse a file that could not be written after the training."""
         file = self.config[self.subcommand].weights
-        if file is not None:
-            if not Path(file).parent.is_dir():
-                raise SystemExit(f"weights: there is no folder {Path(file).parent}")
-            if Path(file).is_dir():
-                raise SystemExit(f"weights: {file} is a folder")
+        if file is not None and (Path(file).is_dir() or not Path(file).parent.is_dir()):
+            raise SystemExit(f"weights: got {file}, expected a file in a folder that exists")
 
     def instantiate_classes(self) -> None:
         """Begin with the weights of ``--start_from``, whatever is to be done."""

@@ -32,7 +32,7 @@ from mapdata.shards.reader import open_shard
 from mapdata.shards.root import file_hash, file_size, folder_of
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
 from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
-from mapdata.spec import check_count, check_seed
+from mapdata.spec import check_count, check_integers, check_seed
 
 _MERGE_EVERY = 2.0
 """Least seconds between two writes of the manifest while shards are made."""
@@ -97,8 +97,8 @@ def build(
         movement=spec.movement,
         resolution=spec.resolution,
     )
-    k, n = part if len(part) == 2 else (0, 0)
-    if not (isinstance(k, int) and isinstance(n, int) and 0 <= k < n):
+    k, n = check_integers("part", part)
+    if not 0 <= k < n:
         raise ValueError(f"part: got {part!r}, expected (k, n) with 0 <= k < n")
     mine = headers(wanted)[k::n]
     have, damaged = _prepare(root, wanted, {header.limits for header in mine}, progress)

@@ -599,8 +599,8 @@ def test_one_validation_batch_is_one(script: Callable[[list[str]], None], tmp_pa
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--weights=nowhere/weights.pt"], "there is no folder nowhere"),
-        (["--weights=/"], "weights: / is a folder"),
+        (["--weights=nowhere/weights.pt"], "weights: got nowhere/weights.pt, expected a file"),
+        (["--weights=/"], "weights: got /, expected a file"),
         (
             [
                 "--data=mapdata.MapDataModule",
