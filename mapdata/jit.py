@@ -11,8 +11,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
-from functools import partial
 from multiprocessing import current_process
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -144,8 +142,6 @@ def _cached(function: F, inline: str) -> F:
         _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
         try:
             dispatcher.enable_caching()
-            # of a full disk: what cannot be kept is compiled anew
-            dispatcher._cache._guard_against_spurious_io_errors = partial(suppress, OSError)
         finally:
             _CONFIG.CACHE_DIR = before
     return cast(F, dispatcher)

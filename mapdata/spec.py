@@ -198,7 +198,7 @@ def check_number(name: str, value: object) -> float:
     """Return ``value`` as a float; text and bools are no numbers."""
     if hasattr(value, "__float__") and not isinstance(value, (bool, str)):
         with suppress(OverflowError, TypeError):  # of arrays
-            return float(value) + 0.0  # -0.0 is equal to 0.0, but not in JSON
+            return float(value)
     raise ValueError(f"{name}: got {value!r}, expected a number")
 
 

@@ -132,14 +132,6 @@ def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
     assert copy.cached() == {}
 
 
-def test_a_cache_that_is_full_is_no_error(copy: Copy) -> None:
-    """As where a quota is used up: what cannot be kept is compiled anew."""
-    limit = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
-    for _ in range(2):
-        done = copy.run(limit + WORDS)
-        assert (done.stdout, done.stderr) == ("6627e8d5 e169c58d bc57ac4c 9b00dbd8\n", "")
-
-
 def test_compiling_is_announced_once(copy: Copy) -> None:
     """One line when kernels are compiled; none for a few, and none when the cache has them."""
     assert copy.run(WORDS).stderr == ""

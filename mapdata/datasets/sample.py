@@ -75,9 +75,10 @@ class Rows(Sequence[Sample]):
     def __len__(self) -> int:
         return len(self.batch[0])
 
-    def pin_memory(self) -> Rows:
-        """Pin the batch: of a sequence torch would pin each sample, and make this class of them."""
-        return Rows(type(self.batch)(*(value.pin_memory() for value in self.batch)))
+    def __post_init__(self) -> None:
+        """Refuse a list: torch, which would make rows of the samples that it pinned, keeps it."""
+        if not isinstance(self.batch, Sample):
+            raise TypeError("rows: expected a batch")
 
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):

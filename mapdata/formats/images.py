@@ -203,6 +203,8 @@ def read(
         with found.leaving_out(path):
             if path.suffix.lower() in ARRAYS:
                 grids = _stack(path, limits, threshold)
+                if invert:
+                    grids = 1 - grids
                 if size not in (None, grids.shape[1:]):
                     # scaled as pictures are: a cell is occupied where half of what it covers is
                     grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
@@ -215,14 +217,14 @@ def read(
                         f"{path}: {what}, nothing is above --images.threshold {threshold}"
                     )
                 unknown += int(np.count_nonzero(grey == _UNKNOWN))
-                # darkness is rounded up: a cell that is half dark has brightness .5
-                dark = _fit(255 - grey, size, fit)
-                grids = np.asarray(dark >= 255 - threshold * 255, np.uint8)[None]
+                # means are rounded up to what is occupied, so that half a cell of it is enough
+                light = _fit(grey, size, fit) if invert else 255 - _fit(255 - grey, size, fit)
+                is_dark = light <= threshold * 255
+                grids = np.asarray(is_dark != invert, np.uint8)[None]
             split = split_of(path, source)
             for k, grid in enumerate(grids):
                 name = f"{path}[{k}]" if len(grids) > 1 else str(path)
-                cells = 1 - grid if invert else grid
-                found.maps.append(ForeignMap(name, cells, split))
+                found.maps.append(ForeignMap(name, grid, split))
     what = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
     tell_free(found, what, "--images.invert")
     if unknown and not invert and threshold * 255 < _UNKNOWN:

@@ -169,7 +169,9 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection()
     files = walk(path.parent, PICTURES, limits, found)
     pictures = {picture.stem.lower(): picture for picture in files}
-    pictures |= {picture.relative_to(path.parent).as_posix().lower(): picture for picture in files}
+    for picture in files:
+        place = picture.relative_to(path.parent).with_suffix("")
+        pictures[place.as_posix().lower()] = picture
     movements = set()
     items = set()
     with bar(limits.progress, len(files)) as advance:
@@ -180,12 +182,12 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
             name = label.name or f"map{row['item']}"
             stem = Path(name).stem if name.lower().endswith(PICTURES) else name
             with found.leaving_out(stem):
-                for key in (label.as_posix(), stem, row["item"]):
-                    picture = pictures.get(key.lower())
-                    if picture is not None:
-                        break
-                else:
+                parts = (*label.parts[:-1], stem)
+                ends = ["/".join(parts[k:]).lower() for k in range(len(parts))]
+                known = [end for end in (*ends, row["item"].lower()) if end in pictures]
+                if not known:
                     raise FormatError(f"its picture {stem}{PICTURES[0]} is missing")
+                picture = pictures[known[0]]  # of the longest end
                 cells = np.asarray(brightness(read_pixels(picture, limits)) >= 128, np.uint8)
                 one = _map_of(row, stem, cells)
                 if one.number in items:

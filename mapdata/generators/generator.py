@@ -171,8 +171,8 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
         )
     # The same class once more takes the place of its own: a notebook runs its cells again.
     taken = GENERATORS.get(family.name, family)
-    if taken.__qualname__ != family.__qualname__:
-        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken.__name__}")
+    if (taken.__module__, taken.__qualname__) != (family.__module__, family.__qualname__):
+        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken}")
     for name, spec in presets.items():
         there = PRESETS.get(name, spec)
         if there != spec and (there.name != family.name or isinstance(there, family)):

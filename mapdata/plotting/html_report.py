@@ -80,7 +80,7 @@ def _pack(of: DatasetStatistics, places: Ints) -> bytes:
     page = {
         "size": root.map_size,
         "connectivity": root.movement.connectivity,
-        "resolution": root.resolution,
+        "resolution": "/".join(sorted({f"{each.resolution:g}" for each in root.manifests})),
         "word": "rooms" if of.rooms_known else "seed points",
         "maps": maps,
     }

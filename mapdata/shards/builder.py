@@ -245,18 +245,19 @@ def _check_unlisted(root: Path, wanted: Manifest) -> None:
     check_names(root)
     if not os.access(root, os.W_OK):
         raise PermissionError(f"root: no permission to write in {root}")
+    largest = 0
     for path in sorted(root.glob("maps-*.h5")):
         try:
             header = open_shard(path_in(root, path.name)).header
         except ShardError:
             continue  # a corrupt shard is made again
-        # the last shard may have fewer maps
+        largest = max(largest, header.maps)  # the last shard may have fewer
         fits = header.start % wanted.shard_size == 0 and header.maps <= wanted.shard_size
-        size = wanted.shard_size if fits else header.maps
+        size = wanted.shard_size if fits else largest
         found = replace(
             wanted, spec=header.spec, seed=header.seed, maps=header.stop, shard_size=size
         )
-        _check_same(path, wanted, found)
+        _check_same(root, wanted, found)
 
 
 def _check_same(where: Path, wanted: Manifest, found: Manifest) -> None:

@@ -71,7 +71,7 @@ _TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
 class DatasetNotFoundError(FileNotFoundError):
     """There is no dataset; the message says where it was looked for, and what makes one."""
 
-    def __init__(self, root: object, why: str) -> None:
+    def __init__(self, root: object, why: str = "") -> None:
         """Say what was looked for under ``root`` and what to do."""
         self.root = root
         self.why = why
@@ -83,7 +83,8 @@ class DatasetNotFoundError(FileNotFoundError):
                 f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
                 "build='paper')"
             )
-        super().__init__(f"no dataset at {root}: {why}. {how}")
+        # of a loader's worker torch gives the whole text of its error as the root
+        super().__init__(f"no dataset at {root}: {why}. {how}" if why else root)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments, so that the error of a worker says the same in its parent."""

@@ -840,6 +840,17 @@ def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
         assert isinstance(error.value, FileNotFoundError)
 
 
+def test_a_worker_misses_a_dataset_as_its_parent_would(root: str, tmp_path: Path) -> None:
+    """The same class, and the advice once."""
+    shutil.copytree(root, tmp_path / "maps")
+    dataset = MapDataset(tmp_path / "maps")
+    shutil.rmtree(tmp_path / "maps")
+    loader = DataLoader(dataset, 2, num_workers=1, multiprocessing_context="fork")
+    with pytest.raises(DatasetNotFoundError) as error:
+        next(iter(loader))
+    assert str(error.value).count("Make one with 'mapdata build") == 1
+
+
 # --- processes ----------------------------------------------------------------------------------
 
 

@@ -282,10 +282,11 @@ def test_paths_that_a_transform_made_flat_are_padded(root: str) -> None:
     assert batch.path.tolist() == torch.where(plain.path[:, :, 0] < 0, -1, numbers).tolist()
 
 
-def test_rows_are_pinned_as_a_batch(root: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A collate function that keeps the list: torch would make rows of rows of it."""
+def test_rows_are_pinned_as_samples(root: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A collate function that keeps the list: torch makes a list of the pinned samples."""
     monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor, *_: tensor.clone())
     rows = MapDataset(root).__getitems__(range(8))
     again: Any = pin_memory(rows)
     assert len(again) == 8
-    samples.assert_same(again.batch, rows.batch)
+    for one, other in zip(again, rows, strict=True):
+        samples.assert_same(one, other)

@@ -118,6 +118,10 @@ def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> N
         half = factor * factor / 2
         exact = each.reshape(24, factor, 24, factor).sum(axis=(1, 3)) >= half
         assert grids(tmp_path, size=(24, 24)) == [exact.astype(int).tolist()] * 2
+        Image.fromarray(255 * each).save(tmp_path / "plan.png")
+        np.save(tmp_path / "plan.npy", 1 - each)
+        found = grids(tmp_path, size=(24, 24), invert=True)
+        assert found == [exact.astype(int).tolist()] * 2
 
 
 def test_arrays(tmp_path: Path) -> None:

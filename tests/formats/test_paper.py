@@ -188,7 +188,14 @@ def test_pictures_of_one_name_in_two_folders(release: Path) -> None:
         folder = release / f"part{k % 2}"
         folder.mkdir(exist_ok=True)
         (release / "images" / f"{row['label']}.png").rename(folder / f"{k // 2}.png")
-        row["label"] = f"part{k % 2}{'/' if k % 3 else chr(92)}{k // 2}.png"
+        labels = (
+            "part{}/{}.png",
+            "part{}\\{}.PNG",
+            "Part{}/{}",
+            "C:\\data\\part{}\\{}.png",
+            "/x/part{}/{}",
+        )
+        row["label"] = labels[k % len(labels)].format(k % 2, k // 2)
     write_rows(release, rows)
     found = read_any(release).maps
     assert len(found) == len(rows)

@@ -201,8 +201,11 @@ def test_registering_refuses_what_cannot_work() -> None:
         registered.
         """
 
-    with pytest.raises(ValueError, match="'rooms' is the name of MapSpec"):
+    with pytest.raises(ValueError, match="'rooms' is the name of <class 'mapdata"):
         register(Impostor)
+    namesake = type("Maze", (Maze,), {"__dataclass_fields__": {}})
+    with pytest.raises(ValueError, match=r"'maze' is the name of <class 'mapdata\..*\.Maze'>"):
+        register(namesake)
     with pytest.raises(ValueError, match="the preset 'paper' is there already"):
         register(Maze, {"paper": Maze()})
     assert Plain.name == "stripes"

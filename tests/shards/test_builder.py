@@ -395,7 +395,7 @@ def test_a_lost_manifest_does_not_cost_another_dataset(root: Path) -> None:
     [
         ({"shard_size": 1000}, "with shard_size 4, asked for shard_size 1000"),
         ({"shard_size": 3}, "with shard_size 4, asked for shard_size 3"),
-        ({"maps": 6}, "holds 8 maps, asked for 6: a dataset only grows"),
+        ({"maps": 6}, "maps holds 8 maps, asked for 6: a dataset only grows"),
     ],
 )
 def test_a_lost_manifest_does_not_change_the_dataset(
