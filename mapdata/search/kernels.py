@@ -502,15 +502,10 @@ def with_capacity(items: Any, used: Int, more: Int) -> Any:
 @kernel
 def scratch(search: Weights, lattice: Lattice) -> Scratch:
     """Return what `find` writes to; for `shortest_costs`, that of ASTAR."""
-    # A cell is pushed at most once for each neighbour.
-    pushes = len(lattice.offsets) * lattice.cells
-    if search == BFS:
-        pushes = lattice.cells
-    pushes += 2  # the start, and the entry 0 that does not exist
-    came = np.empty(lattice.cells, np.uint8)
-    g = np.empty(lattice.cells, np.int64)
-    pushed = np.empty(pushes, np.uint32)
-    return Scratch(came, g, pushed, np.empty(pushes, np.uint32), np.empty(pushes, np.int64))
+    # A cell is pushed at most once for each neighbour; 32 bytes are for the start, and for the
+    # entry 0 that does not exist.
+    pushes = 1 if search == BFS else len(lattice.offsets)
+    return scratch_in(np.empty((9 + 16 * pushes) * lattice.cells + 32, np.uint8), lattice)
 
 
 @kernel
