@@ -51,7 +51,7 @@ class Section(NamedTuple):
 
     title: str
     text: str = ""
-    table: Sequence[tuple[str, ...]] = ()
+    table: Sequence[Sequence[str]] = ()
     code: str = ""
     language: str = ""
 
@@ -214,13 +214,13 @@ def _origin(place: str, rooms_known: bool) -> Section:
 
 
 def _splits(of: DatasetStatistics) -> Section:
-    heads = ("split", "maps", "route problems", "without a path", "pairs", "pairs without a path")
+    heads = ["split", "maps", "route problems", "without a path", "pairs", "pairs without a path"]
     names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
     entries = [entry for _, _, entry in of.root.shards]
-    rows: list[tuple[str, ...]] = [heads]
+    rows = [heads]
     for split in SPLITS:
         counts = [sum(int(entry.counts[split][name]) for entry in entries) for name in names]
-        rows.append((split, *(f"{count:,}" for count in counts)))
+        rows.append([split, *(f"{count:,}" for count in counts)])
     text = (
         "Each map belongs to one split and keeps it when the dataset grows. A route problem is a "
         "segment between consecutive rooms (seed points), a pair any two of a map; those from a "
@@ -257,14 +257,12 @@ def _distributions(of: DatasetStatistics) -> Section:
         "iterations of a segment, BFS": of.iterations["bfs"],
         "iterations of a segment, A*": of.iterations["astar"],
     }
-    rows: list[tuple[str, ...]] = [
-        ("", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most")
-    ]
+    rows = [["", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most"]]
     for name, column in values.items():
         if len(column):
             marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
             shown = (column.mean(), *marks)
-            rows.append((name, *(f"{value:.4g}" for value in shown)))
+            rows.append([name, *(f"{value:.4g}" for value in shown)])
     text = "Segments without a path are left out, except for iterations."
     return Section("Distributions", text, rows)
 
