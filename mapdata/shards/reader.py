@@ -18,6 +18,7 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 
@@ -153,22 +154,16 @@ class _Mapping:
 
     def __init__(self, descriptor: int, size: int) -> None:
         """Map ``size`` bytes; the descriptor may be closed afterwards."""
-        self._unmap: Any = None  # for __del__, if mapping fails
         address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
         if address == ctypes.c_void_p(-1).value:
             error = ctypes.get_errno()
             why = f"{os.strerror(error)}: cannot map a shard beside those that are open"
             raise OSError(error, why)
-        self._unmap = _libc().munmap  # kept: at exit the module may be gone before the array
-        self._place = (address, size)
+        # not at exit, where the array may still be in use
+        finalize(self, _libc().munmap, address, size).atexit = False
         # numpy makes an array of an object with this attribute; True is read-only
         data = (address, True)
         self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": data}
-
-    def __del__(self) -> None:
-        """Unmap."""
-        if self._unmap is not None:
-            self._unmap(*self._place)
 
 
 def map_file(descriptor: int, size: int) -> Bytes:
