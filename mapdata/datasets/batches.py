@@ -125,10 +125,11 @@ def read_paths(
     iterations = np.empty(count, np.int64)
     first = np.empty(count, np.int64)
     for b in range(count):
+        shard = shards[b]
         # A map of n rooms has n - 1 segments, so those of map m begin m before its rooms.
-        segment = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
-        moves = _array(table[shards[b], search], np.int64)
-        iterations[b] = _array(table[shards[b], search + 2], np.int32)[segment]
+        segment = _array(table[shard, _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
+        moves = _array(table[shard, search], np.int64)
+        iterations[b] = _array(table[shard, search + 2], np.int32)[segment]
         first[b] = moves[segment]
         offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
     cells = np.empty((offsets[count], 2), np.int64)
@@ -140,14 +141,15 @@ def read_paths(
     width = np.uint64(size[1])
     at = 0
     for b in range(count):
+        shard = shards[b]
         length = offsets[b + 1] - offsets[b] - 1
-        room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
-        stored = _cells(table[shards[b], _SEEDS])
+        room = _array(table[shard, _ROOMS], np.int64)[maps[b]] + rooms[b]
+        stored = _cells(table[shard, _SEEDS])
         row = np.int64(stored[room, 0])
         column = np.int64(stored[room, 1])
         goal_row = stored[room + 1, 0]
         goal_column = stored[room + 1, 1]
-        packed = _array(table[shards[b], search + 1], np.uint8)
+        packed = _array(table[shard, search + 1], np.uint8)
         offsets[b] = at
         if length == 0 and (row != goal_row or column != goal_column):
             continue
@@ -191,13 +193,14 @@ def read_rooms(
     matrices = np.full((len(shards), most, most), -2, np.float32)
     seed_points = np.full((len(shards), most, 2), -1)
     for b in range(len(shards)):
-        rooms = _array(table[shards[b], _ROOMS], np.int64)
+        shard = shards[b]
+        rooms = _array(table[shard, _ROOMS], np.int64)
         first = rooms[maps[b]]
         last = rooms[maps[b] + 1]
-        pair = _array(table[shards[b], _PAIRS], np.int64)[maps[b]]
-        stored = _cells(table[shards[b], _SEEDS])
-        moves = _array(table[shards[b], straight], np.int32)
-        diagonals = _array(table[shards[b], _DIAGONAL], np.int32)
+        pair = _array(table[shard, _PAIRS], np.int64)[maps[b]]
+        stored = _cells(table[shard, _SEEDS])
+        moves = _array(table[shard, straight], np.int32)
+        diagonals = _array(table[shard, _DIAGONAL], np.int32)
         for i in range(last - first):
             seed_points[b, i, 0] = stored[first + i, 0]
             seed_points[b, i, 1] = stored[first + i, 1]
@@ -382,12 +385,12 @@ def problem_rows(shard: Shard, split: str | None, problems: Source) -> Int32s:
     """Return (P, 3) of the problems in a shard: map, room, room (-1 where problems are drawn)."""
     arrays = shard.arrays
     rooms = np.diff(arrays["room_offsets"])
+    maps = np.arange(len(rooms))
     if isinstance(problems, Random):
-        maps = np.arange(len(rooms))
-        first = second = np.full(len(rooms), -1)
-        keep = np.ones(len(rooms), np.bool_)
+        first = second = np.full_like(maps, -1)
+        keep = np.ones_like(maps, np.bool_)
     else:
-        maps = np.repeat(np.arange(len(rooms)), rooms * (rooms - 1) // 2)
+        maps = np.repeat(maps, rooms * (rooms - 1) // 2)
         first, second = np.concatenate([pairs_of(n) for n in rooms.tolist()], axis=1)
         seed_points = arrays["seeds"]
         base = arrays["room_offsets"][maps]
