@@ -95,13 +95,14 @@ class MapDataModule(_Base):
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
-        self.roots = () if root is None else places(root)
-        if not self.roots and build is None:
+        roots = () if root is None else places(root)
+        if not roots and build is None:
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"
             )
-        if build is not None and (len(self.roots) > 1 or any(map(is_url, self.roots))):
+        if build is not None and (len(roots) > 1 or any(map(is_url, roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
+        self.roots = roots
         self.build = build
         self.batch_size = check_count("batch_size", batch_size)
         self.loading: dict[str, Any] = {
@@ -124,7 +125,7 @@ class MapDataModule(_Base):
             "build": build,
             "batch_size": self.batch_size,
         }
-        plain["root"] = self.roots[0] if len(self.roots) == 1 else self.roots or None
+        plain["root"] = roots[0] if len(roots) == 1 else roots or None
         self.save_hyperparameters(plain, logger=False)
 
     def __repr__(self) -> str:

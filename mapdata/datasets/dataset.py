@@ -335,16 +335,17 @@ class MapDataset(ProblemDataset):
             fields, source, search, movement, augment, sampling_seed, max_length, radius
         )
         super().__init__(split, serving, dtype, transform)
-        self.reader = BatchReader(root, split, source, radius)
-        self.roots = self.reader.root.places
-        self._content = [manifest.content_hash for manifest in self.reader.manifests]
-        self.movement = movement or self.reader.movement
-        self.map_size = self.reader.map_size
+        reader = BatchReader(root, split, source, radius)
+        self.reader = reader
+        self.roots = reader.root.places
+        self._content = [manifest.content_hash for manifest in reader.manifests]
+        self.movement = movement or reader.movement
+        self.map_size = reader.map_size
         self.filters: tuple[dict[str, Any], ...] = ()
         self._kept: Ints | None = None
         # Labels are stored for the maps as they are and for one movement: others are solved anew.
-        self._is_stored = self.movement == self.reader.movement and self.reader.least <= 1
-        if self.reader.least > 1 and not isinstance(source, Random) and not source.unsolvable:
+        self._is_stored = self.movement == reader.movement and reader.least <= 1
+        if reader.least > 1 and not isinstance(source, Random) and not source.unsolvable:
             self._kept = self._matching({"reachable": True})
 
     def __len__(self) -> int:
