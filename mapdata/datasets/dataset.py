@@ -407,7 +407,7 @@ class MapDataset(ProblemDataset):
             raise ValueError(
                 "filter: random problems are not stored; give Random(...) the conditions"
             )
-        given: dict[str, Any] = {
+        given = {
             "rooms": rooms,
             "path_length": path_length,
             "reachable": reachable,
@@ -520,5 +520,5 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
 
 def arguments_of(state: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments of a pickled dataset that both datasets take."""
-    serving: dict[str, Any] = vars(state["serving"])
-    return serving | {name: state[name] for name in ("split", "dtype", "transform")}
+    given = {name: state[name] for name in ("split", "dtype", "transform")}
+    return {**vars(state["serving"]), **given}

@@ -252,7 +252,7 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
 
 def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | None:
     """Return the manifest of the dataset that most shards are of, with the sound ones; or None."""
-    found: dict[Header, Entry | None] = {}
+    found = {}
     with bar(progress, len(shards), unit=" shards") as advance:
         for path in shards:
             with suppress(OSError, ShardError):

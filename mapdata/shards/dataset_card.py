@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata._version import __version__
-from mapdata.arrays import Array
 from mapdata.generators.generator import PRESETS, Generator
 from mapdata.shards.manifest import PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
@@ -252,7 +251,7 @@ def _shares(of: DatasetStatistics) -> Section:
 
 
 def _distributions(of: DatasetStatistics) -> Section:
-    values: dict[str, Array] = {
+    values = {
         **of.distributions(),
         "iterations of a segment, BFS": of.iterations["bfs"],
         "iterations of a segment, A*": of.iterations["astar"],

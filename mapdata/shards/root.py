@@ -84,7 +84,7 @@ class Root:
         """
         where = places(source)
         manifests = tuple(manifest_at(place) for place in where)
-        shards: list[tuple[int, int, Entry]] = []
+        shards = []
         maps = 0
         for number, (place, manifest) in enumerate(zip(where, manifests, strict=True)):
             for name in ("map_size", "movement"):
@@ -99,7 +99,7 @@ class Root:
                 raise ValueError(
                     f"root: {place} is not finished: run the command that makes it once more"
                 )
-            shards += [(number, maps, entry) for entry in manifest.shards]
+            shards.extend([(number, maps, entry) for entry in manifest.shards])
             maps += manifest.maps
         return Root(
             places=where,

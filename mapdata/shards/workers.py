@@ -81,7 +81,7 @@ def finished(
     """
     done: SimpleQueue[Future[_Result]] = SimpleQueue()
     left = iter(tasks)
-    under_way: dict[Future[_Result], _Task] = {}
+    under_way = {}
     try:
         while True:
             for task in left:  # goes on where it stopped
