@@ -21,6 +21,7 @@ import pytest
 import pytorch_lightning as pl
 import torch
 from pytorch_lightning.callbacks import ModelCheckpoint
+from torch.utils.data import DataLoader
 
 from mapdata import (
     DatasetNotFoundError,
@@ -32,6 +33,7 @@ from mapdata import (
     Problems,
     Random,
     Route,
+    Sample,
     astar,
     check_path,
     evaluate,
@@ -574,7 +576,7 @@ def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_one_validation_batch_is_one(script: Callable[[list[str]], None], tmp_path: Path) -> None:
+def test_one_batch_is_one(script: Callable[[list[str]], None]) -> None:
     """Not all of them: a flag's 1 arrives as 1.0."""
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 5, "maps": 200})
     flags = {
@@ -588,11 +590,44 @@ def test_one_validation_batch_is_one(script: Callable[[list[str]], None], tmp_pa
         "model.widths": "[8,8,8]",
         "model.passes": 1,
     }
-    validated: list[int] = []
+    steps: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(PathPredictor, "validation_step", lambda *_: validated.append(1))
+        patch.setattr(PathPredictor, "training_step", lambda *_: steps.append("train"))
+        patch.setattr(PathPredictor, "validation_step", lambda *_: steps.append("val"))
         script(["fit", *(f"--{name}={value}" for name, value in flags.items())])
-    assert len(validated) == 1
+    assert steps == ["train", "val"]
+
+
+class OwnData(pl.LightningDataModule):
+    """Data that is no `MapDataModule`."""
+
+    def val_dataloader(self) -> DataLoader[Sample]:
+        """Return a loader of four problems."""
+        return DataLoader(OnlineMapDataset(DUNGEON, 5, 4, movement=Movement(8)), 4)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_validating_begins_with_the_weights(script: Callable[[list[str]], None]) -> None:
+    """As training does, and on data of one's own."""
+    model = confused()
+    model.save("weights.pt")
+    seen: list[dict[str, torch.Tensor]] = []
+    flags = {
+        "model": "models.path_predictor.PathPredictor",
+        "model.widths": "[8,8,8]",
+        "model.passes": 1,
+        "data": f"{__name__}.OwnData",
+        "start_from": "weights.pt",
+        "trainer.logger": "false",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            PathPredictor, "validation_step", lambda self, *_: seen.append(self.state_dict())
+        )
+        script(["validate", *(f"--{name}={value}" for name, value in flags.items())])
+    (weights,) = seen
+    for name, value in PathPredictor.load("weights.pt").state_dict().items():
+        assert torch.equal(value, weights[name]), name
 
 
 @pytest.mark.filterwarnings("ignore")
