@@ -154,7 +154,7 @@ def board_of(grid: Bytes) -> Board:
 
 
 @kernel
-def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
+def search_board(row: Int, column: Int, most: Int, board: Board) -> Int:
     """Search level by level: ``reached`` becomes what is within ``most`` - 1 moves of a cell.
 
     Returns whether no further cell can be reached. Callers choose ``most`` so that they can turn to
@@ -182,8 +182,7 @@ def search_board(row: Int, column: Int, most: Int, board: Board) -> bool:
         here, new = new, here
     for k in range(len(unseen)):
         board.reached[k] = board.free[k] ^ unseen[k]
-    complete: bool = low > high
-    return complete
+    return low > high
 
 
 @kernel

@@ -366,10 +366,11 @@ def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, buffers: Scratch, c
         # least cost, so that any optimal search finds that of A*.
         shortest_costs(source, FAR, lattice, buffers)
         for k in range(len(cells)):
+            cost = buffers.g[cells[k]]
             costs[k, 0] = -1
             costs[k, 1] = 0
-            if buffers.g[cells[k]] != FAR:
-                costs[k, 0], costs[k, 1] = parts(buffers.g[cells[k]])
+            if cost != FAR:
+                costs[k, 0], costs[k, 1] = parts(cost)
     else:
         for k in range(len(cells)):
             _, pushes = best_first(source[0], cells[k], ASTAR, lattice, buffers)
