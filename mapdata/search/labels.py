@@ -259,7 +259,6 @@ def _flood_maps(
         The moves of all segments.
     """
     lattice = lattice_of(grids.shape[1:], rule)
-    fresh = np.empty(lattice.cells, np.uint8)  # the map before a search, which changes ``came``
     buffers = scratch(BFS, lattice)
     came = buffers.came
     moves = np.empty(1024, np.uint8)
@@ -267,13 +266,11 @@ def _flood_maps(
     # compiled twice.
     used = np.int64(0)
     for m in range(len(grids)):
-        load(grids[m], fresh)
         n = rooms[m]
         cells = _cells_of(seed_points[m, :n], lattice)
         pair = pairs[m]
         for q in range(n - 1):
-            for k in range(lattice.cells):
-                came[k] = fresh[k]
+            load(grids[m], came)
             count = flood(cells[q], cells[q + 1 :], lattice, buffers)
             to_next = pair
             for k in range(q + 1, n):
