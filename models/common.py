@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import zipfile
 from abc import ABC, abstractmethod
@@ -32,6 +33,7 @@ from torch.optim.lr_scheduler import OneCycleLR
 from mapdata import Movement
 from mapdata.arrays import Bytes, Ints
 from mapdata.search import STEPS
+from mapdata.shards import write_output
 
 Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
@@ -192,7 +194,7 @@ def check_problems(
 
     Raises:
         ValueError: a map without a free cell, a start or goal outside its map or on an occupied
-            cell.
+            cell, or not of integers.
     """
     cells = np.asarray(maps)
     grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
@@ -200,7 +202,10 @@ def check_problems(
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
     ends = []
     for name, given in (("start", starts), ("goal", goals)):
-        end = np.atleast_2d(given).astype(np.int64)
+        end = np.atleast_2d(given)
+        if end.dtype.kind not in "iu":
+            raise ValueError(f"{name}: got {given!r}, expected whole numbers")
+        end = end.astype(np.int64)
         # of order 0, the value of a cell itself; outside the map all is occupied
         occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)  # (B,)
         if occupied.any():
@@ -417,7 +422,13 @@ class Model(pl.LightningModule, ABC):
             self.train(training)
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write class, arguments and weights, as plain types and float16 tensors: half the size."""
+        """Write class, arguments and weights, as plain types and float16 tensors: half the size.
+
+        What was there before is replaced by the whole file, or stays.
+
+        Raises:
+            OSError: the disk is full or may not be written to.
+        """
         arguments = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hparams.items()
@@ -427,7 +438,9 @@ class Model(pl.LightningModule, ABC):
             name: value.to("cpu", torch.float16).contiguous()
             for name, value in self.state_dict().items()
         }
-        torch.save({"class": type(self).__name__, "arguments": arguments, "weights": weights}, file)
+        data = io.BytesIO()
+        torch.save({"class": type(self).__name__, "arguments": arguments, "weights": weights}, data)
+        write_output(file, data.getvalue())
 
     @classmethod
     def load(cls: type[M], file: str | PathLike[str]) -> M:

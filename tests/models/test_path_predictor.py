@@ -326,6 +326,8 @@ def test_start_at_the_goal_and_walls() -> None:
         plan = planner.plan(grid, (0, 0), (8, 8))
         assert plan.path.shape == (0, 2)
         assert plan.expansions == astar(grid, (0, 0), (8, 8), Movement(8)).iterations == 36
+        with pytest.raises(ValueError, match=r"start: got .*0\.9, .*expected whole numbers"):
+            planner.plan(grid, (0.9, 0), (8, 8))  # type: ignore[arg-type]
         for start in ((0, 4), (-1, 0), (9, 0)):
             with pytest.raises(ValueError, match="outside its map or on an occupied cell"):
                 planner.plan(grid, start, (8, 8))
