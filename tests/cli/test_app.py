@@ -489,7 +489,7 @@ def test_bad_specs(says: str, values: dict[str, Any], run: Command, tmp_path: Pa
         ("not JSON", b""),
         ("expected an object", b"[]"),
         ("recipe: got 'rooms', expected one of content_hash", b'{"rooms": [2, 3]}'),
-        ("'utf-8' codec", b'{"maps": \xff}'),
+        (r"recipe\.json: not JSON \('utf-8' codec", b'{"maps": \xff}'),
         ("format version 3, this mapdata 0.1.0 reads 1 and 2", b'{"format_version": 3}'),
         pytest.param(
             "recipe",

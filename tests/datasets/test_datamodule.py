@@ -607,6 +607,16 @@ def test_a_missing_dataset_is_built(tmp_path: Path, root: str) -> None:
     assert read_manifest(Path(root)).content_hash == read_manifest(tmp_path / "fitted").content_hash
 
 
+def test_a_recipe_that_promises_another_content_is_told(tmp_path: Path, root: str) -> None:
+    """Its hash is compared with what was built, as the command does; another number changes it."""
+    recipe = json.loads(read_manifest(Path(root)).recipe())
+    data = module(str(tmp_path / "same"), build=json.dumps(recipe))
+    samples.assert_all_same(batches_of(data), batches_of(module(root)))
+    other = module(str(tmp_path / "other"), build=json.dumps(recipe | {"maps": 59}))
+    with pytest.raises(ValueError, match=r"build: content hash .*, the recipe says"):
+        batches_of(other)
+
+
 def test_a_preset_is_built_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`build="paper"` makes the paper's 10,000 maps (here fewer)."""
     monkeypatch.setattr(

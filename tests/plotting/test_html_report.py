@@ -5,7 +5,9 @@ the stored ones.
 from __future__ import annotations
 
 import hashlib
+import json
 import re
+import zlib
 from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +22,7 @@ from helpers.samples import SPEC, WIDE, build_small
 from mapdata import Labels, MapSpec, build
 from mapdata.cli import main
 from mapdata.plotting import report
+from mapdata.plotting.html_report import _pack
 from mapdata.shards import Root, dataset_statistics, read_manifest
 from mapdata.spec import SPLITS
 
@@ -297,6 +300,17 @@ def test_the_page_is_self_contained_and_the_same_again(root: Path) -> None:
     assert not re.search(r"""(src|href)\s*=\s*["']?(?!#|data:image/svg)\w""", page)
     assert "@@" not in text.replace(read_manifest(root).content_hash, "")
     assert "default-src 'none'" in text
+
+
+def test_several_resolutions_are_all_named(tmp_path: Path) -> None:
+    """Of two datasets side by side."""
+    for name, resolution in (("a", 0.1), ("b", 0.05), ("c", 0.1)):
+        build(tmp_path / name, MapSpec(resolution=resolution), maps=3)
+    pages = [
+        _pack(dataset_statistics([tmp_path / "a", tmp_path / name]), np.array([0])) for name in "bc"
+    ]
+    found = [json.loads(zlib.decompress(page))["resolution"] for page in pages]
+    assert found == ["0.05/0.1", "0.1"]
 
 
 def test_the_policy_names_the_script_and_the_style(root: Path) -> None:

@@ -330,6 +330,17 @@ def test_what_is_no_saved_set_is_refused(arrays: dict[str, Any], tmp_path: Path)
         Problems.load(path)
 
 
+def test_problems_that_cannot_be_are_refused_by_the_name_of_their_file(tmp_path: Path) -> None:
+    """As where others wrote 255 for 1."""
+    path = tmp_path / "set.npz"
+    Problems.sample(MapSpec(), 0, 3).save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **arrays | {"grids": arrays["grids"] * 255})
+    with pytest.raises(ValueError, match=r"set\.npz: .*grid: got"):
+        Problems.load(path)
+
+
 def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     """By name: text, and no file at all."""
     path = tmp_path / "set.npz"

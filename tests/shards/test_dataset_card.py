@@ -130,6 +130,10 @@ def test_imported_maps_have_an_origin_instead_of_a_recipe(tmp_path: Path) -> Non
     repeats = table(text, "Duplicates")
     assert repeats["of test, also in train"] == ["1", "1"]
     assert repeats["of val, also in train"] == ["0", "1"]
+    record = (root / PROVENANCE).read_text()
+    (root / PROVENANCE).write_text(record.replace('"seed": 0', '"seed": 1'))
+    assert (root / PROVENANCE).read_text() != record
+    assert "no sound record of the source" in card(root)
     (root / PROVENANCE).unlink()
     assert "no sound record of the source" in card(root)
     for damaged in ("[1]", '{"sources": 3}', "x", '"text"'):
