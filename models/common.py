@@ -372,7 +372,7 @@ def _orthogonal(x: Tensor) -> Tensor:
 
 M = TypeVar("M", bound=nn.Module)
 
-MOST = 4096
+MOST = 1024
 """Largest number among the arguments of a saved model: a layer's width, how many layers."""
 
 
