@@ -16,6 +16,7 @@ from mapdata.search.lattice import (
     Lattice,
     Rule,
     cell_at,
+    cells_of,
     heuristic,
     in_cells,
     lattice_of,
@@ -148,12 +149,9 @@ def path_probabilities(
     around_path = scratch(ASTAR, lattice)
     out = np.zeros((count, 1, rows, columns), np.float32)
     for b in range(count):
-        length = ends[b + 1] - ends[b]
-        if length == 0:
+        path = cells_of(cells[ends[b] : ends[b + 1]], lattice)
+        if len(path) == 0:
             continue
-        path = np.empty(length, np.int64)
-        for k in range(length):
-            path[k] = cell_at(cells[ends[b] + k, 0], cells[ends[b] + k, 1], lattice)
         search_around(grids[b], starts[b, 0], starts[b, 1], True, lattice, around_start)
         search_around(grids[b], goals[b, 0], goals[b, 1], True, lattice, around_goal)
         load(grids[b], around_path.came)

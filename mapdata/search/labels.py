@@ -11,7 +11,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Flags, Floats, Ints, offsets_of, summary
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.generators.points import STEPS
-from mapdata.jit import Int, inlined, kernel
+from mapdata.jit import Int, kernel
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_search
 from mapdata.search.kernels import (
@@ -34,7 +34,7 @@ from mapdata.search.lattice import (
     UNIT,
     Lattice,
     Rule,
-    cell_at,
+    cells_of,
     lattice_of,
     load,
     parts,
@@ -267,7 +267,7 @@ def _flood_maps(
     used = np.int64(0)
     for m in range(len(grids)):
         n = rooms[m]
-        cells = _cells_of(seed_points[m, :n], lattice)
+        cells = cells_of(seed_points[m, :n], lattice)
         pair = pairs[m]
         for q in range(n - 1):
             load(grids[m], came)
@@ -320,7 +320,7 @@ def _astar_maps(
         for q in range(n):
             if not is_inside(grids[m], seed_points[m, q], 0):
                 return moves, m * seed_points.shape[1] + q
-        cells = _cells_of(seed_points[m, :n], lattice)
+        cells = cells_of(seed_points[m, :n], lattice)
         pair = pairs[m]
         for q in range(n - 1):
             goal = cells[q + 1]
@@ -344,15 +344,6 @@ def _astar_maps(
                 _fill_costs(cells[q : q + 1], others, lattice, buffers, costs[pair + 1 :])
                 pair += 1 + len(others)
     return moves[:used], -1
-
-
-@inlined
-def _cells_of(seed_points: Ints, lattice: Lattice) -> Ints:
-    """Return the lattice's cells of (n, 2) points."""
-    cells = np.empty(len(seed_points), np.int64)
-    for q in range(len(cells)):
-        cells[q] = cell_at(seed_points[q, 0], seed_points[q, 1], lattice)
-    return cells
 
 
 @kernel

@@ -125,6 +125,15 @@ def cell_at(row: Int, column: Int, lattice: Lattice) -> Int:
 
 
 @inlined
+def cells_of(points: Ints, lattice: Lattice) -> Ints:
+    """Return the padded cells of points (n, 2)."""
+    cells = np.empty(len(points), np.int64)
+    for k in range(len(points)):
+        cells[k] = cell_at(points[k, 0], points[k, 1], lattice)
+    return cells
+
+
+@inlined
 def position(cell: Int, lattice: Lattice) -> tuple[Int, Int]:
     """Return (row, column) of a padded cell."""
     # 32 bits hold every cell, and are divided faster than 64.
