@@ -334,7 +334,7 @@ def _label_map(
         # Level 0 is the seed alone; the rows about it are read by the next level.
         for r in range(low - _EDGE, low + _EDGE + 1):
             level[r] = 0
-        level[low] = _ONE << np.uint64(seed_points[s, 1])
+        level[low] = bit_at(seed_points[s, 1])
         unseen[low] &= ~level[low]
         for k in range(pending):
             costs[pair + k, 0] = -1
@@ -343,8 +343,8 @@ def _label_map(
             # A later seed that is not unseen any more, but was at the last level, is in this one.
             for k in range(n - 1 - s):
                 row = seed_points[s + 1 + k, 0] + _EDGE
-                column = np.uint64(seed_points[s + 1 + k, 1])
-                if costs[pair + k, 0] < 0 and (unseen[row] >> column) & _ONE == 0:
+                bit = bit_at(seed_points[s + 1 + k, 1])
+                if costs[pair + k, 0] < 0 and unseen[row] & bit == 0:
                     costs[pair + k, 0] = depth
                     pending -= 1
                     if k == 0:  # the next seed, where a segment ends
@@ -441,7 +441,7 @@ def _trace(
     two levels in turns: the cells of a level around the start that stand before the path's cell.
     """
     row = start[0] + _EDGE
-    bit = _ONE << np.uint64(start[1])
+    bit = bit_at(start[1])
     low = row
     high = row
     before.fill(0)
@@ -500,7 +500,7 @@ def count_bits(words: Words, first: Int, last: Int) -> Int:
     for k in range(first, last):
         w = words[k]
         w -= (w >> _ONE) & _PAIRS  # each two bits count their ones
-        w = (w & _FOURS) + ((w >> np.uint64(2)) & _FOURS)  # each four
+        w = (w & _FOURS) + ((w >> _TWO) & _FOURS)  # each four
         w = (w + (w >> np.uint64(4))) & _EIGHTS  # each byte
         # modulo 2^64, the top byte of the product is the sum of all bytes
         total += np.int64((w * _BYTES) >> np.uint64(56))
