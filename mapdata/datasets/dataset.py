@@ -151,7 +151,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
         wanted[wanted < 0] += length
         epochs, indices = np.divmod(wanted, length)
-        epoch = int(epochs.max(initial=0))
+        epoch = epochs.max(initial=0)
         if (epochs == epoch).all():
             batch = self._make(indices, epoch)
         else:  # a batch is of one epoch

@@ -155,7 +155,7 @@ def path(batch: Batch) -> Ints:
     T is a multiple of 16, or ``max_length``.
     """
     cells, offsets, _ = batch.paths
-    longest = int(np.diff(offsets).max(initial=0))
+    longest = np.diff(offsets).max(initial=0)
     return pad_paths(cells, offsets, rows_of_path(longest, batch.max_length))
 
 

@@ -144,7 +144,7 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
     axes = axes or new_axes()[0]
     matrix = labels.matrix(search, i)
     n = len(matrix)
-    top = max(float(matrix.max()), 1.0)
+    top = max(matrix.max(), 1.0)
     costs = np.ma.masked_less(matrix, 0)
     numbers = (0.5, n + 0.5, n + 0.5, 0.5)  # of rooms, the first of which is 1
     image = axes.imshow(costs, cmap="cividis", vmin=0, vmax=top, extent=numbers)

@@ -107,7 +107,7 @@ class Labels:
         labels = self.of(search)
         if not 0 <= q < self._rooms(i) - 1:
             raise IndexError(f"map {i} of the batch has no segment {q}")
-        s = int(self.maps.segment_offsets[i]) + q
+        s = self.maps.segment_offsets[i] + q
         if not self.reachable[s]:
             return np.empty((0, 2), np.int64)
         moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
@@ -121,7 +121,7 @@ class Labels:
 
     def iterations(self, search: str, i: int) -> Ints:
         """Return (n - 1,) int64, the iterations of each segment of map i."""
-        first = int(self.maps.segment_offsets[i])
+        first = self.maps.segment_offsets[i]
         return self.of(search).iterations[first : first + self._rooms(i) - 1]
 
     def matrix(self, search: str, i: int) -> Floats:

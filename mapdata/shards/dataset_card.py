@@ -218,7 +218,7 @@ def _splits(of: DatasetStatistics) -> Section:
     entries = [entry for _, _, entry in of.root.shards]
     rows = [heads]
     for split in SPLITS:
-        counts = [sum(int(entry.counts[split][name]) for entry in entries) for name in names]
+        counts = [sum(entry.counts[split][name] for entry in entries) for name in names]
         rows.append([split, *(f"{count:,}" for count in counts)])
     text = (
         "Each map belongs to one split and keeps it when the dataset grows. A route problem is a "

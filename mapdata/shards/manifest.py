@@ -164,7 +164,7 @@ class Manifest(Origin):
         """The largest number of seed points that a map can have."""
         if self.spec is not None:
             return self.spec.most_seed_points
-        return max((int(entry.counts["most_rooms"]) for entry in self.shards), default=1)
+        return max((entry.counts["most_rooms"] for entry in self.shards), default=1)
 
     def __repr__(self) -> str:
         return (
@@ -179,7 +179,7 @@ class Manifest(Origin):
 
     def total(self, name: str) -> int:
         """Return the sum of one of the counts over all shards."""
-        return sum(int(entry.counts[name]) for entry in self.shards)
+        return sum(entry.counts[name] for entry in self.shards)
 
     def to_json(self) -> str:
         """Return the text of ``manifest.json``."""

@@ -310,7 +310,7 @@ def decode(shard: Shard) -> Labels:
     arrays = shard.arrays
     header = shard.header
     rooms = np.diff(arrays["room_offsets"])
-    most = int(rooms.max(initial=2))
+    most = rooms.max(initial=2)
     used = np.arange(most) < rooms[:, None]
     maps = Maps(
         movement=header.movement,
@@ -345,7 +345,7 @@ def _search_labels(shard: Shard, search: str) -> SearchLabels:
     if search == "astar" and movement.connectivity == 8:
         costs[:, 1] = arrays["astar_diagonal"]
     return SearchLabels(
-        moves=unpack_moves(arrays[f"{search}_moves"], int(offsets[-1]), bits_of(movement)),
+        moves=unpack_moves(arrays[f"{search}_moves"], offsets[-1], bits_of(movement)),
         offsets=offsets,
         iterations=arrays[f"{search}_iterations"].astype(np.int64),
         costs=costs,

@@ -175,7 +175,7 @@ def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
     hardest = np.zeros(len(maps))
     owners = np.repeat(np.arange(len(maps)), passages)
     np.maximum.at(hardest, owners, hard)
-    rooms_known = bool((maps.sizes >= 0).any() or (maps.passage_width >= 0).any())
+    rooms_known = (maps.sizes >= 0).any() or (maps.passage_width >= 0).any()
     skipped = (~maps.connected & used).any(axis=1)
     return {
         "index": maps.index,
