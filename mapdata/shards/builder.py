@@ -25,7 +25,6 @@ from mapdata.shards.manifest import (
     merge,
     path_in,
     read_manifest,
-    shard_name,
     sweep,
 )
 from mapdata.shards.reader import open_shard
@@ -177,7 +176,7 @@ def make_shard(
     maps = generate(header.spec, header.seed, range(header.start, header.stop))
     labels = label(maps, advance)
     image, content = shard_image(labels, header)
-    write_file(root / shard_name(*header.limits), image)
+    write_file(root / header.file_name, image)
     return entry_of(header, content, labels, image)
 
 

@@ -31,7 +31,6 @@ from mapdata.shards.manifest import (
     merge,
     path_in,
     provenance_text,
-    shard_name,
     union,
 )
 from mapdata.shards.reader import UNSOUND, open_shard
@@ -232,7 +231,7 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
     faults.sort(key=lambda fault: fault.path)
     names = {entry.name for entry in manifest.shards}
     for header in headers(manifest):
-        name = shard_name(*header.limits)
+        name = header.file_name
         if name not in names:
             names.add(name)
             what = "missing (the build did not finish)"

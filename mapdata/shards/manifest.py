@@ -210,11 +210,6 @@ class Manifest(Origin):
         return "{\n" + ",\n".join(lines) + "\n}"
 
 
-def shard_name(start: int, stop: int) -> str:
-    """Return the file name of the shard of maps start <= i < stop."""
-    return f"maps-{start:012d}-{stop:012d}.h5"
-
-
 def path_in(root: Path, name: str) -> Path:
     """Return the path of a file of a root, which may be missing.
 
@@ -234,7 +229,7 @@ def path_in(root: Path, name: str) -> Path:
 
 
 def is_shard_name(name: str) -> bool:
-    """Return whether `shard_name` gives such names; a manifest's other names are never opened."""
+    """Return whether shards have such names; a manifest's other names are never opened."""
     return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
 
 
@@ -260,7 +255,7 @@ def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None
 def entry_of(header: Header, content: str, labels: Labels, image: bytes) -> Entry:
     """Return the entry of a shard that holds ``labels`` of the hash ``content`` as ``image``."""
     return Entry(
-        name=shard_name(*header.limits),
+        name=header.file_name,
         start=header.start,
         stop=header.stop,
         bytes=len(image),
@@ -331,7 +326,7 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
 def _entry(values: dict[str, Any], path: str) -> Entry:
     """Return one entry of the manifest at ``path``, checked."""
     entry = Entry(**values)
-    if entry.name != shard_name(*entry.limits):
+    if entry.name != entry.file_name:
         raise ShardError(
             f"{path}: {entry.name!r} is not the name of a shard, or not of maps {entry.start} to "
             f"{entry.stop}"
@@ -444,7 +439,7 @@ def _is_left(path: Path) -> bool:
 def load_shard(root: Path, header: Header) -> Entry | None:
     """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
     try:
-        path = path_in(root, shard_name(*header.limits))
+        path = path_in(root, header.file_name)
         shard = open_shard(path)
         labels = sound_labels(shard)
     except (OSError, ShardError):  # gone, not to be read, or damaged

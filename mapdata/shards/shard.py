@@ -178,6 +178,11 @@ class MapRange:
         """How many they are."""
         return self.stop - self.start
 
+    @property
+    def file_name(self) -> str:
+        """The name of the shard that holds them."""
+        return f"maps-{self.start:012d}-{self.stop:012d}.h5"
+
 
 @dataclass(frozen=True)
 class Header(MapRange, Origin):

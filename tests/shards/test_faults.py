@@ -34,7 +34,7 @@ from pathlib import Path
 from mapdata import MapSpec, build, generate, label, verify
 from mapdata.shards import Manifest, read_manifest
 from mapdata.shards.builder import headers
-from mapdata.shards.manifest import load_shard, shard_name
+from mapdata.shards.manifest import load_shard
 from mapdata.shards.shard import shard_image
 
 spec, root = MapSpec.from_json({SPEC.to_json()!r}), Path(sys.argv[1])
@@ -165,7 +165,7 @@ for number in range(int(sys.argv[3])):
         os.waitpid(pid, 0)
     before = stamps(place)
     for header in headers(planned):
-        name = shard_name(header.start, header.stop)
+        name = header.file_name
         assert (name in before) == (load_shard(place, header) is not None), f"{name} is torn"
     done(child(place))
     assert read_manifest(place).content_hash == truth

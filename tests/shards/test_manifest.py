@@ -17,7 +17,7 @@ from typing import Any
 
 import h5py
 import pytest
-from helpers.builds import SPEC, restated
+from helpers.builds import SPEC, restated, shard_name
 from helpers.specs import specs
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,7 +33,6 @@ from mapdata.shards.manifest import (
     load_shard,
     merge,
     parse_manifest,
-    shard_name,
     sweep,
     union,
 )
@@ -147,7 +146,7 @@ def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
 )
 def test_shard_names(start: int, stop: int) -> None:
     """Names have at least twelve digits, sort like their maps, and are known as names."""
-    name = shard_name(start, stop)
+    name = entry_of(start, stop).file_name
     assert is_shard_name(name)
     assert [int(part) for part in re.findall(r"\d+", name[:-3])] == [start, stop]
 
@@ -577,7 +576,7 @@ def test_load_shard_gives_the_entry(built: Path) -> None:
 def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
     """A shard that is not there, not whole, or does not hash to what it says gives None."""
     (header, *_) = headers(read_manifest(built))
-    name = shard_name(header.start, header.stop)
+    name = header.file_name
     image = bytearray((built / name).read_bytes())
     with h5py.File(built / name, "r") as file:
         places = {
