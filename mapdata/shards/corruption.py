@@ -97,8 +97,9 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    found = [inspect(place, progress=progress) for place in places(root)]
-    return [str(fault) for each in found for fault in each.faults]
+    return [
+        str(fault) for place in places(root) for fault in inspect(place, progress=progress).faults
+    ]
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
@@ -116,10 +117,11 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
         OSError: the disk is full or may not be written to.
     """
     folders = [folder_of(place) for place in places(root)]  # a URL is refused before any repair
-    left = [
-        repair_found(inspect(folder, progress=progress), progress=progress) for folder in folders
+    return [
+        str(fault)
+        for folder in folders
+        for fault in repair_found(inspect(folder, progress=progress), progress=progress)
     ]
-    return [str(fault) for faults in left for fault in faults]
 
 
 def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
