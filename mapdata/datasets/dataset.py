@@ -518,7 +518,7 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
     )
 
 
-def arguments_of(state: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a pickled dataset that both datasets take."""
-    given = {name: state[name] for name in ("split", "dtype", "transform")}
+def arguments_of(state: dict[str, Any], *own: str) -> dict[str, Any]:
+    """Return the arguments of a pickled dataset: those that both datasets take, and ``own``."""
+    given = {name: state[name] for name in ("split", "dtype", "transform", *own)}
     return {**vars(state["serving"]), **given}

@@ -80,8 +80,7 @@ class OnlineMapDataset(ProblemDataset):
         return self.length
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        given = {name: state[name] for name in ("spec", "seed", "length")}
-        OnlineMapDataset.__init__(self, **given, **arguments_of(state))
+        OnlineMapDataset.__init__(self, **arguments_of(state, "spec", "seed", "length"))
         vars(self).update(state)
 
     def __repr__(self) -> str:
