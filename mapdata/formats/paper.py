@@ -46,6 +46,7 @@ from functools import partial
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
+from numpy.typing import ArrayLike
 from PIL import Image
 
 from mapdata.arrays import Bytes, Ints
@@ -321,7 +322,7 @@ def _differing(stated: dict[str, str], labels: Labels, k: int) -> list[str]:
     return [name for name, text in stated.items() if not _same(text, ours[name])]
 
 
-def _same(text: str, ours: object) -> bool:
+def _same(text: str, ours: ArrayLike) -> bool:
     """Return whether a cell of the CSV holds our numbers, whatever the shape of its lists."""
     text = re.sub(r"(?i)\bfalse\b", "0", text)
     text = re.sub(r"(?i)\btrue\b", "1", text)
@@ -329,7 +330,7 @@ def _same(text: str, ours: object) -> bool:
         stated = floats(text)
     except FormatError:
         return False
-    expected = np.ravel(np.array(ours, float))
+    expected = np.ravel(ours)
     # printed numbers are rounded
     return len(stated) == len(expected) and np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
 
