@@ -112,8 +112,7 @@ class Labels:
             return np.empty((0, 2), np.int64)
         moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
         start = self.maps.seed_points[i, q]
-        others = start + np.cumsum(STEPS[moves], axis=0)
-        return np.concatenate((start[None], others))
+        return np.cumsum(np.vstack((start, STEPS[moves])), axis=0)
 
     def route(self, search: str, i: int) -> list[Ints]:
         """Return the path through all rooms of map i in their order, as its segments (k, 2)."""
