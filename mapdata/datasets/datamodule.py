@@ -124,8 +124,8 @@ class MapDataModule(_Base):
             **self.serving.plain(),
             "build": build,
             "batch_size": self.batch_size,
+            "root": roots[0] if len(roots) == 1 else roots or None,
         }
-        plain["root"] = roots[0] if len(roots) == 1 else roots or None
         self.save_hyperparameters(plain, logger=False)
 
     def __repr__(self) -> str:

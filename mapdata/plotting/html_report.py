@@ -143,7 +143,7 @@ def _chart(name: str, values: Floats) -> str:
     """Return a histogram as HTML: a picture, with words for those who do not see it."""
     import matplotlib
 
-    (ax,) = new_axes(1, 1, (4.6, 3))
+    (ax,) = new_axes(size=(4.6, 3))
     plot_distribution(name, values, ax)
     image = BytesIO()
     # Text stays text, so that the picture is small; the same salt and no date make it the same
