@@ -271,8 +271,7 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
         if field.name not in addresses:
             raise ShardError(f"dataset {field.name!r} is missing, or is a link to somewhere else")
         try:
-            address = addresses[field.name]
-            arrays[field.name] = read_dataset(image, address, field.dtype, field.rank)
+            arrays[field.name] = read_dataset(image, addresses[field.name], field.dtype, field.rank)
         except ValueError as error:
             raise ShardError(
                 f"dataset {field.name!r} is not plain contiguous data of type {field.dtype} and "
