@@ -100,7 +100,12 @@ def parsed_json(name: str, text: str | bytes) -> Any:
 
 def hash_of(values: object) -> str:
     """Return the SHA-256 of the canonical JSON of ``values``, as hex."""
-    return hashlib.sha256(canonical_json(values).encode()).hexdigest()
+    return sha256_of(canonical_json(values).encode())
+
+
+def sha256_of(data: bytes | memoryview) -> str:
+    """Return the SHA-256 of ``data``, as hex."""
+    return hashlib.sha256(data).hexdigest()
 
 
 def check_seed(seed: int, name: str = "seed") -> int:

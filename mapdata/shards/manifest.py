@@ -5,7 +5,6 @@ All of it is derived from the shards, so it can be rebuilt.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -45,6 +44,7 @@ from mapdata.spec import (
     check_number,
     check_seed,
     hash_of,
+    sha256_of,
 )
 
 MANIFEST = "manifest.json"
@@ -259,7 +259,7 @@ def entry_of(header: Header, content: str, labels: Labels, image: bytes) -> Entr
         start=header.start,
         stop=header.stop,
         bytes=len(image),
-        sha256=hashlib.sha256(image).hexdigest(),
+        sha256=sha256_of(image),
         content_hash=content,
         counts=counts_of(labels),
     )

@@ -6,7 +6,6 @@ A file is read through one memory mapping, and by no library: `hdf5.py` knows it
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import json
 import math
 import mmap
@@ -38,7 +37,7 @@ from mapdata.shards.shard import (
     decode,
     read_image,
 )
-from mapdata.spec import Movement, check_integers
+from mapdata.spec import Movement, check_integers, sha256_of
 
 
 def read_shard(path: StrPath) -> Labels:
@@ -115,7 +114,7 @@ def has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
     # The time of the last change of any kind tells, too, where a copy kept the time of its bytes.
     times = (status.st_mtime_ns, status.st_ctime_ns)
     file = (status.st_dev, status.st_ino, status.st_size, *times, sha256)
-    if file not in _compared and hashlib.sha256(data.data).hexdigest() == sha256:
+    if file not in _compared and sha256_of(data.data) == sha256:
         _compared.add(file)
     return file in _compared
 

@@ -5,7 +5,6 @@ What lies at a URL is fetched to a local cache, shards once, and checked against
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 import warnings
@@ -32,7 +31,7 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
-from mapdata.spec import Movement, Size
+from mapdata.spec import Movement, Size, sha256_of
 
 MOST_SILENCE = 20.0
 """Seconds without a byte after which a try to read from a URL is given up."""
@@ -287,7 +286,7 @@ def local_file(place: str, entry: Entry) -> Path:
     cached = file_size(path) == entry.bytes
     if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
         data = _fetch(place, entry.name, entry.bytes, entry.bytes)
-        if hashlib.sha256(data).hexdigest() != entry.sha256:
+        if sha256_of(data) != entry.sha256:
             raise ShardError(
                 f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
             )
@@ -297,7 +296,7 @@ def local_file(place: str, entry: Entry) -> Path:
 
 def _cache(place: str) -> Path:
     """Return the folder that keeps what is fetched from a URL."""
-    return cache_home() / "mapdata" / "remote" / hashlib.sha256(place.encode()).hexdigest()[:24]
+    return cache_home() / "mapdata" / "remote" / sha256_of(place.encode())[:24]
 
 
 def _keep(path: Path, data: bytes) -> None:
@@ -326,7 +325,7 @@ def file_size(path: Path) -> int | None:
 
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return sha256_of(path.read_bytes())
 
 
 def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
