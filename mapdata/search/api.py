@@ -172,8 +172,9 @@ def solve_batch(
             f"got {len(stack)} grids, {count} starts and {len(ends)} goals, expected equal numbers"
         )
     rule = rule_of(movement)
-    memory = _scratch_memory(stack, rule)
-    path, found, solved = solve_all(stack, begins, ends, most, search, rule, memory)
+    path, found, solved = solve_all(
+        stack, begins, ends, most, search, rule, _scratch_memory(stack, rule)
+    )
     if solved < count:
         grid = stack[min(solved, len(stack) - 1)]
         raise ValueError(f"problem {solved}: {_complaint(grid, begins[solved], ends[solved])}")
@@ -246,8 +247,9 @@ def _search(
     begin = _cell("start", start, array)
     end = _cell("goal", goal, array)
     rule = rule_of(movement)
-    memory = _scratch_memory(array, rule)
-    path, straight, diagonal, iterations = solve_one(array, *begin, *end, search, rule, memory)
+    path, straight, diagonal, iterations = solve_one(
+        array, *begin, *end, search, rule, _scratch_memory(array, rule)
+    )
     if iterations == 0:  # every search expands its start
         raise ValueError(_complaint(array, begin, end))
     cost = straight + diagonal * movement.diagonal_cost
