@@ -128,9 +128,11 @@ class Problems:
             with np.load(path) as file:
                 about = json.loads(str(file["about"]))
                 arrays = {name: file[name] for name in _ARRAYS}
-                movement = Movement(**about["movement"])
-                description = str(about["description"])
-            return Problems(**arrays, movement=movement, description=description)
+            return Problems(
+                **arrays,
+                movement=Movement(**about["movement"]),
+                description=str(about["description"]),
+            )
         except FileNotFoundError:
             raise
         except Exception as error:  # what numpy's and zip's readers raise is not documented

@@ -227,8 +227,7 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
 
 def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
     """Return the labels of one search from what its kernel gave."""
-    offsets = offsets_of(table[:, 0])
-    return SearchLabels(moves, offsets, np.ascontiguousarray(table[:, 1]), costs)
+    return SearchLabels(moves, offsets_of(table[:, 0]), np.ascontiguousarray(table[:, 1]), costs)
 
 
 @kernel

@@ -147,8 +147,7 @@ class Root:
             raise ShardError(
                 f"{path}: missing; 'mapdata verify {place}' tells what else is"
             ) from None
-        manifest = self.manifests[number]
-        expected = (manifest.header(*entry.limits), entry.content_hash)
+        expected = (self.manifests[number].header(*entry.limits), entry.content_hash)
         if (shard.header, shard.content_hash) != expected:
             raise ShardError(f"{path}: holds other maps than the manifest says")
         return shard
