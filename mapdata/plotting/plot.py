@@ -193,8 +193,7 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     check_choice("subset", subset, ("hard", "all"))
     axes = axes or new_axes()[0]
     rows = table[table["subset"] == subset]
-    planners = rows.to_dict("records")
-    for row, colour, marker in zip(planners, cycle(PALETTE), cycle(MARKERS)):
+    for row, colour, marker in zip(rows.to_dict("records"), cycle(PALETTE), cycle(MARKERS)):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
         axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
