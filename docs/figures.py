@@ -171,7 +171,8 @@ def prediction(axes: Axes, sample: Any) -> None:
     model = PathPredictor.load(WEIGHTS / "path_predictor.pt")
     grid, start, goal = (np.asarray(sample[k]).astype(np.int64) for k in range(3))
     truth = astar(grid[0], start, goal, DIAGONAL).path
-    shades = model.predict(grid.astype(np.uint8), goal[None])[1][0]
+    with model.inference():
+        shades = model(*model.tensors(grid[None].astype(np.uint8), goal[None]))[1][0].numpy()
     plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=shades)
 
 

@@ -19,7 +19,6 @@ from mapdata.search import (
     Rule,
     cell_at,
     count_moves,
-    heuristic,
     in_cells,
     is_legal,
     lattice_of,
@@ -63,12 +62,12 @@ class LearnedPlanner(Batched, Model):
 
 
 class Predictor(Protocol):
-    """What predicts moves and heuristic ratios, such as `models.path_predictor.PathPredictor`."""
+    """What predicts moves and costs to go, such as `models.path_predictor.PathPredictor`."""
 
     movement: Movement
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W)."""
+        """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells."""
 
 
 def planners(model: Predictor) -> list[BatchPlanner]:
@@ -83,26 +82,27 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 class GuidedSearch(Batched):
     """Best-first search by the cost so far, the predicted cost to go, and improbable moves.
 
-    f = g + ``trust`` * (sum over the moves of odds squared - 1) + h / ratio, where the odds of a
-    move are P(best legal move) / P(move), at most e^10, and a ratio below 0.05 counts as that. They
-    are squared, since of two moves that are nearly as probable either may be optimal, while one of
-    four times less hardly ever is. Of nearly equal f the cell of the longer way is first (f is less
-    by 0.001 of it), then the one that was pushed last. A cell is expanded once; it finds a path
-    where there is one. A cell that is looked at again takes the shorter way as its own, and the
-    path is that of the parents.
+    f = g + ``trust`` * 64 / side * (sum over the moves of odds squared - 1) + predicted cost to go,
+    where side is the mean of a map's sides, since longer ways have more moves that are nearly as
+    good, and the odds of a move are P(best legal move) / P(move), at most e^10. They are squared,
+    since of two moves that are nearly as probable either may be optimal, while one of four times
+    less hardly ever is. Of nearly equal f the cell of the longer way is first (f is less by 0.001
+    of it), then the one that was pushed last. A cell is expanded once; it finds a path where there
+    is one. A cell that is looked at again takes the shorter way as its own, and the path is that of
+    the parents.
 
     Infinite trust makes it a walk, a depth-first search: from the cell that was expanded last it
     takes the most probable move to an unexpanded one, and goes back where there is none.
 
     Attributes:
         name: its name in the table.
-        model: what predicts moves and ratios.
-        trust: cost, in cells, of a move whose odds squared are 2.
+        model: what predicts moves and costs to go.
+        trust: cost, in cells, of a move whose odds squared are 2, on a map of 64 x 64.
     """
 
     name: str
     model: Predictor
-    trust: float = 0.4
+    trust: float = 0.15
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
@@ -112,22 +112,23 @@ class GuidedSearch(Batched):
                 other shapes than `Predictor` says.
         """
         grids, starts, goals = check_problems(grids, starts, goals)
-        scores, ratios = self.model.predict(grids, goals)
+        scores, costs = self.model.predict(grids, goals)
         # the search is compiled, and reads past the end of smaller arrays without a word
-        found = scores.shape, ratios.shape
+        found = scores.shape, costs.shape
         expected = (len(grids), self.model.movement.connectivity, *grids.shape[1:]), grids.shape
         if found != expected:
             raise ValueError(f"{self.name}: predict gave shapes {found}, expected {expected}")
         rule = rule_of(self.model.movement)
-        problems = zip(grids, scores, ratios, starts, goals, strict=True)
-        return [Plan(*_search(*each, rule, self.trust)) for each in problems]
+        trust = self.trust * 128 / sum(grids.shape[1:])
+        problems = zip(grids, scores, costs, starts, goals, strict=True)
+        return [Plan(*_search(*each, rule, trust)) for each in problems]
 
 
 @kernel
 def _search(
     grid: Bytes,
     scores: Float32s,
-    ratios: Float32s,
+    costs: Float32s,
     start: Ints,
     goal: Ints,
     rule: Rule,
@@ -184,10 +185,8 @@ def _search(
             cost = so_far + step + trust * math.expm1(min(20.0, 2 * loss))
             if cost < best[to]:
                 best[to] = cost
-                i, j = position(to, lattice)
-                least = in_cells(heuristic(i - goal[0], j - goal[1], lattice))
                 pushes += 1
-                to_go = least / max(ratios[i, j], 0.05)  # a ratio near 0 would say nothing
+                to_go = costs[position(to, lattice)]
                 f = cost + to_go - 0.001 * way[to]  # among equals the farthest first
                 heapq.heappush(heap, (f, float(-pushes), to))
     straight, diagonal = count_moves(came, first, last, lattice)  # -1 and 0 without a path

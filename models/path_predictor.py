@@ -229,11 +229,11 @@ class PathPredictor(LearnedPlanner):
     # --- prediction -----------------------------------------------------------------------------
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W).
+        """Return scores of the moves (B, moves, H, W) and the costs to go (B, H, W), in cells.
 
-        A score is a log probability, up to a constant a cell. Both are means over two views, the
-        map and the map after half a turn, which takes twice the time: shorter paths for no more
-        expansions.
+        A score is a log probability, up to a constant a cell. Scores and ratios are means over two
+        views, the map and the map after half a turn, which takes twice the time: shorter paths for
+        no more expansions. `costs_to_go` makes costs of the ratios.
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
@@ -246,7 +246,42 @@ class PathPredictor(LearnedPlanner):
             turned_scores, turned_ratios = self(occupied.flip(2, 3), last - cells)
             scores += turned_scores[:, HALF_TURN[: scores.shape[1]]].flip(2, 3)
             ratios += turned_ratios.flip(1, 2)
-        return (scores / 2).cpu().contiguous().numpy(), (ratios / 2).cpu().numpy()
+            costs = self.costs_to_go(occupied, cells, scores, ratios / 2)
+        return (scores / 2).cpu().contiguous().numpy(), costs.cpu().numpy()
+
+    def costs_to_go(
+        self, occupied: Tensor, goals: Tensor, scores: Tensor, ratios: Tensor
+    ) -> Tensor:
+        """Return the predicted cost from each cell to the goal, (B, H, W), as an n-step return.
+
+        That is what the 32 most probable moves from the cell cost, each the most probable of the
+        cell that it starts from, and the cost to go that the network predicts where they end.
+        Neighbours whose ways meet have nearly the same error, so that a search is not led astray by
+        the difference. Ways are followed, never compared. No expansions are counted for it:
+        docs/planners.md says what it is worth, and how often it reaches the goal.
+
+        Sutton and Barto, Reinforcement Learning: An Introduction, 2nd edition, section 7.1.
+
+        Args:
+            occupied: (B, 1, H, W), 0 free and anything else occupied.
+            goals: (B, 2), cells.
+            scores: (B, moves, H, W).
+            ratios: (B, H, W), of heuristic and cost to go; one below 0.05 counts as that.
+        """
+        least = heuristic(*offsets(goals, ratios.shape[1:]), self.movement)  # (B, H, W)
+        # the goal has no moves, so that a way which reaches it ends there
+        legal = legal_moves(occupied, self.movement) & (least > 0)[:, None]  # (B, moves, H, W)
+        best, move = torch.where(legal, scores, -math.inf).max(dim=1)  # (B, H, W) both
+        goes_on = best > -math.inf
+        down, right = torch.tensor(STEPS[: scores.shape[1]], device=self.device).T  # (moves,) both
+        cost = heuristic(down, right, self.movement)[move] * goes_on
+        jump = (down * ratios.shape[2] + right)[move] * goes_on
+        # the cell that the move leads to, numbered through all maps of the batch
+        to = torch.arange(move.numel(), device=self.device).view_as(move) + jump
+        for _ in range(5):  # of 1, 2, 4, 8 and 16 moves it makes twice as many
+            cost = cost + cost.take(to)
+            to = to.take(to)
+        return cost + (least / ratios.clamp(min=0.05)).take(to)
 
     def predict_path(self, map: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Ints:
         """Return the predicted path, (k, 2) cells; (0, 2) where there is none.

@@ -20,6 +20,7 @@ import pandas as pd
 import pytest
 import pytorch_lightning as pl
 import torch
+from helpers.reference import Cell, neighbours
 from pytorch_lightning.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader
 
@@ -116,14 +117,91 @@ def test_half_a_turn_of_a_map_turns_the_answer(movement: Movement) -> None:
     model = confused(movement)
     grids = (np.random.default_rng(0).random((3, 16, 24)) < 0.3).astype(np.uint8)
     goals = np.array([[0, 0], [5, 7], [15, 23]])
-    scores, ratios = model.predict(grids, goals)
+    scores, costs = model.predict(grids, goals)
     turned = model.predict(grids[:, ::-1, ::-1], np.array([15, 23]) - goals)
     back = turned[0][:, HALF_TURN[: movement.connectivity], ::-1, ::-1]
     np.testing.assert_allclose(back, scores, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(turned[1][:, ::-1, ::-1], ratios, rtol=1e-3, atol=1e-3)
+    # where rounding decides which of two moves is more probable, another way is followed
+    assert np.isclose(turned[1][:, ::-1, ::-1], costs, rtol=1e-3, atol=1e-3).mean() > 0.98
     with torch.inference_mode():
         once, _ = model(*model.tensors(grids[:, None], goals))
     assert np.abs(once.numpy() - scores).max() > 0.01
+
+
+def followed_by_the_book(
+    grid: npt.NDArray[np.uint8],
+    scores: npt.NDArray[np.float32],
+    ratios: npt.NDArray[np.float32],
+    cell: Cell,
+    goal: Cell,
+    movement: Movement,
+) -> float:
+    """Return what the 32 most probable moves cost, and the cost to go predicted at their end."""
+    moves = [tuple(move) for move in STEPS[: movement.connectivity].tolist()]
+    cost = 0.0
+    for _ in range(32):
+        options = []
+        for to, step in neighbours(grid.tolist(), cell, movement):
+            move = moves.index((to[0] - cell[0], to[1] - cell[1]))
+            options.append((scores[move, cell[0], cell[1]], to, step))
+        if cell == goal or not options:
+            break
+        _, cell, (_, diagonal) = max(options)
+        cost += movement.diagonal_cost if diagonal else 1.0
+    least = float(heuristics(np.array([cell]), np.array([goal]), movement)[0])
+    return cost + least / max(float(ratios[cell]), 0.05)
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_costs_to_go_are_those_of_the_moves_that_follow(movement: Movement) -> None:
+    """Of each free cell as many as a slow one in Python finds, for random scores and ratios."""
+    source = np.random.default_rng(3)
+    grids = (source.random((4, 9, 12)) < [[[0.0]], [[0.2]], [[0.4]], [[0.7]]]).astype(np.uint8)
+    grids[:, 4, 5] = 0
+    goals = np.tile([4, 5], (4, 1))
+    scores = source.normal(size=(4, movement.connectivity, 9, 12)).astype(np.float32)
+    # moves towards the goal are more probable, so that many ways end there
+    rows, columns = np.indices((9, 12))
+    for move, (down, right) in enumerate(STEPS[: movement.connectivity].tolist()):
+        scores[:, move] -= np.abs(rows + down - 4) + np.abs(columns + right - 5)
+    ratios = source.random((4, 9, 12)).astype(np.float32)
+    ratios[:, ::4] = 0
+    model = confused(movement)
+    answers = map(torch.from_numpy, (scores, ratios))
+    found = model.costs_to_go(*model.tensors(grids[:, None], goals), *answers).numpy()
+    arrived = 0
+    for k, row, column in np.argwhere(grids == 0).tolist():
+        given = grids[k], scores[k], ratios[k]
+        expected = followed_by_the_book(*given, (row, column), (4, 5), movement)
+        assert found[k, row, column] == pytest.approx(expected, rel=1e-5)
+        arrived += found[k, row, column] < 16
+    assert arrived > 40
+    assert (found[:, 4, 5] == 0).all()
+
+
+def test_predicted_costs_to_go_are_those_of_both_views() -> None:
+    """They follow the mean scores, to the mean ratio."""
+    model = confused()
+    drawn = Problems.sample(DUNGEON, 8, 4)
+    scores, costs = model.predict(drawn.grids, drawn.goals)
+    occupied, goals = model.tensors(drawn.grids[:, None], drawn.goals)
+    with model.inference():
+        ratios = model(occupied, goals)[1]
+        ratios += model(occupied.flip(2, 3), 63 - goals)[1].flip(1, 2)
+        expected = model.costs_to_go(occupied, goals, torch.from_numpy(scores), ratios / 2)
+    assert np.isclose(costs, expected.numpy(), rtol=1e-3).mean() > 0.98
+
+
+def test_true_predictions_are_true_costs_to_go() -> None:
+    """Optimal moves and the true ratio give each cell that has a way its true cost to go."""
+    fields = (*FIELDS, "cost_to_go")
+    batch = OnlineMapDataset(DUNGEON, length=8, fields=fields, movement=Movement(8))[:]
+    bits = 2 ** torch.arange(8)[:, None, None]
+    scores = (batch.optimal_moves.long() & bits != 0).float()  # (8, 8, H, W)
+    found = PathPredictor().costs_to_go(batch.map, batch.goal, scores, batch.heuristic_ratio[:, 0])
+    known = batch.optimal_moves[:, 0] > 0
+    assert known.sum() > 8_000
+    torch.testing.assert_close(found[known], batch.cost_to_go[:, 0][known], rtol=1e-5, atol=1e-4)
 
 
 def test_any_map_size() -> None:
