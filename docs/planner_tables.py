@@ -198,7 +198,7 @@ def page_of_sets() -> str:
         "Made by `python docs/planner_tables.py`; [Planners compared](planners.md) says what the\n"
         "columns are. Hard problems alone; ± is half the width of the 95 % interval. Times are of\n"
         "one thread of a shared machine: compare those of one table;\n"
-        "[Benchmarks](benchmarks.md#planners) has those of a quiet one.\n\n"
+        "[Benchmarks](benchmarks.md#planners) has those of an idle one.\n\n"
         "## Hmean\n\n"
     )
     moves = (
