@@ -1,7 +1,7 @@
 """Measure docs/planner_tables.md: python docs/planner_tables.py [--transfer FILE].
 
 Each set of problems is a recipe: one problem on each map of seed 77, until so many are hard. The
-page has one table a set; docs/planners.md speaks of them. Half an hour of one core.
+page has one table a set; docs/planners.md speaks of them. Up to an hour of one core.
 
 With --transfer it measures networks trained on one family each instead, tested on all of them, and
 writes their Hmean to a file as JSON.
@@ -130,7 +130,7 @@ def followed_to_the_goal(model: PathPredictor, problems: Problems) -> list[str]:
         grids, goals = problems.grids[k : k + 16], problems.goals[k : k + 16]
         scores = torch.from_numpy(model.predict(grids, goals)[0])
         occupied, ends = model.tensors(grids[:, None], goals)
-        # what the network says of the end of the moves counts twice in one, unless it is the goal
+        # the cost to go at the end of the moves is twice as much in one, but 0 at the goal in both
         once, twice = (
             model.costs_to_go(occupied, ends, scores, torch.full(grids.shape, ratio))
             for ratio in (1.0, 0.5)
@@ -186,9 +186,8 @@ def page_of_sets() -> str:
                 f"`{problems.content_hash[:12]}`; {problems.description}.\n\n{markdown(rows)}\n"
             )
             summary[name] = table.set_index("planner")["hmean"].map("{:.2f}".format)
-            if ending:
-                continue
-            followed.append([name, *what_is_followed(model, hard_of(problems))])
+            if not ending:
+                followed.append([name, *what_is_followed(model, hard_of(problems))])
     hmeans = pd.DataFrame(summary)
     rows = [["set", *hmeans.index]]
     for name in hmeans.columns:
