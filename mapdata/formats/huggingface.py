@@ -17,10 +17,10 @@ import numpy as np
 from PIL import Image
 
 from mapdata.formats.registry import Format
+from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.dataset_card import Section, card
 from mapdata.shards.root import Root
-from mapdata.shards.shard import SEARCHES
 from mapdata.shards.table import map_row
 
 if TYPE_CHECKING:

@@ -62,9 +62,9 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.images import PICTURES, brightness, read_pixels, tell_free
 from mapdata.formats.registry import Format
+from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
-from mapdata.shards.shard import SEARCHES
 from mapdata.shards.table import map_row
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement, canonical_json, check_resolution

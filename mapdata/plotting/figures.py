@@ -18,9 +18,9 @@ from mapdata.plotting.plot import (
     plot_path,
     same_matrices,
 )
+from mapdata.search.api import SEARCHES
 from mapdata.shards.dataset_card import counted
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import SEARCHES
 from mapdata.shards.statistics import DatasetStatistics, bin_edges, dataset_statistics
 from mapdata.spec import check_choice
 
@@ -161,7 +161,7 @@ def plot_figure(
         for search, ax in zip(SEARCHES, axes, strict=True):
             plot_path(labels, i, search, ax, paper_colours=paper_colours)
     else:
-        searches = SEARCHES[1:] if same_matrices(labels, i) else SEARCHES
+        searches = ("astar",) if same_matrices(labels, i) else SEARCHES
         axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
         for search, ax in zip(searches, axes, strict=True):
             plot_matrix(labels, i, search, ax)

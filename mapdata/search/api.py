@@ -32,7 +32,7 @@ from mapdata.search.lattice import (
 from mapdata.spec import Movement, check_choice
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
-"""The searches of labels and datasets, by name."""
+"""The searches of labels and datasets, by name; so begin names of stored arrays and of columns."""
 
 KEPT_BYTES = 5 * 2**28
 """Scratch memory that a thread keeps from one call to the next, at most.

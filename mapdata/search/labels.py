@@ -12,6 +12,7 @@ from mapdata.arrays import Bytes, Flags, Floats, Ints, offsets_of, summary
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.generators.points import STEPS
 from mapdata.jit import Int, kernel
+from mapdata.search.api import SEARCHES
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_search
 from mapdata.search.kernels import (
@@ -144,7 +145,7 @@ class Labels:
 
     def of(self, search: str) -> SearchLabels:
         """Return the labels by ``search``, "bfs" or "astar"."""
-        check_choice("search", search, ("bfs", "astar"))
+        check_choice("search", search, SEARCHES)
         return self.bfs if search == "bfs" else self.astar
 
 

@@ -24,10 +24,10 @@ import numpy as np
 from mapdata.arrays import Array, Bytes
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import WORD
+from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
 from mapdata.shards.shard import (
-    SEARCHES,
     Header,
     Shard,
     ShardError,

@@ -25,6 +25,7 @@ from mapdata._version import __version__
 from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
+from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
@@ -34,9 +35,6 @@ StrPath = str | os.PathLike[str]
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
-
-SEARCHES = ("bfs", "astar")
-"""The searches whose results are stored, as names of datasets and columns begin."""
 
 
 class ShardError(ValueError):

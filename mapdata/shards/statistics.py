@@ -12,10 +12,10 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps, unpacked
+from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import SEARCHES
 from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22

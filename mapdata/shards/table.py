@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Ints
+from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.shard import SEARCHES, Shard, decode
+from mapdata.shards.shard import Shard, decode
 from mapdata.spec import SPLITS
 
 
