@@ -8,7 +8,7 @@ from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Array, Bytes, Ints
 from mapdata.search.labels import Labels
 from mapdata.spec import Movement, Size
 
@@ -25,7 +25,7 @@ class ForeignMap:
 
     Attributes:
         name: where it came from, for reports.
-        cells: (H, W) uint8, 0 free and 1 occupied; afterwards it is `grid`.
+        cells: (H, W) of 0 free and 1 occupied, or bool; afterwards it is `grid`.
         split: 0 train, 1 val, 2 test; None to draw it.
         resolution: metres per cell; None if the source does not say.
         number: its number in the source's own count; kept when the numbers of all maps are 0 to N -
@@ -41,7 +41,7 @@ class ForeignMap:
     """
 
     name: str
-    cells: InitVar[Bytes]
+    cells: InitVar[Array]
     split: int | None = None
     resolution: float | None = None
     number: int | None = None
@@ -52,12 +52,12 @@ class ForeignMap:
     passage_width: int = -1
     check: Callable[[Labels, int], list[str]] | None = None
     shape: Size = field(init=False)
-    _bits: Bytes = field(init=False, repr=False)
+    _bits: Bytes = field(init=False)
 
     def __repr__(self) -> str:
         return f"ForeignMap({self.name!r}, {self.shape[0]} x {self.shape[1]} cells)"
 
-    def __post_init__(self, cells: Bytes) -> None:
+    def __post_init__(self, cells: Array) -> None:
         """Pack the cells.
 
         Raises:

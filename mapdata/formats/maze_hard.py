@@ -82,7 +82,7 @@ def _maze(name: str, line: str, split: int | None, limits: Limits) -> ForeignMap
     wrong = [] if is_shortest_answer(question, answer) else ["answer"]
     return ForeignMap(
         name,
-        (cells == _OCCUPIED).astype(np.uint8),
+        cells == _OCCUPIED,
         split,
         seed_points=_ends(cells),
         rooms_known=True,

@@ -49,7 +49,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Flags, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -189,8 +189,8 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
                 if not known:
                     raise FormatError(f"its picture {stem}{PICTURES[0]} is missing")
                 picture = pictures[known[0]]  # of the longest end
-                cells = np.asarray(brightness(read_pixels(picture, limits)) >= 128, np.uint8)
-                one = _map_of(row, stem, cells)
+                occupied = brightness(read_pixels(picture, limits)) >= 128
+                one = _map_of(row, stem, occupied)
                 if one.number in items:
                     raise FormatError(f"item {one.number} stands there twice")
                 if one.number is not None:
@@ -241,7 +241,7 @@ def _movement(path: Path, texts: set[str]) -> Movement:
         return Movement(**json.loads(text or "{}"))
 
 
-def _map_of(row: dict[str, str], name: str, cells: Bytes) -> ForeignMap:
+def _map_of(row: dict[str, str], name: str, cells: Flags) -> ForeignMap:
     """Return the map of a line of the CSV."""
     item = row["item"]
     seed_points = _pairs(row, "seed")

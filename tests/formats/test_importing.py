@@ -278,7 +278,7 @@ def test_maps_are_kept_as_bits() -> None:
     assert (one.shape, one._bits.nbytes) == ((5, 13), 5 * 2)
     for bad in (grid[0], 255 * grid, -grid.astype(np.int8), grid / 2):
         with pytest.raises(ValueError, match="cells: x: got"):
-            ForeignMap("x", bad)  # type: ignore[arg-type]
+            ForeignMap("x", bad)
     assert ForeignMap("x", grid.astype(float)).grid.tolist() == grid.tolist()
 
 
