@@ -1,7 +1,8 @@
 """What is asked of a map: problems sampled or read, and its symmetries. Without torch."""
 
-from mapdata.problems.problem_set import HARD, Problems
+from mapdata.problems.problem_set import Problems
 from mapdata.problems.sources import Pairs, Random, Route, Source
+from mapdata.search.lattice import HARD
 
 __all__ = [
     "HARD",

@@ -20,13 +20,10 @@ from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import hardness, rule_of
+from mapdata.search.lattice import HARD, hardness, rule_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath, write_output
 from mapdata.spec import SPLITS, Movement, canonical_json, check_choice, check_count, check_seed
-
-HARD = 1.05
-"""Hardness (optimal cost over heuristic) from which on a problem is hard."""
 
 _DRAWS = (0, 1000)
 """The draws that are tried on a map; a dataset goes on to another map sooner."""

@@ -185,6 +185,10 @@ def heuristics(starts: ArrayLike, goals: ArrayLike, movement: Movement) -> Float
     return _heuristics(gaps.reshape(-1, 2), rule_of(movement)).reshape(gaps.shape[:-1])
 
 
+HARD = 1.05
+"""Hardness from which on a problem is hard."""
+
+
 def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Floats:
     """Return optimal ``costs`` (n,) over the heuristic.
 

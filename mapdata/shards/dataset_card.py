@@ -17,13 +17,11 @@ import numpy as np
 
 from mapdata._version import __version__
 from mapdata.generators.generator import PRESETS, Generator
+from mapdata.search.lattice import HARD
 from mapdata.shards.manifest import PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.spec import SPLITS, Movement, hash_of
-
-HARD = 1.05
-"""Hardness from which a problem counts as hard."""
 
 _SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
 """Size categories of the Hugging Face Hub, parted by 10**3, 10**4, ... 10**7 rows."""
@@ -213,10 +211,9 @@ def _origin(place: str, rooms_known: bool) -> Section:
 
 
 def _splits(of: DatasetStatistics) -> Section:
-    heads = ["split", "maps", "route problems", "without a path", "pairs", "pairs without a path"]
     names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
     entries = [entry for _, _, entry in of.root.shards]
-    rows = [heads]
+    rows = [["split", "maps", "route problems", "without a path", "pairs", "pairs without a path"]]
     for split in SPLITS:
         counts = [sum(entry.counts[split][name] for entry in entries) for name in names]
         rows.append([split, *(f"{count:,}" for count in counts)])
