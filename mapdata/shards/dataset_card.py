@@ -18,7 +18,7 @@ import numpy as np
 from mapdata._version import __version__
 from mapdata.generators.generator import PRESETS, Generator
 from mapdata.search.lattice import HARD
-from mapdata.shards.manifest import PROVENANCE, Manifest
+from mapdata.shards.manifest import COUNTS, PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.spec import SPLITS, Movement, hash_of
@@ -211,11 +211,10 @@ def _origin(place: str, rooms_known: bool) -> Section:
 
 
 def _splits(of: DatasetStatistics) -> Section:
-    names = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
     entries = [entry for _, _, entry in of.root.shards]
     rows = [["split", "maps", "route problems", "without a path", "pairs", "pairs without a path"]]
     for split in SPLITS:
-        counts = [sum(entry.counts[split][name] for entry in entries) for name in names]
+        counts = [sum(entry.counts[split][name] for entry in entries) for name in COUNTS]
         rows.append([split, *(f"{count:,}" for count in counts)])
     text = (
         "Each map belongs to one split and keeps it when the dataset grows. A route problem is a "

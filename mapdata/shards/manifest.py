@@ -58,6 +58,9 @@ MOST_BYTES = 2**28
 MOST_SHARDS = 100_000
 """Most files of a dataset; a manifest that lists them has some 80 MB."""
 
+COUNTS = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
+"""What `counts_of` counts in each split."""
+
 _A_DAY = 86_400
 """Seconds after which a temporary file counts as left behind where there are no locks."""
 
@@ -337,7 +340,7 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
     for name in ("segments", "drawn", "reachable", "all_connected", "most_rooms"):
         check_count(name, entry.counts[name], 0)
     for split in SPLITS:
-        for name in ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable"):
+        for name in COUNTS:
             check_count(name, entry.counts[split][name], 0)
     return entry
 
