@@ -193,10 +193,7 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
             left.append(replace(fault, what=what))
     stated = {entry.name: entry.content_hash for entry in manifest.shards}
     made = []
-    with (
-        bar(progress, sum(header.maps for header in again)) as advance,
-        threads() as pool,
-    ):
+    with bar(progress, sum(header.maps for header in again)) as advance, threads() as pool:
         make = partial(make_shard, root, damaged={header.limits for header in again})
         for header, entry in finished(pool, make, again):
             before = stated.get(entry.name, entry.content_hash)

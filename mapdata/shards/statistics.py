@@ -27,6 +27,9 @@ _DIGEST = 16
 _DIGESTS = f"S{_DIGEST}"
 """The dtype of hashes: numpy compares each as a whole."""
 
+_BINS = 30
+"""Bins of a histogram; one more where whole numbers are in the middle of theirs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
@@ -145,8 +148,8 @@ def dataset_statistics(
     )
 
 
-def bin_edges(values: Floats, bins: int = 30) -> Floats:
-    """Return the edges (k + 1,) of a histogram of ``values`` with up to ``bins`` + 1 bins.
+def bin_edges(values: Floats) -> Floats:
+    """Return the edges (k + 1,) of a histogram of ``values`` with up to 31 bins.
 
     Whole numbers have bins of one or more whole numbers, each number in the middle of its own.
 
@@ -156,9 +159,9 @@ def bin_edges(values: Floats, bins: int = 30) -> Floats:
     if len(values) and (values == np.rint(values)).all():
         low = values.min()
         high = values.max()
-        width = max(1, math.ceil((high - low + 1) / bins))
+        width = max(1, math.ceil((high - low + 1) / _BINS))
         return np.arange(low, high + width + 0.5, width) - 0.5
-    return np.histogram_bin_edges(values, bins)
+    return np.histogram_bin_edges(values, _BINS)
 
 
 def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
