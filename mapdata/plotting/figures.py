@@ -40,7 +40,6 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     go from easy to hard instead.
     """
     examples: dict[str, int] = {}
-    noun = "room" if of.rooms_known else "seed point"
 
     def add(caption: str, which: Flags) -> None:
         """Take the first map of a kind that is not shown yet."""
@@ -51,10 +50,10 @@ def pick_examples(of: DatasetStatistics) -> dict[str, int]:
     *fewer, most = np.unique(of.rooms).tolist() or [0]
     if fewer:
         for n in np.quantile(fewer, np.linspace(0, 1, 4), method="nearest"):
-            add(counted(int(n), noun), of.all_connected & (of.rooms == n))
+            add(counted(int(n), of.noun), of.all_connected & (of.rooms == n))
     add("not connected", ~of.all_connected)
     add("redundant", of.redundant)
-    add(counted(most, noun), of.rooms == most)
+    add(counted(most, of.noun), of.rooms == most)
     if len(of) and not fewer:
         marks = np.quantile(of.hardest, (0.1, 0.3, 0.5, 0.7, 0.9), method="nearest")
         for mark in marks:

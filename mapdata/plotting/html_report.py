@@ -81,7 +81,7 @@ def _pack(of: DatasetStatistics, places: Ints) -> bytes:
         "size": root.map_size,
         "connectivity": root.movement.connectivity,
         "resolution": "/".join(sorted({f"{each.resolution:g}" for each in root.manifests})),
-        "word": "rooms" if of.rooms_known else "seed points",
+        "word": f"{of.noun}s",
         "maps": maps,
     }
     # numpy's numbers and arrays become plain ones

@@ -124,7 +124,7 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
 
 
 def _introduction(of: DatasetStatistics) -> str:
-    what = "rooms" if of.rooms_known else "seed points"
+    what = f"{of.noun}s"
     sources = [
         f"{manifest.spec.description}, made" if manifest.spec else "imported maps, labelled"
         for manifest in of.root.manifests

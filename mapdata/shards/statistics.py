@@ -87,6 +87,11 @@ class DatasetStatistics:
         return len(self.index)
 
     @property
+    def noun(self) -> str:
+        """What a seed point is on these maps, in words."""
+        return "room" if self.rooms_known else "seed point"
+
+    @property
     def symmetries(self) -> int:
         """How many symmetries a map of this size has."""
         rows, columns = self.root.map_size
@@ -107,9 +112,8 @@ class DatasetStatistics:
     def distributions(self) -> dict[str, Floats]:
         """Return the values of each distribution that is shown; segments are those with a path."""
         found = self.lengths > 0
-        rooms = "rooms a map" if self.rooms_known else "seed points a map"
         return {
-            rooms: self.rooms.astype(np.float64),
+            f"{self.noun}s a map": self.rooms.astype(np.float64),
             "free share of a map": self.free,
             "path length of a segment, cells": self.lengths[found].astype(np.float64),
             "hardness of a segment": self.hardness[found],
