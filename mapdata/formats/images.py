@@ -38,6 +38,9 @@ ARRAYS = (".npy", ".npz")
 _UNKNOWN = 205
 """The grey that map_saver of ROS writes for unknown cells."""
 
+_PHOTOMETRIC = 262
+"""The tag of a TIFF that says what its numbers mean: 0 is white where it is 0."""
+
 _HEADER = re.compile(
     rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s"
 )
@@ -93,7 +96,11 @@ def _decoded(image: Image.Image) -> Pixels:
     if image.mode == "F" or (image.mode == "I" and image.format == "TIFF"):
         raise FormatError("pixels of 32 bits, expected 8 or 16: save them as an .npy array")
     if image.mode.startswith("I"):  # integers of 16 bits, in any order of their bytes
-        return Pixels(np.asarray(image).astype(np.uint16)[:, :, None], 65535)
+        values = np.asarray(image).astype(np.uint16)
+        # of a TIFF whose 0 is white; Pillow turns those of 8 bits itself
+        if getattr(image, "tag_v2", {}).get(_PHOTOMETRIC) == 0:
+            values = 65535 - values
+        return Pixels(values[:, :, None], 65535)
     clear = image.mode[-1] in "Aa" or "transparency" in image.info
     if clear or image.mode not in ("L", "RGB", "RGBA"):
         image = image.convert("RGBA" if clear else "RGB")

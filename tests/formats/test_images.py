@@ -77,6 +77,31 @@ def test_a_turned_tiff_is_turned(
     assert grids(tmp_path) == [turned.tolist()]
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("photometric", [0, 1])
+def test_a_tiff_says_which_end_is_white(photometric: int, bits: int, tmp_path: Path) -> None:
+    """Written from the TIFF 6.0 specification (Adobe, 1992, section 3, PhotometricInterpretation):
+    under 0 (WhiteIsZero) the number 0 is white, under 1 (BlackIsZero) the largest is.
+    """
+    largest = 2**bits - 1
+    grey = DARK.astype(np.uint16) * (largest // 255)
+    samples = (grey if photometric else largest - grey).astype(f"<u{bits // 8}").tobytes()
+    rows, columns = DARK.shape
+    # a tag and its value: columns, rows, bits, uncompressed, photometric, place and rows of the
+    # pixels, channels, their bytes
+    first = {256: columns, 257: rows, 258: bits, 259: 1, 262: photometric}
+    tags = first | {273: 8, 277: 1, 278: rows, 279: len(samples)}
+    data = b"II" + struct.pack("<HL", 42, 8 + len(samples)) + samples
+    data += struct.pack("<H", len(tags))
+    for tag, value in tags.items():
+        data += struct.pack("<HHLL", tag, 4, 1, value)  # a LONG
+    (tmp_path / "0.tif").write_bytes(data + bytes(4))
+    assert grids(tmp_path) == [GRID.tolist()]
+    values, maximum = read_pixels(tmp_path / "0.tif")
+    assert maximum == largest
+    assert (values[:, :, 0] == grey).all()
+
+
 def test_threshold_and_inversion(tmp_path: Path) -> None:
     """A pixel is free above the threshold; inverted, the other way round."""
     Image.fromarray(np.array([[0, 100, 200, 255]], np.uint8)).save(tmp_path / "a.png")
