@@ -22,7 +22,7 @@ from torch import Tensor
 
 from mapdata import Generator, MapDataModule, MapSpec, Maze, Movement, Problems, evaluate
 from mapdata.evaluation import classical, with_interval
-from models.common import heuristic, offsets
+from models.common import fast_precision, heuristic, offsets
 from models.learned_planners import GuidedSearch, planners
 from models.path_predictor import FIELDS, PathPredictor
 from models.training import MixedBatches
@@ -236,7 +236,7 @@ def trained_on(names: list[str], steps: int) -> PathPredictor:
     model = PathPredictor(widths=(32, 48, 48), passes=3)
     trainer = pl.Trainer(
         accelerator="cpu",
-        precision="bf16-mixed",
+        precision=fast_precision(),
         max_steps=steps,
         gradient_clip_val=1.0,
         limit_val_batches=0,

@@ -10,7 +10,7 @@ from pytorch_lightning.utilities import CombinedLoader
 from torch.utils.data import DataLoader
 
 from mapdata import MapDataModule, Sample
-from models.common import Model
+from models.common import Model, fast_precision
 
 
 class TrainingCli(LightningCLI):
@@ -25,6 +25,7 @@ class TrainingCli(LightningCLI):
             subclass_mode_data=True,
             parser_kwargs={"fit": {"default_config_files": [str(config)]}},
             save_config_kwargs={"overwrite": True},
+            trainer_defaults={"precision": fast_precision()},
             args=arguments,
         )
 
