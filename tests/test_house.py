@@ -1,6 +1,4 @@
-"""The house: which folder may import which, faces that say what is public, and a test for every
-module.
-"""
+"""Which folder may import which, and that each folder's ``__init__.py`` names what is public."""
 
 from __future__ import annotations
 
@@ -34,75 +32,6 @@ FOLDERS = (
 
 NOT_FROM = {"evaluation": {"datasets"}}
 """Two that stand beside each other."""
-
-TESTED_IN = {
-    "mapdata/__main__.py": ("cli/test_app.py",),
-    "mapdata/cli/common.py": ("cli/test_app.py",),
-    "mapdata/cli/convert.py": ("cli/test_app.py", "formats/test_registry.py"),
-    "mapdata/cli/problems.py": ("evaluation/test_metrics.py",),
-    "mapdata/datasets/field_kernels.py": ("datasets/test_fields.py",),
-    "mapdata/datasets/online.py": ("datasets/test_dataset.py",),
-    "mapdata/datasets/sampler.py": ("datasets/test_datamodule.py",),
-    "mapdata/datasets/arguments.py": ("datasets/test_dataset.py", "datasets/test_datamodule.py"),
-    "mapdata/formats/collection.py": ("formats/test_importing.py",),
-    "mapdata/formats/files.py": ("formats/test_images.py", "formats/test_planning.py"),
-    "mapdata/formats/images.py": ("formats/test_images.py", "formats/test_ros.py"),
-    "mapdata/formats/movingai.py": ("formats/test_movingai.py", "formats/test_fuzz.py"),
-    "mapdata/formats/paper.py": ("formats/test_paper.py", "formats/test_registry.py"),
-    "mapdata/plotting/figures.py": ("plotting/test_figures.py", "shards/test_root.py"),
-    "mapdata/problems/sources.py": ("problems/test_sources.py", "datasets/test_datamodule.py"),
-    "mapdata/problems/symmetry.py": ("datasets/test_dataset.py", "problems/test_symmetry.py"),
-    "mapdata/search/kernels.py": (
-        "search/test_api.py",
-        "search/test_labels.py",
-        "search/test_bitboard.py",
-    ),
-    "mapdata/search/lattice.py": (
-        "search/test_lattice.py",
-        "search/test_labels.py",
-        "search/test_bitboard.py",
-        "problems/test_sampling.py",
-    ),
-    "mapdata/shards/builder.py": (
-        "shards/test_builder.py",
-        "shards/test_faults.py",
-        "shards/test_manifest.py",
-    ),
-    "mapdata/shards/corruption.py": ("shards/test_corruption.py", "shards/test_root.py"),
-    "mapdata/shards/manifest.py": (
-        "shards/test_manifest.py",
-        "shards/test_builder.py",
-        "shards/test_faults.py",
-    ),
-    "mapdata/shards/recipe.py": ("shards/test_builder.py", "cli/test_app.py"),
-    "mapdata/shards/shard.py": (
-        "shards/test_shard.py",
-        "shards/test_hdf5.py",
-        "shards/test_faults.py",
-        "datasets/test_batches.py",
-    ),
-    "mapdata/shards/table.py": (
-        "datasets/test_dataset.py",
-        "formats/test_huggingface.py",
-        "formats/test_paper.py",
-    ),
-    "models/common.py": ("models/test_common.py", "shards/test_hostile.py"),
-    "models/cvae.py": ("models/test_lego_sampler.py",),
-    "models/experience.py": ("models/test_lego_sampler.py",),
-    "models/learned_planners.py": ("models/test_path_predictor.py",),
-    "models/sampler_table.py": ("models/test_lego_sampler.py",),
-    "models/training.py": ("models/test_path_predictor.py",),
-}
-"""Modules without a test file of their name, and those that others reach into too."""
-
-PRIVATE = {
-    "tests/helpers/fuzzing.py": {
-        "mapdata.datasets.dataset",
-        "mapdata.formats.movingai",
-        "mapdata.shards.shard",
-    },
-}
-"""What helpers need of the inside."""
 
 
 class Import(NamedTuple):
@@ -155,20 +84,6 @@ def python_files(*folders: str) -> list[str]:
     )
 
 
-MODULES = [
-    name
-    for name in python_files("mapdata", "models")
-    if Path(name).stem not in ("__init__", "_version")
-]
-"""All but those that have nothing to test: faces and the version."""
-
-
-def mirror(module: str) -> str:
-    """Return the test file of a module, below tests/."""
-    path = Path(module.removeprefix("mapdata/"))
-    return str(path.with_name(f"test_{path.name}"))
-
-
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_folders_import_only_from_those_before_them(folder: str) -> None:
     """And from the ground; none takes its own face, or that of the package."""
@@ -213,21 +128,13 @@ def test_no_module_imports_itself_round_a_corner() -> None:
 
 
 def test_users_come_in_by_the_face() -> None:
-    """Models, scripts, benchmarks and tests; a test reaches into the modules that it tests."""
+    """Models, scripts and benchmarks import only what users can; tests may reach inside."""
     wrong = {}
-    for file in python_files("models", "scripts", "benchmarks", "tests"):
-        allowed = set(PRIVATE.get(file, ()))
-        for module in MODULES:
-            if file.removeprefix("tests/") in (mirror(module), *TESTED_IN.get(module, ())):
-                allowed.add(module.removesuffix(".py").replace("/", "."))
-        if (
-            reached := {inside for one in imports_of(ROOT / file) if (inside := one.inside())}
-            - allowed
-        ):
-            wrong[file] = reached
-    assert wrong == {}, (
-        "take it from mapdata.<folder>, or add the test to its module's line in TESTED_IN"
-    )
+    for file in python_files("models", "scripts", "benchmarks"):
+        modules = {module for one in imports_of(ROOT / file) if (module := one.inside())}
+        if modules:
+            wrong[file] = modules
+    assert wrong == {}, "take it from mapdata.<folder>"
 
 
 def test_pages_come_in_by_the_face() -> None:
@@ -288,36 +195,3 @@ def test_the_top_face_agrees_with_the_folders() -> None:
         assert module == "mapdata.spec" or name in import_module(module).__all__, (
             f"{name} is not in {module}.__all__"
         )
-
-
-def test_every_module_has_a_test() -> None:
-    """A file of its name, or a line of `TESTED_IN`; and the table says nothing that is not so."""
-    for module in MODULES:
-        files = TESTED_IN.get(module) or (mirror(module),)
-        missing = [file for file in files if not (ROOT / "tests" / file).is_file()]
-        assert not missing, (
-            f"{module}: no tests/{missing[0]}, and no line in TESTED_IN that names another"
-        )
-    assert set(TESTED_IN) <= set(MODULES)
-
-
-def test_test_files_say_what_they_test() -> None:
-    """A file in the folder of a module bears its name, or is one of these, which test something
-    else.
-    """
-    others = {
-        "datasets/test_radius.py": "a robot of a size, in all datasets and problems",
-        "shards/test_faults.py": "kills and full disks",
-        "shards/test_format.py": "docs/format.md",
-        "shards/test_fuzzing.py": "random changes of files",
-        "shards/test_hostile.py": "hostile files to all loaders",
-        "shards/test_long_life.py": "kept datasets",
-        "formats/test_registry.py": "the registry, mapdata/formats/__init__.py",
-        "formats/test_fuzz.py": "random files of all formats",
-        "test_house.py": "this",
-    }
-    known = {mirror(module) for module in MODULES} | set(others)
-    files = {str(path.relative_to(ROOT / "tests")) for path in (ROOT / "tests").rglob("test_*.py")}
-    assert {
-        file for file in files if not file.startswith(("docs/", "benchmarks/"))
-    } - known == set()

@@ -156,6 +156,7 @@ def test_workers_do_not_repeat_what_to_set(copy: Copy) -> None:
     assert "set NUMBA_CACHE_DIR to a folder that is" in done.stderr
 
 
+@pytest.mark.slow
 def test_kernels_as_plain_python(copy: Copy, tmp_path: Path) -> None:
     """With NUMBA_DISABLE_JIT, for a debugger, labels and batches are the same."""
     mapdata.build(tmp_path / "maps", mapdata.MapSpec(), maps=3)

@@ -540,6 +540,7 @@ def two_ranks(root: str, tmp_path_factory: pytest.TempPathFactory) -> list[dict[
     return [json.loads((out / f"rank{rank}.json").read_text()) for rank in range(2)]
 
 
+@pytest.mark.slow
 def test_ranks_share_the_training_split(root: str, two_ranks: list[dict[str, Any]]) -> None:
     """Disjoint, equally many, at most one left out of an epoch; each epoch in an order of its
     own.

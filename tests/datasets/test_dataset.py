@@ -928,7 +928,13 @@ few_cores = pytest.mark.filterwarnings("ignore:This DataLoader will create 3 wor
 
 @few_cores
 @pytest.mark.parametrize(
-    ("workers", "method"), [(1, "fork"), (3, "fork"), (1, "spawn"), (1, "forkserver")]
+    ("workers", "method"),
+    [
+        (1, "fork"),
+        (3, "fork"),
+        pytest.param(1, "spawn", marks=pytest.mark.slow),
+        pytest.param(1, "forkserver", marks=pytest.mark.slow),
+    ],
 )
 def test_workers_change_nothing(root: str, workers: int, method: str) -> None:
     """Batches from any number of workers, however they start, are those of the process itself."""
@@ -1052,7 +1058,7 @@ def test_samples_that_a_transform_returns_are_padded(root: str, max_length: int 
         assert torch.equal(found.map, torch.zeros(expected.map.shape))
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_workers_call_the_transform(root: str, method: str) -> None:
     """Batches of workers are those of the process itself, transformed."""
     fields = ("map", "goal_mask", "problem")

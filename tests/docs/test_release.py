@@ -55,6 +55,7 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy / "out"
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
     """Every file of the package, and nothing else but what pip needs."""
     (wheel,) = dist.glob("*.whl")
@@ -84,18 +85,7 @@ def test_what_is_missing_is_named_itself() -> None:
                 assert folder != "mapdata" or "python scripts/" not in text, name
 
 
-def test_the_workflow_calls_ci_run_alone() -> None:
-    """On each Python that the project says it supports, with no secret and no right to write."""
-    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
-    workflow = yaml.safe_load(text)
-    (job,) = workflow["jobs"].values()
-    assert [step["run"] for step in job["steps"] if "run" in step] == [".ci/run"]
-    assert workflow["permissions"] == {"contents": "read"}
-    assert "secrets" not in text
-    assert job["strategy"]["matrix"]["python-version"][0] == "3.10"
-    assert 'requires-python = ">=3.10"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-
-
+@pytest.mark.slow
 def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
     """All folders as they are, and what the tests read at the top."""
     (sdist,) = dist.glob("*.tar.gz")
@@ -151,10 +141,11 @@ assert not [module.__file__ for module in ours if not module.__file__.startswith
                 "export maps release --format movingai",
                 "import release again",
             ),
-            marks=pytest.mark.slow,
+            marks=pytest.mark.soak,
         ),
     ],
 )
+@pytest.mark.slow
 def test_the_wheel_works_outside_the_checkout(
     verbs: tuple[str, ...], dist: Path, tmp_path: Path
 ) -> None:

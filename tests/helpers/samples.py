@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from mapdata import MapSpec, Movement, Sample, build
+from mapdata.datasets import FIELDS
 
 PADDING = -1
 """What fills a path beyond its cells."""
@@ -35,30 +36,8 @@ WIDE = MapSpec(
 )
 """More columns than a machine word, stored with diagonals."""
 
-ALL_FIELDS = (
-    "map",
-    "free",
-    "start",
-    "goal",
-    "path",
-    "length",
-    "cost",
-    "hardness",
-    "iterations",
-    "path_mask",
-    "start_mask",
-    "goal_mask",
-    "optimal_mask",
-    "cost_to_go",
-    "optimal_moves",
-    "heuristic_ratio",
-    "path_probability",
-    "clearance",
-    "connection_matrix",
-    "seed_points",
-    "problem",
-)
-"""Every field of the design's table."""
+ALL_FIELDS = tuple(FIELDS)
+"""The names of all fields."""
 
 
 def build_small(

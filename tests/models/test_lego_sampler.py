@@ -281,7 +281,7 @@ def test_the_bank(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert np.array_equal(of_seven_again, of_seven)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_workers_change_nothing(tmp_path: Path) -> None:
     """Two threads mine what one mines."""
     module = data(230)
@@ -517,6 +517,7 @@ def test_what_the_networks_see() -> None:
 
 
 @pytest.mark.parametrize("kind", [Heatmap, CVAE])
+@pytest.mark.slow
 def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
     """It learns from a data module's batches and a bank; what it saves is the same model again."""
     pl.seed_everything(0)
@@ -611,6 +612,7 @@ def shortest(grid: npt.NDArray[np.uint8], problems: Problems, k: int, points: Po
     return build_roadmap(grid, np.concatenate([ends, points]), reach).shortest_path()[0]
 
 
+@pytest.mark.slow
 def test_the_table() -> None:
     """Success and lengths are those of plain roadmaps, and the interval holds the value."""
     problems = drawn(40)
@@ -766,7 +768,7 @@ def test_evaluate_script_refuses(
     assert why in line
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 @pytest.mark.filterwarnings("ignore")
 def test_training_script(main: Callable[[str], Callable[[list[str]], None]]) -> None:
     """Its file of arguments works for every sampler; the bank is mined once; the weights load."""
@@ -799,7 +801,7 @@ def test_the_weights_are_there() -> None:
         assert file.stem.startswith(load(file).targets)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_the_weights_that_ship() -> None:
     """They reach what the table of the README says, on problems not seen."""
     rows = contenders({file.stem: load(file) for file in WEIGHTS})

@@ -234,6 +234,7 @@ def trained() -> NeuralAstar:
     return model.eval()
 
 
+@pytest.mark.slow
 def test_it_plans_where_there_is_a_path(trained: NeuralAstar, tmp_path: Path) -> None:
     """Alone and in batches, and after a file; without a path it has expanded all it can reach."""
     trained.save(tmp_path / "weights.pt")

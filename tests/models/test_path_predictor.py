@@ -417,6 +417,7 @@ def test_start_at_the_goal_and_walls() -> None:
                 planner.plan(grid, start, (8, 8))
 
 
+@pytest.mark.slow
 def test_learns_quickly(tmp_path: Path) -> None:
     """A short run beats greedy best-first search on maps of the paper."""
     pl.seed_everything(0)
@@ -539,6 +540,7 @@ EXPORT = """
 
 @pytest.mark.parametrize("state", ["cold", "warm"])
 @pytest.mark.parametrize("kind", ["torch", "onnx"])
+@pytest.mark.slow
 def test_exports(kind: str, state: str, tmp_path: Path) -> None:
     """The network exports before and after its first call, any number of problems at once, and
     answers as before; in a process of its own, since what an export leaves behind stays there.
@@ -553,7 +555,7 @@ def test_exports(kind: str, state: str, tmp_path: Path) -> None:
     assert found.returncode == 0, found.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_the_weights_that_ship() -> None:
     """They load safely, are small, and reach what docs/planners.md says, on problems not seen.
 
@@ -592,6 +594,7 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[st
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.slow
 def test_the_script(
     script: Callable[[list[str]], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -695,6 +698,7 @@ def test_one_batch_is_one(script: Callable[[list[str]], None]) -> None:
         ({}, "32-true"),
     ],
 )
+@pytest.mark.slow
 def test_the_scripts_train_in_the_precision_that_is_fast(
     abilities: dict[str, bool],
     fast: str,

@@ -85,6 +85,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.slow
 def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
     """Three workers are killed and one joins: nothing is lost, the files are the same."""
     pytest.importorskip("distributed")
@@ -98,6 +99,7 @@ def test_workers_are_killed_and_join(tmp_path: Path, truth: Path) -> None:
     assert verify(tmp_path / "maps") == []
 
 
+@pytest.mark.slow
 def test_the_command_builds_on_a_cluster(tmp_path: Path, truth: Path) -> None:
     """``--scheduler`` takes the address of one that runs; its bar counts the maps."""
     distributed = pytest.importorskip("distributed")

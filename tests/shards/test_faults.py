@@ -249,7 +249,7 @@ def test_a_killed_build_continues(tmp_path: Path) -> None:
 
 
 @SLOW
-@pytest.mark.slow
+@pytest.mark.soak
 @FORKS
 def test_a_killed_build_continues_fifty_times(tmp_path: Path) -> None:
     """The same, fifty builds."""
@@ -259,6 +259,7 @@ def test_a_killed_build_continues_fifty_times(tmp_path: Path) -> None:
 
 @FORKS
 @pytest.mark.parametrize("counts", ["3", "3,4"], ids=["anew", "extended"])
+@pytest.mark.slow
 def test_a_builder_killed_at_every_step(counts: str, tmp_path: Path) -> None:
     """SIGKILL before each call that changes the disk, half-written files included: no torn file
     under a final name; building goes on to the files of an undisturbed build, nothing else is left,
@@ -336,6 +337,7 @@ def test_builders_in_two_containers(tmp_path: Path) -> None:
 
 
 @FORKS
+@pytest.mark.slow
 def test_four_jobs_prepare_one_dataset(tmp_path: Path) -> None:
     """``prepare_data`` of four processes at once: one result."""
     assert run_script(JOBS, tmp_path) == "one result\n"
@@ -483,7 +485,7 @@ def test_the_same_command_goes_on(tmp_path: Path) -> None:
 
 
 @SLOW
-@pytest.mark.slow
+@pytest.mark.soak
 def test_ten_thousand_shards(tmp_path: Path) -> None:
     """Shards cost no more each when there are many; opening them takes a twentieth of that."""
     costs = []

@@ -12,6 +12,7 @@ from helpers import run_helper
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_AS and /proc")
+@pytest.mark.slow
 @pytest.mark.parametrize(("target", "cases"), [("shards", 300), ("formats", 300)])
 def test_changed_files_are_read_or_refused(target: str, cases: int) -> None:
     """In a process of its own, so that a crash is seen."""

@@ -245,6 +245,7 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
 
 
 @LINUX
+@pytest.mark.slow
 def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
     """In a process of their own: the loader's own error on one line, little memory, no code run."""
     wanted = []

@@ -141,6 +141,7 @@ print(*held)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="RssAnon is Linux's")
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.slow
 def test_epochs_of_loading_take_no_more_memory(tmp_path: Path) -> None:
     """After the first epoch, which compiles and opens all, three more take at most 1 % more."""
     build(tmp_path / "maps", MapSpec.preset("dungeon"), maps=1500, seed=1, shard_size=100)

@@ -525,7 +525,7 @@ def test_a_flipped_bit_is_refused_or_harmless(sound: Sound, tmp_path: Path) -> N
     assert 0 < taken < len(flips)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 @pytest.mark.skipif("config.getoption('-m') != 'slow'", reason="minutes long: run with -m slow")
 def test_a_flipped_bit_in_every_byte_is_refused_or_harmless(sound: Sound, tmp_path: Path) -> None:
     """As above, one bit of every byte of the file."""

@@ -136,6 +136,7 @@ class Dying(ProcessPoolExecutor):
         return future
 
 
+@pytest.mark.slow
 def test_processes_and_one_that_dies(tmp_path: Path) -> None:
     """A pool of processes makes the same files; when one dies the build ends all the same, after a
     warning.
