@@ -84,6 +84,7 @@ def copy(tmp_path: Path) -> Copy:
     return Copy(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_stale_kernel_is_never_served(copy: Copy) -> None:
     """An edit of rng.py changes what a cached kernel of another file gives; with numba's own cache
     it would not.
@@ -104,6 +105,7 @@ def test_a_stale_kernel_is_never_served(copy: Copy) -> None:
     assert copy.cached() == files, "the second run compiled again"
 
 
+@pytest.mark.slow
 def test_parts_of_kernels_are_cached_where_python_calls_them(copy: Copy) -> None:
     """`read_problems` calls `block` and `bounded`: a second process compiles nothing."""
     program = """
@@ -121,6 +123,7 @@ print(bounded(word, 0, 9))
     assert copy.cached() == files
 
 
+@pytest.mark.slow
 def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
     """A cache folder that cannot be made is a warning, not an error."""
     copy.cache.write_text("not a folder", encoding="utf-8")
@@ -132,6 +135,7 @@ def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
     assert copy.cached() == {}
 
 
+@pytest.mark.slow
 def test_compiling_is_announced_once(copy: Copy) -> None:
     """One line when kernels are compiled; none for a few, and none when the cache has them."""
     assert copy.run(WORDS).stderr == ""
@@ -140,6 +144,7 @@ def test_compiling_is_announced_once(copy: Copy) -> None:
     assert copy.run(code).stderr == ""
 
 
+@pytest.mark.slow
 def test_workers_do_not_repeat_what_to_set(copy: Copy) -> None:
     """Of a cache folder that cannot be made one process speaks."""
     (copy.home / "without").write_text("a file", encoding="utf-8")

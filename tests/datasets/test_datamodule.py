@@ -228,7 +228,10 @@ def two_epochs(root: str) -> list[Sample]:
     return batches_of(module(root, problems="random", augment=True), 2)
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(
+    "order",
+    [pytest.param(name, marks=pytest.mark.slow if name == "spawn" else ()) for name in ORDERS],
+)
 def test_workers_change_neither_order_nor_samples(
     root: str, two_epochs: list[Sample], order: str
 ) -> None:
@@ -557,6 +560,7 @@ def test_ranks_share_the_training_split(root: str, two_ranks: list[dict[str, Any
     assert two_ranks[0]["seen"][0][1] != two_ranks[0]["seen"][len(two_ranks[0]["seen"]) // 2][1]
 
 
+@pytest.mark.slow
 def test_ranks_see_every_other_sample_once(root: str, two_ranks: list[dict[str, Any]]) -> None:
     """Validation, test and prediction: each sample on exactly one rank."""
     for stage, split in (("val", "val"), ("test", "test"), ("predict", "test")):
@@ -564,6 +568,7 @@ def test_ranks_see_every_other_sample_once(root: str, two_ranks: list[dict[str, 
         assert seen == list(range(len(MapDataset(root, split))))
 
 
+@pytest.mark.slow
 def test_metrics_of_ranks_are_those_of_one_process(
     root: str, tmp_path: Path, two_ranks: list[dict[str, Any]]
 ) -> None:
@@ -575,6 +580,7 @@ def test_metrics_of_ranks_are_those_of_one_process(
         assert one["means"] == pytest.approx(alone["means"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_ranks_resume_in_mid_epoch(two_ranks: list[dict[str, Any]]) -> None:
     """Each rank goes on with its own unseen samples."""
     for one in two_ranks:

@@ -270,6 +270,7 @@ def test_it_plans_where_there_is_a_path(trained: NeuralAstar, tmp_path: Path) ->
         trained.plan(np.eye(5, dtype=np.uint8), (0, 0), (4, 3))
 
 
+@pytest.mark.slow
 def test_its_row_stands_in_the_table(trained: NeuralAstar) -> None:
     """Sixty steps bring it below A*, on mazes that it has not seen."""
     problems = Problems.sample(Maze((15, 15)), 77, maps=40, movement=NEURAL_ASTAR)

@@ -763,6 +763,7 @@ def test_validating_begins_with_the_weights(script: Callable[[list[str]], None])
         ),
     ],
 )
+@pytest.mark.slow
 def test_the_script_refuses_before_it_trains(
     script: Callable[[list[str]], None], flags: list[str], said: str, tmp_path: Path
 ) -> None:
@@ -774,6 +775,7 @@ def test_the_script_refuses_before_it_trains(
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("movement", ["[8,false,1.4142136]", '{"connectivity":8}'])
+@pytest.mark.slow
 def test_the_script_takes_data_that_move_as_the_model(
     script: Callable[[list[str]], None], movement: str
 ) -> None:

@@ -241,6 +241,7 @@ def run_script(code: str, *arguments: object) -> str:
 
 
 @FORKS
+@pytest.mark.slow
 def test_a_killed_build_continues(tmp_path: Path) -> None:
     """SIGKILL at random times, five builds, each killed twice: no torn shard under a final name,
     none made twice.
@@ -273,6 +274,7 @@ def test_a_builder_killed_at_every_step(counts: str, tmp_path: Path) -> None:
 
 @FORKS
 @pytest.mark.parametrize("lock", ["locked", "unlocked"])
+@pytest.mark.slow
 def test_four_builders_make_one_dataset(lock: str, tmp_path: Path) -> None:
     """Four processes on one root: the result, file by file, is that of one; also without locks."""
     assert run_script(TOGETHER, tmp_path, lock) == "one result\n"
@@ -280,6 +282,7 @@ def test_four_builders_make_one_dataset(lock: str, tmp_path: Path) -> None:
 
 @FORKS
 @pytest.mark.parametrize("lock", ["locked", "unlocked"])
+@pytest.mark.slow
 def test_parts_make_the_whole(lock: str, tmp_path: Path) -> None:
     """Four parts at once: each shard is made once, together they are what one builder makes."""
     assert run_script(PARTS, tmp_path, lock) == "one result\n"
@@ -311,6 +314,7 @@ CONTAINER = ("unshare", "--pid", "--fork", "--mount-proc")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="makes namespaces")
+@pytest.mark.slow
 def test_builders_in_two_containers(tmp_path: Path) -> None:
     """One whose process number means nothing to the other keeps its temporary file."""
     if subprocess.run([*CONTAINER, "true"], capture_output=True, check=False).returncode:
@@ -375,6 +379,7 @@ def complaint(done: subprocess.CompletedProcess[str]) -> str:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
+@pytest.mark.slow
 def test_a_full_disk(tmp_path: Path) -> None:
     """A real one: one line, exit code 2, only whole files under final names; with room again the
     build goes on.
@@ -398,6 +403,7 @@ def test_a_full_disk(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="mounts a folder")
+@pytest.mark.slow
 def test_a_read_only_disk(tmp_path: Path) -> None:
     """A root on a disk that nobody may write to: one line, nothing added; a finished one is built
     and verified.
@@ -455,6 +461,7 @@ def stopped(root: Path, shard: int, *arguments: object) -> subprocess.CompletedP
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+@pytest.mark.slow
 def test_ctrl_c_does_not_wait_for_a_shard(tmp_path: Path) -> None:
     """Shards that take minutes each: it stops at once, with one line that says how to go on, and no
     traceback.
@@ -468,6 +475,7 @@ def test_ctrl_c_does_not_wait_for_a_shard(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+@pytest.mark.slow
 def test_the_same_command_goes_on(tmp_path: Path) -> None:
     """What was finished when it was stopped is not made again."""
     arguments = ("--maps", 1000, "--shard-size", 250, "--workers", 1)
@@ -531,6 +539,7 @@ print(*seen)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.slow
 def test_a_build_holds_its_memory(tmp_path: Path) -> None:
     """The last half of sixty shards needs no more memory than the first."""
     command = [sys.executable, "-c", MEMORY, str(tmp_path / "maps")]

@@ -452,10 +452,12 @@ TEMPORARIES = [
     f".{shard_name(0, 3)}.1234567890abcdef.tmp",
     f".{MANIFEST}.1234567890abcdef.tmp",
     f".{PROVENANCE}.1234567890abcdef.tmp",
-    f".{shard_name(0, 3)}-0.{socket.gethostname()}.{os.getpid()}.tmp",
+    f".{shard_name(0, 3)}-0.PROCESS.tmp",
     f".{shard_name(0, 3)}-0.elsewhere.1.tmp",
 ]
-"""Names of `write_file`, today's and those that earlier versions gave."""
+"""Names of `write_file`, today's and those that earlier versions gave; PROCESS is this host and
+this process.
+"""
 
 
 def is_swept(path: Path) -> bool:
@@ -470,7 +472,7 @@ def test_sweep_leaves_what_is_locked(name: str, tmp_path: Path) -> None:
 
     Process numbers and host names are equal in two containers, so they tell nothing.
     """
-    path = tmp_path / name
+    path = tmp_path / name.replace("PROCESS", f"{socket.gethostname()}.{os.getpid()}")
     with open(path, "xb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         assert not is_swept(path)
