@@ -96,6 +96,7 @@ TESTED_IN = {
 """Modules without a test file of their name, and those that others reach into too."""
 
 PRIVATE = {
+    "tests/helpers/families.py": {"mapdata.generators.generator"},
     "tests/helpers/fuzzing.py": {
         "mapdata.datasets.dataset",
         "mapdata.formats.movingai",
@@ -312,6 +313,7 @@ def test_test_files_say_what_they_test() -> None:
         "shards/test_fuzzing.py": "random changes of files",
         "shards/test_hostile.py": "hostile files to all loaders",
         "shards/test_long_life.py": "kept datasets",
+        "shards/test_unknown_family.py": "data of a family whose module is not imported",
         "formats/test_registry.py": "the registry, mapdata/formats/__init__.py",
         "formats/test_fuzz.py": "random files of all formats",
         "test_house.py": "this",
