@@ -39,7 +39,10 @@ class Pillars(Generator):
         grids = np.zeros((len(indices), *self.map_size), np.uint8)
         for grid, index in zip(grids, indices):
             grid[1 + index % 2 :: self.side + self.gaps[0], 1 + index % 3 :: 1 + self.gaps[1]] = 1
-        return with_seed_points(self, seed, indices, grids)
+        maps = with_seed_points(self, seed, indices, grids)
+        maps.rooms[:] = 4  # fewer than the family may have
+        maps.seed_points[:, 4:] = -1
+        return maps
 
 
 register(Pillars, {"columns": Pillars()})
