@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from operator import index
@@ -151,16 +151,35 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def known_values(what: str, values: object, of: type[Any]) -> dict[str, Any]:
-    """Return ``values`` as keyword arguments of the dataclass ``of``."""
+def known_values(
+    what: str,
+    values: object,
+    of: type[Any],
+    *further: str,
+    other_words: Mapping[str, str] = {},
+) -> dict[str, Any]:
+    """Return ``values`` as keyword arguments of the dataclass ``of``.
+
+    Args:
+        what: what they are, for the error.
+        values: named values, as JSON has them.
+        of: the dataclass; its fields are the keys that are known.
+        further: keys that are known, too.
+        other_words: keys that are not known but likely to be written, with the key that is meant.
+
+    Raises:
+        ValueError: no object of named values, or a key that is not known.
+    """
     if not isinstance(values, dict):
         raise ValueError(f"{what}: got {values!r}, expected an object of named values")
-    names = [item.name for item in fields(of)]
+    names = [*further, *(item.name for item in fields(of))]
     unknown = [str(name) for name in values if name not in names]
     if unknown:
-        hint = did_you_mean(unknown[0], names)
+        meant = [other_words[name] for name in unknown if name in other_words]
+        hint = f"; did you mean {meant[0]}?" if meant else did_you_mean(unknown[0], names)
+        keys = "key" if len(unknown) == 1 else "keys"
         raise ValueError(
-            f"{what}: unknown {', '.join(unknown)}; known are {', '.join(names)}{hint}"
+            f"{what}: unknown {keys}: {', '.join(unknown)}; known are {', '.join(names)}{hint}"
         )
     return dict(values)
 

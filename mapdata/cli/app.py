@@ -19,6 +19,7 @@ from mapdata.cli.common import (
     Command,
     DisagreeError,
     Parser,
+    add_import_flag,
     complain,
     parser_of,
     run,
@@ -152,6 +153,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         for place in where:
             folder_of(place)  # what can only be read is refused before any repair
     total = unsound = 0
+    needs = ""
     for place in where:
         findings = inspect(place, progress=True)
         for fault in findings.faults:
@@ -166,11 +168,14 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
             print(f"{place}: all is well")
         elif repair and not left:
             print(f"{place}: {found} repaired")
+        if findings.unchecked:
+            print(f"note: {findings.unchecked}")
+            needs = " and its family is known (--import MODULE)"
     if unsound and repair:
         raise DisagreeError(f"{unsound} of {total} not repaired")
     if unsound:
         raise DisagreeError(
-            f"{unsound} faults found; --repair makes shards again where there is a recipe"
+            f"{unsound} faults found; --repair makes shards again where there is a recipe{needs}"
         )
 
 
@@ -248,6 +253,9 @@ VERBS: dict[str, Command] = {
 MORE_FLAGS = {"import": convert.add_import_flags, "export": convert.add_export_flags}
 """What adds those that the formats bring."""
 
+WITHOUT_FAMILIES = ("import", "check-scen")
+"""Verbs that never meet a family of maps, and so have no flag ``--import``."""
+
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
@@ -258,6 +266,9 @@ def main(arguments: list[str] | None = None) -> None:
     if verb in ("", "-h", "--help"):
         run(show_verbs)
         sys.exit(0 if verb else 2)
+    if verb.startswith("-"):
+        how = "the verb comes first, as in mapdata verify data/maps"
+        sys.exit(complain(f"{verb}: {how} (mapdata --help says more)", 2))
     if verb not in VERBS:
         from mapdata.spec import did_you_mean
 
@@ -271,6 +282,8 @@ def verb_parser(verb: str) -> Parser:
     parser = parser_of(VERBS[verb], f"mapdata {verb}")
     if verb in MORE_FLAGS:
         MORE_FLAGS[verb](parser)
+    if verb not in WITHOUT_FAMILIES:
+        add_import_flag(parser)
     return parser
 
 

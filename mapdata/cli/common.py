@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
 
 if TYPE_CHECKING:
@@ -49,12 +49,14 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
-def run(command: Command, **values: object) -> None:
-    """Call ``command`` and exit with 0, 1 or 2.
+def run(command: Command, *, modules: Sequence[str] = (), **values: object) -> None:
+    """Import ``modules``, call ``command`` and exit with 0, 1 or 2.
 
     What a user can put right is one clear line instead of a traceback.
     """
     try:
+        for module in modules:
+            import_named(module)
         command(**values)
         print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
@@ -170,6 +172,48 @@ def add_flag(
     parser.add_argument(*short, flag, dest=name, default=default, help=text, **how)
 
 
+def add_import_flag(parser: argparse.ArgumentParser) -> None:
+    """Add ``--import MODULE``, which may be given several times; `run` takes it as ``modules``."""
+    parser.add_argument(
+        "--import",
+        dest="modules",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="import a module first, such as one with a family of maps of your own; it is also "
+        "looked for in the working folder, as by python -m",
+    )
+
+
+def import_named(name: str) -> None:
+    """Import a module, which may lie in the working folder.
+
+    Raises:
+        ValueError: there is none of this name, or running it failed; on one line.
+    """
+    import importlib
+
+    is_name = all(part.isidentifier() for part in name.split("."))
+    if not is_name or name.endswith(".py"):
+        stem = os.path.basename(name).removesuffix(".py")
+        hint = f", as in --import {stem}" if stem.isidentifier() else ""
+        raise ValueError(f"--import: got {name!r}, expected the name of a module{hint}")
+    folder = os.getcwd()
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+            raise ValueError(f"--import: {name}: {type(error).__name__}: {error}") from error
+        raise ValueError(
+            f"--import: there is no module {name!r}, neither in the working folder {folder} nor "
+            "among the installed packages"
+        ) from error
+    except (Exception, SystemExit) as error:  # whatever the code of others raises
+        raise ValueError(f"--import: {name}: {type(error).__name__}: {error}") from error
+
+
 def path_name(text: str) -> str:
     """Return the name of a file or folder; an empty one, the working folder, is refused."""
     if not text:
@@ -186,7 +230,9 @@ def _size(text: str) -> tuple[int, int]:
 
 def run_parsed(command: Command, arguments: list[str] | None = None, **defaults: object) -> None:
     """Be the command line of a script: `run` a function with the arguments that it was given."""
-    run(command, **vars(parser_of(command, None, **defaults).parse_args(arguments)))
+    parser = parser_of(command, None, **defaults)
+    add_import_flag(parser)
+    run(command, **vars(parser.parse_args(arguments)))
 
 
 def complain(error: object, code: int) -> int:

@@ -339,6 +339,7 @@ class MapDataset(ProblemDataset):
         self.reader = reader
         self.roots = reader.root.places
         self._content = [manifest.content_hash for manifest in reader.manifests]
+        self._most_seed_points = reader.most_seed_points
         self.movement = movement or reader.movement
         self.map_size = reader.map_size
         self.filters: tuple[dict[str, Any], ...] = ()
@@ -375,6 +376,8 @@ class MapDataset(ProblemDataset):
                 "open it again"
             )
         vars(self).update(state)
+        # A worker may not know the family of the maps, and so not how far to pad their seed points.
+        self.reader.most_seed_points = self._most_seed_points
         for conditions in self.filters:
             self._kept = self._matching(conditions)
 

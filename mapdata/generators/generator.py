@@ -1,10 +1,14 @@
-"""What a family of maps is: a `Generator` with a name; the identity of a dataset drawn by it."""
+"""What a family of maps is: a `Generator` with a name; the registry of families; the identity.
+
+Stored maps of a family that is not registered have an `UnknownFamily` as their generator.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from inspect import isabstract
 from typing import Any, ClassVar, TypeVar
 
@@ -13,6 +17,7 @@ import numpy as np
 from mapdata.arrays import Ints
 from mapdata.generators.maps import Maps
 from mapdata.spec import (
+    MAX_ROOMS,
     Movement,
     Size,
     canonical_json,
@@ -21,6 +26,7 @@ from mapdata.spec import (
     check_resolution,
     check_seed,
     check_sides,
+    did_you_mean,
     hash_of,
     known_values,
     least_version,
@@ -31,6 +37,18 @@ G = TypeVar("G", bound="Generator")
 
 _FIRST = "rooms"
 """The generator that version 1 of the format knows: its specs say no name."""
+
+ENTRY_POINTS = "mapdata.generators"
+"""The group of entry points in which installed packages name their families."""
+
+_MAX_NAME = 100
+"""Characters of the name of an unknown family."""
+
+_MAX_PARAMETERS = 4_000
+"""Characters of the parameters of an unknown family as JSON: a shard has no room for more."""
+
+_MAX_DEPTH = 32
+"""How deep lists and objects may lie in one another there: Python fails at some hundreds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,16 +147,21 @@ class Generator(ABC):
             return cls.preset(values)
         if not isinstance(values, dict):
             raise ValueError(f"spec: got {values!r}, expected an object of named values")
-        given = dict(values)
-        name = given.pop("generator", _FIRST)
-        check_choice("generator, known once its module is imported", name, GENERATORS)
-        kind = GENERATORS[name]
-        if not issubclass(kind, cls):
+        name = values.get("generator", _FIRST)
+        if not isinstance(name, str):
+            raise ValueError(f"generator: got {name!r}, expected the name of a family")
+        family = family_named(name)
+        if family is None:
+            raise ValueError(f"generator: {why_unknown(name)}")
+        if not issubclass(family, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
-        known = known_values("spec", given, kind)
+        known = known_values(
+            "spec", values, family, "generator", other_words={"family": "generator"}
+        )
+        known.pop("generator", None)
         if "movement" in known:
-            known["movement"] = Movement(**known_values("movement", known["movement"], Movement))
-        return kind(**known)
+            known["movement"] = _movement(known["movement"])
+        return family(**known)
 
     @classmethod
     def from_json(cls: type[G], text: str) -> G:
@@ -148,6 +171,111 @@ class Generator(ABC):
             ValueError: not JSON, or no spec.
         """
         return cls.from_dict(parsed_json("spec", text))
+
+
+@dataclass(frozen=True)
+class UnknownFamily(Generator):
+    """The generator of stored maps whose family is not registered in this process.
+
+    It says what the dataset states, so that its maps can be read and have the same identity and the
+    same recipe as where the family is known. It draws no maps.
+
+    Attributes:
+        name: what JSON calls the family.
+        map_size, resolution, movement, splits: as of every generator.
+        parameters: the other values, as canonical JSON.
+
+    Raises:
+        ValueError: values that no family can have.
+    """
+
+    name: str = ""  # type: ignore[misc]  # every object has its own
+    parameters: str = "{}"
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without the family."""
+        super().__post_init__()
+        if not (self.name.isprintable() and 0 < len(self.name) <= _MAX_NAME):
+            raise ValueError(
+                f"generator: got {self.name[:_MAX_NAME]!r}, expected a name of 1 to {_MAX_NAME} "
+                "printable characters"
+            )
+        if len(self.parameters) > _MAX_PARAMETERS:
+            raise ValueError(
+                f"spec: its own values have {len(self.parameters)} characters, expected at most "
+                f"{_MAX_PARAMETERS}"
+            )
+
+    @property
+    def description(self) -> str:  # type: ignore[override]  # every object has its own
+        """What its maps are, as far as the dataset says."""
+        return f"maps of the family {self.name}"
+
+    @property
+    def most_seed_points(self) -> int:
+        """As many as any map can have."""
+        return MAX_ROOMS
+
+    def draw(self, seed: int, indices: Ints) -> Maps:
+        """Refuse: the family would be needed.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(why_unknown(self.name))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the spec as plain values for JSON, as the family itself would."""
+        return {
+            "generator": self.name,
+            "map_size": self.map_size,
+            **parsed_json("parameters", self.parameters),
+            "resolution": self.resolution,
+            "movement": asdict(self.movement),
+            "splits": self.splits,
+        }
+
+
+@lru_cache(maxsize=16)  # all shards of a dataset state the same one
+def stored_generator(text: str) -> Generator:
+    """Return the generator that the JSON of a shard or manifest states.
+
+    That of a family which is not registered is an `UnknownFamily`.
+
+    Raises:
+        ValueError: not JSON, or what no generator can be.
+    """
+    values = parsed_json("spec", text)
+    name = values.get("generator", _FIRST) if isinstance(values, dict) else _FIRST
+    if not isinstance(name, str) or family_named(name) is not None:
+        return Generator.from_dict(values)
+    shared = ("map_size", "resolution", "movement", "splits")
+    missing = [key for key in shared if key not in values]
+    if missing:
+        raise ValueError(f"spec: lacks {', '.join(missing)}, which every family has")
+    parameters = {key: values[key] for key in values if key not in ("generator", *shared)}
+    if _depth(parameters) > _MAX_DEPTH:
+        raise ValueError(f"spec: lists and objects lie more than {_MAX_DEPTH} deep in one another")
+    return UnknownFamily(
+        name=name,
+        parameters=canonical_json(parameters),
+        map_size=values["map_size"],
+        resolution=values["resolution"],
+        movement=_movement(values["movement"]),
+        splits=values["splits"],
+    )
+
+
+def _movement(values: object) -> Movement:
+    """Return the movement that plain values state."""
+    return Movement(**known_values("movement", values, Movement))
+
+
+def _depth(values: object) -> int:
+    """Return how deep lists and objects lie in one another; 0 for a plain value."""
+    if isinstance(values, dict):
+        values = list(values.values())
+    return 1 + max(map(_depth, values), default=0) if isinstance(values, list) else 0
 
 
 GENERATORS: dict[str, type[Generator]] = {}
@@ -179,12 +307,70 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
     GENERATORS[family.name] = family
     PRESETS.update(presets)
+    # What was read before may be of this family, or of the class that it replaces.
+    stored_generator.cache_clear()
+
+
+def family_named(name: str) -> type[Generator] | None:
+    """Return the family of a name, None if it is not known.
+
+    One that is not registered is looked for among the entry points of installed packages.
+    """
+    if name not in GENERATORS:
+        register_installed(name)
+    return GENERATORS.get(name)
+
+
+@lru_cache(maxsize=64)
+def register_installed(name: str) -> str:
+    """Register the family that an entry point of an installed package names, if there is one.
+
+    Looking for it takes some milliseconds, so it is done once a process for each name.
+
+    Returns:
+        Why there is one that could not be registered, on one line; otherwise an empty text.
+    """
+    from importlib.metadata import entry_points  # only unknown families need it
+
+    failure = ""
+    for entry_point in entry_points(group=ENTRY_POINTS, name=name):
+        what = f"the entry point '{name} = {entry_point.value}'"
+        if entry_point.dist is not None:
+            what += f" of the package {entry_point.dist.name}"
+        try:
+            family = entry_point.load()
+            if name not in GENERATORS:  # its module may have done so
+                register(family)
+            if name in GENERATORS:
+                return ""
+            failure = f"{what} is the family {family.name!r}"
+        except (Exception, SystemExit) as error:  # whatever the code of others raises
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            failure = f"{what} cannot be imported ({reason})"
+    return failure
+
+
+def why_unknown(name: str) -> str:
+    """Return one line: the family is not known here, and what to do."""
+    failure = register_installed(name)
+    advice = failure or "import its module (--import MODULE in a command, import MODULE in Python)"
+    hint = did_you_mean(name, GENERATORS)
+    return (
+        f"the family {name!r} is not known here; {advice}; known are {', '.join(GENERATORS)}{hint}"
+    )
 
 
 def check_spec(spec: object) -> None:
-    """Refuse what is no family with its parameters, such as the name of a preset."""
+    """Refuse what draws no maps.
+
+    Raises:
+        ValueError: it is no family with its parameters, such as the name of a preset, or the family
+            is not known.
+    """
     if not isinstance(spec, Generator):
         raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
+    if isinstance(spec, UnknownFamily):
+        raise ValueError(f"spec: {why_unknown(spec.name)}")
 
 
 def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:

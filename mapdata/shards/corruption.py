@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from mapdata.generators.generator import UnknownFamily, why_unknown
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.content import content_hash
 from mapdata.shards.manifest import (
@@ -84,11 +86,24 @@ class Inspection:
     manifest: Manifest | None
     faults: tuple[Corruption, ...]
 
+    @property
+    def unchecked(self) -> str | None:
+        """What could not be checked, and why, on one line; None if all was."""
+        spec = None if self.manifest is None else self.manifest.spec
+        if not isinstance(spec, UnknownFamily):
+            return None
+        return (
+            f"{self.place}: the parameters of its recipe were not checked, since "
+            f"{why_unknown(spec.name)}"
+        )
+
 
 def verify(root: Places, *, progress: bool = False) -> list[str]:
     """Return what is wrong with a dataset, one line per fault; an empty list if nothing is.
 
-    Every file is checked and hashed, and its content hash is computed again.
+    Every file is checked and hashed, and its content hash is computed again. Of a family of maps
+    whose module is not imported all is checked but the family's own parameters, and a warning says
+    so.
 
     Args:
         root: folder or URL of a dataset, or several.
@@ -97,15 +112,20 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    return [
-        str(fault) for place in places(root) for fault in inspect(place, progress=progress).faults
-    ]
+    faults = []
+    for place in places(root):
+        findings = inspect(place, progress=progress)
+        faults += [str(fault) for fault in findings.faults]
+        if findings.unchecked:
+            warnings.warn(findings.unchecked, stacklevel=2)
+    return faults
 
 
 def repair(root: Places, *, progress: bool = False) -> list[str]:
     """Make again what `verify` finds damaged or missing; return the faults that are left.
 
-    Imported maps have no recipe, so their shards cannot be made again.
+    Imported maps have no recipe, so their shards cannot be made again; those of a family can where
+    its module is imported.
 
     Args:
         root: folder of a dataset, or several.
@@ -180,7 +200,11 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     again = []
     relisted = False
     for fault in findings.faults:
-        if fault.header is not None and fault.header.spec is not None:
+        spec = None if fault.header is None else fault.header.spec
+        if isinstance(spec, UnknownFamily):
+            what = f"{fault.what}; it cannot be made again: {why_unknown(spec.name)}"
+            left.append(replace(fault, what=what))
+        elif fault.header is not None and spec is not None:
             again.append(fault.header)
         elif fault.path.endswith(MANIFEST):
             relisted = True

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata._version import __version__
-from mapdata.generators.generator import PRESETS, Generator
+from mapdata.generators.generator import PRESETS, Generator, UnknownFamily
 from mapdata.search.lattice import HARD
 from mapdata.shards.manifest import COUNTS, PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_file
@@ -111,7 +111,10 @@ def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
     """
     found = [Section(title(of), _introduction(of)), _facts(of, copied)]
     for name, place, manifest in zip(_names(of), of.root.places, of.root.manifests, strict=True):
-        found.append(_rebuild(name, manifest) if manifest.spec else _origin(place, of.rooms_known))
+        if manifest.spec is None:
+            found.append(_origin(place, of.rooms_known))
+        else:
+            found.append(_rebuild(name, manifest, manifest.spec))
     return [
         *found,
         _splits(of),
@@ -173,7 +176,8 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
     }
 
 
-def _rebuild(name: str, manifest: Manifest) -> Section:
+def _rebuild(name: str, manifest: Manifest, spec: Generator) -> Section:
+    module = type(spec).__module__
     text = (
         "Map i is a pure function of the spec, the seed and i, so these lines make the same maps "
         "and labels, bit for bit, on any machine; the command says whether the content hash agrees."
@@ -181,6 +185,11 @@ def _rebuild(name: str, manifest: Manifest) -> Section:
     command = f"mapdata build {shlex.quote(name)} --recipe recipe.json"
     if manifest.shard_size != 1000:
         command += f" --shard-size {manifest.shard_size}"
+    if isinstance(spec, UnknownFamily) or module == "__main__":
+        text += f" The command needs --import with the module of the family {spec.name}."
+    elif not module.startswith("mapdata."):
+        command += f" --import {module}"
+        text += f" The module {module} has the family {spec.name}."
     lines = ("cat > recipe.json <<'END'", manifest.recipe(), "END", command)
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 

@@ -22,7 +22,7 @@ import numpy as np
 if sys.platform != "win32":
     import fcntl
 
-from mapdata.generators.generator import Generator
+from mapdata.generators.generator import UnknownFamily, stored_generator
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
 from mapdata.shards.reader import UNSOUND, is_hash, open_shard, sound_labels
@@ -165,7 +165,7 @@ class Manifest(Origin):
     @property
     def most_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
-        if self.spec is not None:
+        if self.spec is not None and not isinstance(self.spec, UnknownFamily):
             return self.spec.most_seed_points
         return max((entry.counts["most_rooms"] for entry in self.shards), default=1)
 
@@ -297,7 +297,7 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
         spec = values["spec"]
         entries = tuple(_entry(entry, path) for entry in values["shards"])
         manifest = Manifest(
-            spec=None if spec is None else Generator.from_dict(spec),
+            spec=None if spec is None else stored_generator(json.dumps(spec)),
             seed=None if values["seed"] is None else check_seed(values["seed"]),
             maps=check_count("maps", values["maps"]),
             shard_size=check_count("shard_size", values["shard_size"]),

@@ -22,7 +22,7 @@ from weakref import finalize
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
-from mapdata.generators.generator import Generator
+from mapdata.generators.generator import stored_generator
 from mapdata.generators.maps import WORD
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
@@ -184,7 +184,7 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
     version = int(attributes["format_version"])
     check_version(version)
-    spec = _spec(attributes["spec"])
+    spec = stored_generator(attributes["spec"]) if attributes["spec"] else None
     header = Header(
         spec=spec,
         seed=int(attributes["seed"]) if attributes["seed"] else None,
@@ -212,12 +212,6 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     if not (isinstance(content, str) and is_hash(content)):
         raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
     return header, content
-
-
-@lru_cache(maxsize=16)  # all shards of a dataset have one spec
-def _spec(text: str) -> Generator | None:
-    """Return the spec of its text; "" stands for none."""
-    return Generator.from_json(text) if text else None
 
 
 def is_hash(text: str) -> bool:

@@ -182,9 +182,12 @@ class MapRange:
         return f"maps-{self.start:012d}-{self.stop:012d}.h5"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Header(MapRange, Origin):
     """What the root attributes of a shard say.
+
+    Two are equal if they say the same, be the family of maps known to one of them alone: its module
+    may have been imported since, or a notebook may have made its class anew.
 
     Attributes:
         start, stop: the maps are start <= i < stop.
@@ -192,6 +195,22 @@ class Header(MapRange, Origin):
 
     start: int
     stop: int
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other one says the same."""
+        if not isinstance(other, Header) or self._numbers != other._numbers:
+            return False
+        if self.spec is None or other.spec is None:
+            return self.spec is other.spec
+        return self.spec == other.spec or self.spec.to_json() == other.spec.to_json()
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @property
+    def _numbers(self) -> tuple[object, ...]:
+        """All but the spec."""
+        return self.seed, self.map_size, self.movement, self.resolution, self.start, self.stop
 
 
 class Shard(NamedTuple):

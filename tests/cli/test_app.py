@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unprivileged_folder
+from helpers.families import forget, write_module
 
 import mapdata
 from mapdata import MapSpec, read_shard
@@ -337,6 +338,11 @@ def test_mapdata_alone_shows_the_verbs(run: Command, tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (2, shown, "")
 
 
+def test_a_flag_before_the_verb_is_refused(run: Command) -> None:
+    """The verb comes first, and no verb is proposed that looks like the flag."""
+    run.refused(2, "--import: the verb comes first, as in mapdata verify", "--import", "pillars")
+
+
 def test_a_misspelt_verb(run: Command) -> None:
     """The nearest one is named."""
     run.refused(2, "unknown verb 'biuld'; did you mean build?", "biuld", "data/maps")
@@ -468,7 +474,20 @@ def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_p
         ("resolution: got inf", {"resolution": float("inf")}),
         ("splits: got [0.5, 0.6, 0.1]", {"splits": [0.5, 0.6, 0.1]}),
         ("connectivity: got 6, expected 4 or 8", {"movement": {"connectivity": 6}}),
-        ("spec: unknown wings", {"wings": 2}),
+        ("spec: unknown key: wings; known are generator, map_size", {"wings": 2}),
+        (
+            "spec: unknown keys: family, pillars; known are generator, map_size, resolution, "
+            "movement, splits, rooms, room_rows, room_columns, passage_width, skip_probability; "
+            "did you mean generator?",
+            {"family": "pillars", "pillars": 40},
+        ),
+        ("movement: unknown key: wings", {"movement": {"wings": 2}}),
+        (
+            "generator: the family 'mazes' is not known here; import its module (--import MODULE "
+            "in a command, import MODULE in Python); known are rooms, maze, cave, forest; did you "
+            "mean maze?",
+            {"generator": "mazes"},
+        ),
         pytest.param(
             "resolution: got 1",
             {"resolution": 10**400},
@@ -530,6 +549,56 @@ def test_another_dataset_under_the_root(
         MAPS,
     )
     assert stamps(dataset) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("nowhere", "there is no module 'nowhere', neither in the working folder {folder} nor"),
+        ("broken.deeper", "there is no module 'broken.deeper', neither"),
+        ("broken.py", "got 'broken.py', expected the name of a module, as in --import broken$"),
+        ("./broken.py", "got './broken.py', expected the name of a module, as in --import broken$"),
+        ("", "got '', expected the name of a module$"),
+        (".", "got '.', expected the name of a module$"),
+        ("wrong", "wrong: SyntaxError: "),
+        ("lacking", "lacking: ModuleNotFoundError: No module named 'mapdata_nowhere'$"),
+        ("taken", "taken: ValueError: Mine: 'maze' is the name of <class 'mapdata"),
+        ("leaving", "leaving: SystemExit: 3$"),
+    ],
+)
+def test_modules_that_cannot_be_imported(
+    name: str,
+    says: str,
+    run: Command,
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One line that names the module and what is wrong with it, exit code 2."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    before = sys.modules.copy()
+    for module, text in {
+        "broken": "",
+        "wrong": "if",
+        "lacking": "import mapdata_nowhere",
+        "leaving": "raise SystemExit(3)",
+        "taken": "from dataclasses import dataclass\nfrom mapdata import Maze, generators\n\n"
+        "@dataclass(frozen=True)\nclass Mine(Maze):\n    pass\n\n"
+        "generators.register(Mine)\n",
+    }.items():
+        (tmp_path / f"{module}.py").write_text(text, encoding="utf-8")
+    says = f"^mapdata: --import: {says.format(folder=tmp_path)}"
+    run.refused(2, says, "info", dataset, "--import", name)
+    for module in sys.modules.keys() - before.keys():
+        del sys.modules[module]
+
+
+def test_verbs_without_families_have_no_flag_to_import_one(run: Command) -> None:
+    """It would do nothing there; all other verbs list it in their help."""
+    for verb in cli.VERBS:
+        has_flag = "--import MODULE" in run(verb, "--help").out
+        assert has_flag == (verb not in ("import", "check-scen")), verb
 
 
 def test_roots_that_cannot_be(run: Command, tmp_path: Path) -> None:
@@ -700,8 +769,9 @@ def test_the_script_has_a_default_root(tmp_path: Path) -> None:
 def test_the_script_takes_a_root_and_the_flags(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All flags of the issue reach the build."""
+    """All flags of the issue reach the build, and so does a family from the working folder."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
     flags = {
         "--maps": "3",
         "--seed": "9",
@@ -713,6 +783,12 @@ def test_the_script_takes_a_root_and_the_flags(
     manifest = read_manifest(tmp_path / "there")
     assert (manifest.spec, manifest.seed) == (MapSpec.preset("dungeon"), 9)
     assert (manifest.maps, manifest.shard_size) == (3, 2)
+    write_module(tmp_path)
+    cli.build_main(["halls", "--preset", "columns", "--maps", "2", "--import", "pillars"])
+    spec = read_manifest(tmp_path / "halls").spec
+    assert spec is not None
+    assert spec.name == "pillars"
+    forget("pillars", "columns")
 
 
 def test_a_reader_that_is_gone(dataset: Path) -> None:

@@ -759,7 +759,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
     "unsolvable": (
         {"problems": {"random": {"unsolvable": True}}},
-        "problems: random: unknown unsolvable; known are",
+        "problems: random: unknown key: unsolvable; known are",
     ),
     "distance": (
         {"problems": '{"random": {"distance": [7, 5]}}'},

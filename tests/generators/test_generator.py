@@ -5,8 +5,9 @@ own.
 from __future__ import annotations
 
 import json
+import pickle
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import torch
+from helpers.families import forget, write_module
 from helpers.samples import ALL_FIELDS, assert_same
 
 from mapdata import (
@@ -36,7 +38,13 @@ from mapdata import (
 )
 from mapdata.arrays import Ints
 from mapdata.cli import main
-from mapdata.generators import GENERATORS, PRESETS, register, with_seed_points
+from mapdata.generators import (
+    GENERATORS,
+    UnknownFamily,
+    register,
+    with_seed_points,
+)
+from mapdata.generators.generator import stored_generator
 from mapdata.shards import Recipe
 
 
@@ -70,8 +78,7 @@ def stripes() -> Iterator[type[Stripes]]:
     """The family, registered for one test."""
     register(Stripes, {"striped": Stripes()})
     yield Stripes
-    del GENERATORS["stripes"]
-    del PRESETS["striped"]
+    forget("stripes", "striped")
 
 
 def test_a_family_of_ones_own_is_built_and_verified(stripes: type[Stripes], tmp_path: Path) -> None:
@@ -147,20 +154,99 @@ def test_maps_keep_their_numbers() -> None:
     assert maps.index.tolist() == [0, 1, 2]
 
 
-def test_a_family_that_is_not_known_is_named(stripes: type[Stripes], tmp_path: Path) -> None:
-    """Whoever reads its data without it is told which family is missing."""
-    manifest = build(tmp_path / "maps", stripes(), maps=2)
-    GENERATORS.pop("stripes")
-    # what this process has read before, it still knows
-    sys.modules["mapdata.shards.reader"]._spec.cache_clear()
-    try:
-        with pytest.raises(
-            ValueError,
-            match="known once its module is imported: got 'stripes', expected one of rooms, maze",
-        ):
-            read_shard(tmp_path / "maps" / manifest.shards[0].name)
-    finally:
-        GENERATORS["stripes"] = stripes
+# --- families that are not known ----------------------------------------------------------------
+
+
+def test_a_stored_generator_of_an_unknown_family(stripes: type[Stripes]) -> None:
+    """It says what the family said: the same JSON, identity and format version, size and moves."""
+    known = stripes(every=3, movement=Movement(8))
+    forget("stripes")
+    unknown = stored_generator(known.to_json())
+    assert isinstance(unknown, UnknownFamily)
+    assert unknown.to_json() == known.to_json()
+    assert identity(unknown, 5) == identity(known, 5)
+    assert unknown.format_version == known.format_version == 2
+    for name in ("name", "map_size", "resolution", "movement", "splits"):
+        assert getattr(unknown, name) == getattr(known, name)
+    again = pickle.loads(pickle.dumps(unknown))
+    assert again == unknown
+    assert hash(again) == hash(unknown)
+    assert repr(again) == repr(unknown)
+    assert stored_generator(stripes(every=4).to_json()) != unknown
+    register(stripes)
+    assert stored_generator(known.to_json()) == known
+
+
+def test_a_class_made_anew_is_that_of_what_is_read(stripes: type[Stripes]) -> None:
+    """A notebook runs its cell again: what was read before has the old class, what follows not."""
+    text = stripes().to_json()
+    assert type(stored_generator(text)) is stripes
+    cell: dict[str, Any] = {**globals()}
+    exec(CELL.format(more=1), cell)
+    with pytest.raises(ValueError, match="unknown key"):
+        stripes.from_json(cell["Stripes"]().to_json().replace("more", "fewer"))
+    assert type(stored_generator(text)) is cell["Stripes"]
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Give what installs a package beside ``pillars.py``, with a line of entry points."""
+    write_module(tmp_path)
+    (tmp_path / "broken_halls.py").write_text("import mapdata_nowhere\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def install(line: str) -> None:
+        folder = tmp_path / "halls-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: halls\nVersion: 1.0\n")
+        (folder / "entry_points.txt").write_text(f"[mapdata.generators]\n{line}\n")
+
+    forget("pillars", "columns")
+    yield install
+    forget("pillars", "columns")
+    sys.modules.pop("broken_halls", None)
+
+
+@pytest.mark.parametrize("target", ["pillars:Pillars", "pillars"])
+def test_an_installed_family_is_imported_when_it_is_needed(
+    target: str, installed: Callable[[str], None]
+) -> None:
+    """By the entry point of its name, which names its class, or a module that registers it."""
+    installed(f"pillars = {target}")
+    assert type(stored_generator(Maze().to_json())) is Maze
+    assert Generator.from_dict({"generator": "cave"}) == Cave()
+    assert "pillars" not in sys.modules
+    pillars = Generator.from_dict({"generator": "pillars", "side": 2})
+    assert (pillars.name, pillars.map_size) == ("pillars", (9, 12))
+    assert "pillars" in sys.modules
+    assert type(stored_generator(pillars.to_json())) is type(pillars)
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        (
+            "pillars = broken_halls:Pillars",
+            r"cannot be imported \(ModuleNotFoundError: No module named 'mapdata_nowhere'\)",
+        ),
+        ("pillars = pillars:Columns", r"cannot be imported \(AttributeError: module 'pillars'.*\)"),
+        ("pillars = mapdata:Maze", "is the family 'maze'"),
+        ("pillars = json", r"cannot be imported \(ValueError: json: expected a frozen dataclass.*"),
+    ],
+)
+def test_a_broken_package_is_named_on_one_line(
+    line: str, why: str, installed: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its maps are read all the same; what needs the family says which package fails, and how."""
+    if "Columns" in line:  # the module would register the family before it fails
+        path = Path(sys.path[0], "pillars.py")
+        path.write_text(path.read_text(encoding="utf-8").partition("\nregister(")[0])
+    installed(line)
+    stored = {**Stripes().to_dict(), "generator": "pillars"}
+    assert isinstance(stored_generator(json.dumps(stored)), UnknownFamily)
+    what = f"the entry point '{line}' of the package halls {why}; known are rooms, maze, cave"
+    with pytest.raises(ValueError, match=f"^generator: .*'pillars' is not known here; {what}"):
+        Generator.from_dict(stored)
 
 
 CELL = """
@@ -250,11 +336,18 @@ def test_presets_of_one_family_and_of_all() -> None:
     [
         (
             {"generator": "mazes"},
-            "known once its module is imported: got 'mazes', expected one of rooms, maze",
+            r"^generator: the family 'mazes' is not known here; import its module \(--import "
+            r"MODULE in a command, import MODULE in Python\); known are rooms, maze, cave, forest; "
+            r"did you mean maze\?$",
         ),
+        (
+            {"family": "pillars", "pillars": 40},
+            "^spec: unknown keys: family, pillars; known are generator, .*; did you mean generator",
+        ),
+        ({"generator": "maze", "corridr": 2}, "unknown key: corridr; .* did you mean corridor"),
         ({"generator": 3}, "generator.*: got 3"),
-        ({"generator": "maze", "rooms": [2, 3]}, "unknown rooms"),
-        ({"corridor": 2}, "unknown corridor"),
+        ({"generator": "maze", "rooms": [2, 3]}, "unknown key: rooms"),
+        ({"corridor": 2}, "unknown key: corridor"),
         ("mazes", "preset: got 'mazes'"),
         ([1], "expected an object"),
     ],

@@ -12,7 +12,9 @@ from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
+from helpers.families import forget
 from mapdata.cli import main
+from mapdata.generators import GENERATORS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -37,7 +39,8 @@ def run(page: Path) -> list[str]:
     """Run all blocks of ``page`` in the working folder.
 
     Python runs in one session; lines of shell are run, JSON is parsed. A block of text after one of
-    Python is what that prints.
+    Python is what that prints. A block of Python that begins with the name of a file, as in
+    ``# pillars.py``, is that file. Families that the page registers are unknown again afterwards.
 
     Returns:
         What each line of shell printed.
@@ -45,12 +48,26 @@ def run(page: Path) -> list[str]:
     Raises:
         AssertionError: a command fails, a text differs, or a language that nothing runs.
     """
+    families = set(GENERATORS)
+    path = sys.path.copy()
+    try:
+        return _run(page)
+    finally:
+        sys.path[:] = path
+        for family in set(GENERATORS) - families:
+            forget(family)
+
+
+def _run(page: Path) -> list[str]:
     session: dict[str, object] = {"__name__": page.stem}
     shown: list[str] = []
     printed = ""
     for language, text, line in blocks(page):
         where = f"{page.relative_to(ROOT)}, line {line}"
-        if language == "python":
+        file = re.match(r"# (\w+\.py)\n", text)
+        if language == "python" and file:
+            Path(file[1]).write_text(text, encoding="utf-8")
+        elif language == "python":
             output = StringIO()
             with redirect_stdout(output):
                 # Behind so many empty lines, a traceback names the line of the page.

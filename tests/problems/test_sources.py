@@ -79,7 +79,7 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
         ({"random": None}, "problems: random: got None"),
         (
             {"random": {"min_distance": 10}},
-            "unknown min_distance; known are distance, hardness, length",
+            "unknown key: min_distance; known are distance, hardness, length",
         ),
         ({"random": {"distance": ["3", None]}}, "distance: got '3', expected a number"),
         ('{"route": {"unsolvable": "false"}}', "unsolvable: got 'false', expected True or False"),

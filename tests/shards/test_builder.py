@@ -629,7 +629,7 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
         ('{"seed": -1}', "seed: got -1"),
         ('{"format_version": 3}', "format version 3, this mapdata 0.1.0 reads 1 and 2"),
         ('{"spec": {"rooms": [5, 2]}}', "rooms"),
-        ('{"spec": {"wings": 2}}', "unknown wings"),
+        ('{"spec": {"wings": 2}}', "unknown key: wings"),
         ('{"spec": {}, "identity": "' + "0" * 64 + '"}', "identity"),
     ],
 )

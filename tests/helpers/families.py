@@ -1,0 +1,65 @@
+"""A family of maps in a module of its own, which a process may know or not."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mapdata.generators import GENERATORS, PRESETS
+from mapdata.generators.generator import register_installed, stored_generator
+
+PILLARS = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from mapdata.generators import Generator, register, with_seed_points
+from mapdata.spec import check_integers
+
+
+@dataclass(frozen=True)
+class Pillars(Generator):
+    name: ClassVar[str] = "pillars"
+    description: ClassVar[str] = "halls with pillars"
+
+    map_size: tuple[int, int] = (9, 12)
+    side: int = 1
+    gaps: tuple[int, int] = (2, 3)
+
+    def __post_init__(self):
+        super().__post_init__()
+        self._convert(check_integers, "gaps")
+
+    @property
+    def most_seed_points(self):
+        return 6
+
+    def draw(self, seed, indices):
+        grids = np.zeros((len(indices), *self.map_size), np.uint8)
+        for grid, index in zip(grids, indices):
+            grid[1 + index % 2 :: self.side + self.gaps[0], 1 + index % 3 :: 1 + self.gaps[1]] = 1
+        maps = with_seed_points(self, seed, indices, grids)
+        maps.rooms[:] = 4  # fewer than the family may have
+        maps.seed_points[:, 4:] = -1
+        return maps
+
+
+register(Pillars, {"columns": Pillars()})
+"""
+"""The text of the module ``pillars``."""
+
+
+def write_module(folder: Path) -> None:
+    """Write ``pillars.py``, as a user does."""
+    (folder / "pillars.py").write_text(PILLARS, encoding="utf-8")
+
+
+def forget(family: str, *presets: str) -> None:
+    """Make a family and its module unknown again, as they are to another process."""
+    GENERATORS.pop(family, None)
+    for preset in presets:
+        PRESETS.pop(preset, None)
+    sys.modules.pop(family, None)
+    stored_generator.cache_clear()
+    register_installed.cache_clear()

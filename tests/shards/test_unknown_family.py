@@ -1,0 +1,381 @@
+"""Data of a family of maps whose module is not imported: read, shown and verified all the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import re
+import shutil
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from helpers.builds import publish, restated
+from helpers.families import forget, write_module
+from helpers.samples import ALL_FIELDS, assert_same
+
+from mapdata import (
+    Cave,
+    MapDataModule,
+    MapDataset,
+    OnlineMapDataset,
+    Sample,
+    ShardError,
+    build,
+    generate,
+    identity,
+    read_shard,
+    repair,
+    verify,
+)
+from mapdata.cli import main
+from mapdata.generators import Generator, UnknownFamily
+from mapdata.shards import MANIFEST, Recipe, card, open_shard, read_manifest
+from mapdata.spec import canonical_json
+
+NOT_KNOWN = re.escape(
+    "the family 'pillars' is not known here; import its module (--import MODULE in a command, "
+    "import MODULE in Python); known are rooms, maze, cave, forest"
+)
+RECIPE = {"spec": {"generator": "pillars", "gaps": [2, 4]}, "seed": 3, "maps": 10}
+
+
+class Known(NamedTuple):
+    """What a process that knows the family sees of the dataset."""
+
+    root: Path
+    identity: str
+    recipe: str
+    batch: Sample
+    table: Any
+    pickled: bytes
+
+
+PADDED = ("connection_matrix", "seed_points")
+"""Fields that are padded to the largest number of seed points."""
+
+
+def samples_of(root: object) -> Sample:
+    """Return all problems of a dataset as one batch, with all fields."""
+    return MapDataset(str(root), None, ALL_FIELDS)[:]
+
+
+def assert_same_maps(unknown: Sample, known: Sample) -> None:
+    """Compare all fields of a batch.
+
+    The family may have six seed points and the stored maps have four, so the padding differs.
+    """
+    assert_same(unknown, known, PADDED)
+    assert unknown.seed_points.shape[1:] == (4, 2)
+    assert unknown.connection_matrix.shape[1:] == (4, 4)
+    np.testing.assert_array_equal(unknown.seed_points, known.seed_points[:, :4])
+    np.testing.assert_array_equal(unknown.connection_matrix, known.connection_matrix[:, :4, :4])
+    assert (known.seed_points[:, 4:] == -1).all()
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
+    """Build the dataset where the family is known, look at it, and make the family unknown."""
+    folder = tmp_path_factory.mktemp("pillars")
+    write_module(folder)
+    sys.path.insert(0, str(folder))
+    __import__("pillars")
+    sys.path.remove(str(folder))
+    root = folder / "maps"
+    recipe = Recipe.load(RECIPE)
+    manifest = build(root, recipe.spec, maps=10, seed=3, shard_size=4, workers=1)
+    dataset = MapDataset(root, None, ("seed_points", "connection_matrix"))
+    dataset[:]
+    seen = Known(
+        root,
+        identity(recipe.spec, 3),
+        manifest.recipe(),
+        samples_of(root),
+        dataset.table(),
+        pickle.dumps(dataset),
+    )
+    forget("pillars", "columns")
+    return seen
+
+
+@pytest.fixture
+def root(known: Known, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give a copy of the dataset in a working folder that holds ``pillars.py``, too."""
+    write_module(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    yield Path(shutil.copytree(known.root, tmp_path / "maps"))
+    forget("pillars", "columns")
+
+
+def exit_code(*arguments: object) -> object:
+    """Run ``mapdata`` in this process and return its exit code."""
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return stop.code or 0
+    return 0
+
+
+# --- reading ------------------------------------------------------------------------------------
+
+
+def test_samples_are_those_of_where_the_family_is_known(known: Known, root: Path) -> None:
+    """All fields of all problems, the table, shards and modules; from a folder and from a URL."""
+    manifest = read_manifest(root)
+    assert isinstance(manifest.spec, UnknownFamily)
+    assert_same_maps(samples_of(root), known.batch)
+    assert MapDataset(root).table().equals(known.table)
+    assert len(read_shard(root / manifest.shards[0].name).maps) == 4
+    assert next(iter(MapDataModule(str(root), batch_size=5).train_dataloader())).map.shape[0] == 5
+    assert_same_maps(samples_of(f"file://{root}"), known.batch)
+
+
+def test_identity_and_recipe_are_those_of_the_family(known: Known, root: Path) -> None:
+    """They are computed from what is stored, from the manifest and from a shard alike."""
+    manifest = read_manifest(root)
+    header = open_shard(root / manifest.shards[0].name).header
+    assert manifest.identity == header.identity == known.identity
+    assert json.loads(manifest.recipe()) == json.loads(known.recipe)
+    assert manifest.spec == header.spec
+    assert manifest.header(*header.limits) == header
+    assert read_manifest(root).to_json() == manifest.to_json()
+
+
+def test_it_mixes_with_datasets_of_known_families(root: Path, tmp_path: Path) -> None:
+    """Of one map size and movement, in any order."""
+    build(tmp_path / "caves", Cave((9, 12)), maps=4, workers=1)
+    own = MapDataset(root)[:].map
+    caves = MapDataset(tmp_path / "caves")[:].map
+    mixed = MapDataset([str(root), str(tmp_path / "caves"), str(root)])[:].map
+    np.testing.assert_array_equal(mixed, np.concatenate([own, caves, own]))
+
+
+def test_a_worker_that_does_not_know_the_family_pads_as_its_parent(
+    known: Known, root: Path
+) -> None:
+    """The family says how many seed points a map may have, stored maps how many they have."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = pickle.loads(known.pickled)
+    assert isinstance(again.reader.manifests[0].spec, UnknownFamily)
+    np.testing.assert_array_equal(again[:].seed_points, known.batch.seed_points)
+    np.testing.assert_array_equal(again[:].connection_matrix, known.batch.connection_matrix)
+
+
+def test_the_module_may_be_imported_between_two_reads(
+    known: Known, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a notebook: the manifest was read without the family, its shards are read with it."""
+    dataset = MapDataset(root, None, ALL_FIELDS)
+    monkeypatch.syspath_prepend(root.parent)
+    module = __import__("pillars")
+    assert_same_maps(dataset[:], known.batch)
+    assert_same(samples_of(root), known.batch)
+    assert read_manifest(root).spec == module.Pillars(gaps=(2, 4))
+    assert hash(read_manifest(root).header(0, 4)) == hash(dataset.reader.manifests[0].header(0, 4))
+
+
+# --- what needs the family ----------------------------------------------------------------------
+
+
+def test_what_needs_the_family_says_so_on_one_line(root: Path, tmp_path: Path) -> None:
+    """Drawing maps, building, extending, maps online, recipes."""
+    spec = read_manifest(root).spec
+    assert isinstance(spec, UnknownFamily)
+    recipe = read_manifest(root).recipe()
+    module = MapDataModule(None, build=recipe)
+    needs: list[Callable[[], object]] = [
+        lambda: generate(spec, 3, [0]),
+        lambda: spec.draw(3, np.arange(2)),
+        lambda: build(root, spec, maps=12, seed=3, shard_size=4),
+        lambda: build(tmp_path / "new", spec, maps=12, seed=3),
+        lambda: OnlineMapDataset(spec),
+        lambda: Recipe.load(recipe),
+        module.setup,
+    ]
+    for need in needs:
+        with pytest.raises(ValueError, match=f"{NOT_KNOWN}$"):
+            need()
+    assert not (tmp_path / "new").exists()
+
+
+def test_verbs_that_read_need_no_family(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Info, show, report and export; the card says how the maps are made again."""
+    for line in (
+        "info maps",
+        "info maps --recipe",
+        "show maps --index 3 -o map.png",
+        "report maps -o report.html",
+        "export maps paper --format paper",
+        "info maps --card",
+    ):
+        assert exit_code(*line.split()) == 0, capsys.readouterr().err
+    assert "not known" not in capsys.readouterr().out
+    text = (root / "README.md").read_text(encoding="utf-8")
+    assert "maps of the family pillars" in text
+    assert "needs --import with the module of the family pillars" in text
+
+
+def test_the_command_imports_the_module_from_the_working_folder(
+    known: Known, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To build from a recipe, to go on, and to use the presets that the module registers."""
+    (root.parent / "recipe.json").write_text(known.recipe, encoding="utf-8")
+    assert exit_code("build", "again", "--recipe", "recipe.json", "--shard-size", "4") == 2
+    error = capsys.readouterr().err
+    assert re.fullmatch(f"mapdata: generator: {NOT_KNOWN}\n", error)
+    flags = ("--shard-size", "4", "--import", "pillars")
+    assert exit_code("build", "again", "--recipe", "recipe.json", *flags) == 0
+    assert "bit for bit" in capsys.readouterr().out
+    assert read_manifest(Path("again")) == read_manifest(root)
+    forget("pillars", "columns")
+    assert exit_code("build", "more", "--preset", "columns", "--maps", "2", *flags) == 0
+    assert "--import pillars" in card("more")
+    assert "The module pillars has the family pillars." in card("more")
+
+
+# --- verifying ----------------------------------------------------------------------------------
+
+
+def test_verify_says_what_it_could_not_check(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a line of its own, which is no fault; in Python it is a warning."""
+    assert exit_code("verify", "maps") == 0
+    well, note = capsys.readouterr().out.splitlines()
+    assert well == "maps: all is well"
+    why = f"maps: the parameters of its recipe were not checked, since {NOT_KNOWN}"
+    assert re.fullmatch(f"note: {why}", note)
+    with pytest.warns(UserWarning, match=f"^{why}$"):
+        assert verify("maps") == []
+    assert exit_code("verify", "maps", "--import", "pillars") == 0
+    assert capsys.readouterr().out == "maps: all is well\n"
+
+
+def test_damage_is_found_and_repaired_where_the_family_is_known(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the family, verify names the damaged shards, and repair why they are left."""
+    names = [entry.name for entry in read_manifest(root).shards]
+    before = {name: (root / name).read_bytes() for name in names}
+    flipped = bytearray(before[names[0]])
+    flipped[-1] ^= 1
+    (root / names[0]).write_bytes(flipped)
+    (root / names[2]).unlink()
+    assert exit_code("verify", "maps") == 1
+    out, error = capsys.readouterr()
+    assert out.splitlines()[:2] == [
+        f"maps/{names[0]}: damaged (its file hash does not fit)",
+        f"maps/{names[2]}: missing",
+    ]
+    assert error.splitlines()[-1] == (
+        "mapdata: 2 faults found; --repair makes shards again where there is a recipe and its "
+        "family is known (--import MODULE)"
+    )
+    left = repair(root)
+    assert len(left) == 2
+    for fault in left:
+        assert re.search(f"; it cannot be made again: {NOT_KNOWN}$", fault)
+    assert exit_code("verify", "maps", "--repair") == 1
+    assert exit_code("verify", "maps", "--repair", "--import", "pillars") == 0
+    assert {name: (root / name).read_bytes() for name in names} == before
+
+
+def test_a_lost_manifest_is_made_again_without_the_family(root: Path) -> None:
+    """All that it says is derived from the shards."""
+    manifest = read_manifest(root)
+    (root / MANIFEST).unlink()
+    with pytest.warns(UserWarning, match=NOT_KNOWN):
+        assert verify(root) == [f"{root / MANIFEST}: missing"]
+    assert repair(root) == []
+    assert read_manifest(root) == manifest
+
+
+# --- hostile data -------------------------------------------------------------------------------
+
+MOVEMENT = {"connectivity": 4, "corner_cutting": False, "diagonal_cost": 2**0.5}
+DEEP: Any = 0
+for _ in range(40):
+    DEEP = [DEEP]
+
+HOSTILE: dict[str, tuple[dict[str, Any], str]] = {
+    "maps too large": ({"map_size": [9, 4097]}, r"map_size: got \(9, 4097\), expected 1 to 4096"),
+    "maps without rows": ({"map_size": [0, 12]}, "map_size"),
+    "three sides": ({"map_size": [9, 12, 3]}, "map_size"),
+    "no resolution": ({"resolution": 0.0}, "resolution: got 0.0"),
+    "resolution a text": ({"resolution": "fine"}, "resolution"),
+    "splits over 1": ({"splits": [0.8, 0.3, 0.1]}, "splits"),
+    "a movement of others": ({"movement": MOVEMENT | {"wings": 2}}, "movement: unknown key: wings"),
+    "connectivity 5": ({"movement": MOVEMENT | {"connectivity": 5}}, "connectivity"),
+    "a movement that leaves out": ({"movement": {"connectivity": 4}}, "identity"),
+    "a resolution of another type": ({"resolution": 1}, "identity"),
+    "no map size": ({"map_size": None}, "spec: lacks map_size, which every family has"),
+    "a name that writes to the terminal": ({"generator": "\x1b[2J"}, "printable characters"),
+    "a long name": ({"generator": "p" * 101}, "1 to 100 printable characters"),
+    "no name": ({"generator": ""}, "printable characters"),
+    "a name that is a number": ({"generator": 3}, "generator: got 3, expected the name of"),
+    "a list as its name": ({"generator": ["pillars"]}, "expected the name of a family"),
+    "long parameters": ({"note": "x" * 4000}, "characters, expected at most 4000"),
+    "deep parameters": ({"note": DEEP}, "more than 32 deep"),
+    "the name of a known family": ({"generator": "maze"}, "spec: unknown keys: side, gaps; known"),
+}
+
+
+def stated_identity(spec: object, seed: int) -> str:
+    """Return the identity that docs/format.md gives to a spec, sound or not."""
+    values = {"format_version": 2, "spec": spec, "seed": seed}
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_name_that_is_not_known_skips_no_check(name: str, root: Path) -> None:
+    """Every value that all families have is checked."""
+    changes, why = HOSTILE[name]
+
+    def change(values: dict[str, Any]) -> None:
+        spec = values["spec"] | changes
+        values["spec"] = {key: value for key, value in spec.items() if value is not None}
+        values["identity"] = stated_identity(values["spec"], values["seed"])
+
+    text = (root / MANIFEST).read_text(encoding="utf-8")
+    (root / MANIFEST).write_text(restated(text, change), encoding="utf-8")
+    with pytest.raises(ShardError, match=why) as caught:
+        read_manifest(root)
+    assert str(caught.value).startswith(f"{root / MANIFEST}: ")
+    assert "\n" not in str(caught.value)
+    assert "\x1b" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["pillars", "columns"])
+def test_a_shard_of_another_family_is_not_served(name: str, root: Path) -> None:
+    """Neither of these is known, and still they are not the same."""
+    shard = root / read_manifest(root).shards[0].name
+    header = open_shard(shard).header
+    assert header.spec is not None
+    stored = canonical_json({**header.spec.to_dict(), "gaps": [3, 4]} | {"generator": name})
+    image = shard.read_bytes().replace(header.spec.to_json().encode(), stored.encode())
+    assert header.identity is not None
+    image = image.replace(header.identity.encode(), stated_identity(json.loads(stored), 3).encode())
+    assert image != shard.read_bytes()
+    publish(root, shard.name, image)
+    other = open_shard(shard).header.spec
+    assert isinstance(other, UnknownFamily)
+    assert other.name == name
+    with pytest.raises(ShardError, match="holds other maps than the manifest says"):
+        MapDataset(root)[0]
+    with pytest.warns(UserWarning, match=NOT_KNOWN):
+        assert verify(root) == [f"{shard}: holds other maps than the manifest says"]
+
+
+def test_a_recipe_keeps_to_families_that_are_known() -> None:
+    """What is stored may be of an unknown family; what is asked for may not."""
+    values = {"generator": "pillars", "map_size": [9, 12]}
+    with pytest.raises(ValueError, match=f"^generator: {NOT_KNOWN}$"):
+        Generator.from_dict(values)
