@@ -307,6 +307,7 @@ def test_test_files_say_what_they_test() -> None:
     """
     others = {
         "datasets/test_radius.py": "a robot of a size, in all datasets and problems",
+        "datasets/test_served_movement.py": "which problems exist under what is served",
         "shards/test_faults.py": "kills and full disks",
         "shards/test_format.py": "docs/format.md",
         "shards/test_fuzzing.py": "random changes of files",
