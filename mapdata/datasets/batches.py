@@ -242,11 +242,11 @@ def connected_problems(
     buffers = scratch(BFS, lattice)
     components = np.empty(0, np.int64)
     connected = np.empty(len(problems), np.bool_)
-    before = -1
+    labelled_map: Int = -1
     for p in range(len(problems)):
         number = np.int64(problems[p, 0])
-        if number != before:
-            before = number
+        if number != labelled_map:
+            labelled_map = number
             unpack(packed, number * words, grids[0])
             inflate_all(grids, least)
             load(grids[0], buffers.came)

@@ -73,7 +73,7 @@ def wide_diagonals(source: np.random.Generator) -> Array:
         row, column = source.integers(1, 9, 2)
         steps = np.arange(source.integers(2, 6))
         line[row + steps, FIRST_COLUMN + column + steps] = True
-    return ndimage.binary_dilation(line, np.ones((3, 3)))
+    return np.asarray(ndimage.binary_dilation(line, np.ones((3, 3))))
 
 
 class StoredMap(NamedTuple):
@@ -132,7 +132,7 @@ def inflated(grid: Array, radius: float) -> Array:
     is_too_near = away[:, None] ** 2 + away**2 < (radius / RESOLUTION) ** 2
     is_too_near[reach, reach] = True
     walled = np.pad(grid, reach, constant_values=1)
-    dilated = ndimage.binary_dilation(walled, is_too_near)
+    dilated = np.asarray(ndimage.binary_dilation(walled, is_too_near))
     return dilated[reach:-reach, reach:-reach].astype(np.uint8)
 
 
@@ -195,7 +195,7 @@ def numbered_problems(source: Route | Pairs, stored: Movement, served: Movement)
     return true_problems(source, true_maps(stored, 0.0))
 
 
-SOURCES = [Route(), Route(unsolvable=True), Pairs(), Pairs(unsolvable=True)]
+SOURCES: list[Route | Pairs] = [Route(), Route(unsolvable=True), Pairs(), Pairs(unsolvable=True)]
 
 
 @pytest.mark.parametrize("radius", RADII)
@@ -383,7 +383,7 @@ def test_shards_are_opened_only_where_corners_are_treated_otherwise(
     shutil.copytree(roots[stored], root)
     for shard in root.glob("*.h5"):
         shard.write_bytes(b"")
-    stored_labels_decide = [Route(unsolvable=True), Random()]
+    stored_labels_decide: list[Route | Random] = [Route(unsolvable=True), Random()]
     if served.corner_cutting == STORED[stored].corner_cutting:
         stored_labels_decide.append(Route())
     else:
