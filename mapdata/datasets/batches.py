@@ -7,6 +7,7 @@ arrays of all open shards.
 from __future__ import annotations
 
 import ctypes
+from dataclasses import replace
 from typing import Any
 
 import llvmlite.ir
@@ -15,18 +16,20 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from mapdata.arrays import Bytes, Float32s, Int32s, Ints, offsets_of
+from mapdata.arrays import Bytes, Flags, Float32s, Int32s, Ints, offsets_of
 from mapdata.datasets.fields import Paths, Rooms
 from mapdata.generators.maps import WORD, unpack
 from mapdata.generators.points import STEPS
 from mapdata.jit import COMPILED, Int, inlined, kernel
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.labels import pairs_of
+from mapdata.search.kernels import scratch
+from mapdata.search.labels import connected_components, pairs_of
+from mapdata.search.lattice import BFS, UNIT, Rule, cells_of, lattice_of, load
 from mapdata.shards.manifest import Entry, Manifest
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import Shard, ShardError, bits_of
-from mapdata.spec import MAX_ROOMS, SPLITS
+from mapdata.spec import MAX_ROOMS, SPLITS, Movement
 
 ARRAYS = (
     "maps",
@@ -214,18 +217,73 @@ def read_rooms(
     return matrices, seed_points
 
 
+@kernel
+def connected_problems(
+    table: Ints, shard: Int, problems: Int32s, size: tuple[Int, Int], least: Int, rule: Rule
+) -> Flags:
+    """Return whether a path connects the two rooms of each problem of a shard, (P,) bool.
+
+    Each map is labelled once for all of its problems.
+
+    Args:
+        table: addresses of the arrays of all shards.
+        shard: which of them, an open one.
+        problems: (P, 3) int32, (map in the shard, room, room), in ascending order of maps.
+        size: (rows, columns) of a map.
+        least: clearance of the cells that are free for the robot, as `inflate_all` takes it.
+        rule: of movement.
+    """
+    packed = _array(table[shard, _MAPS], np.uint64)
+    words = size[0] * ((size[1] + WORD - 1) // WORD)
+    offsets = _array(table[shard, _ROOMS], np.int64)
+    stored = _cells(table[shard, _SEEDS])
+    grids = np.empty((1, size[0], size[1]), np.uint8)
+    lattice = lattice_of(size, rule)
+    buffers = scratch(BFS, lattice)
+    components = np.empty(0, np.int64)
+    connected = np.empty(len(problems), np.bool_)
+    labelled_map: Int = -1
+    for p in range(len(problems)):
+        number = np.int64(problems[p, 0])
+        if number != labelled_map:
+            labelled_map = number
+            unpack(packed, number * words, grids[0])
+            inflate_all(grids, least)
+            load(grids[0], buffers.came)
+            cells = cells_of(stored[offsets[number] : offsets[number + 1]], lattice)
+            components = connected_components(cells, lattice, buffers)
+        first = components[problems[p, 1]]
+        connected[p] = first >= 0 and first == components[problems[p, 2]]
+    return connected
+
+
 class BatchReader:
     """The shards of a dataset, and the problems in them.
 
     Attributes:
         root, shards, manifests: the dataset.
-        map_size, movement: of all its maps.
+        map_size: of all its maps.
+        movement: of the stored labels.
         most_seed_points: R, the largest number of seed points that a map can have.
         least: clearance of the cells that are served as free, as `least_squared` gives it.
     """
 
-    def __init__(self, root: Places, split: str | None, problems: Source, radius: float) -> None:
+    def __init__(
+        self,
+        root: Places,
+        split: str | None,
+        problems: Source,
+        radius: float,
+        movement: Movement | None = None,
+    ) -> None:
         """Read the manifests; no shard is opened yet.
+
+        Args:
+            root: as in `MapDataset`, like the others.
+            split: "train", "val", "test" or None for all.
+            problems: what is asked of the maps.
+            radius: of the robot, in metres.
+            movement: that is served; None for the stored one.
 
         Raises:
             DatasetNotFoundError, ShardError, ValueError: as `Root.open`.
@@ -242,9 +300,20 @@ class BatchReader:
                 f"up to {MAX_ROOMS}"
             )
         self._split = split
-        self._problems = problems
         # only with a radius must all roots have one resolution
         self.least = least_squared(radius, self.root.resolution) if radius else 0
+        self._cuts_corners = (movement or self.movement).corner_cutting
+        self._problems = problems
+        self._labels_decide = True
+        if not isinstance(problems, Random) and not problems.unsolvable:
+            # Straight moves and diagonal ones beside two free cells connect the same cells, since
+            # two straight moves lead where such a diagonal one leads. Cutting corners connects
+            # more, and a radius less, than the stored labels say.
+            is_same_rule = self._cuts_corners == self.movement.corner_cutting
+            self._labels_decide = is_same_rule and self.least <= 1
+            if self._cuts_corners and not is_same_rule:
+                # Of the problems without a stored path, some have a path here.
+                self._problems = replace(problems, unsolvable=True)
         self.offsets = offsets_of([self._count(entry) for _, _, entry in self.shards])
         # of the arrays of each shard, for the kernels; 0 before it is opened
         self._addresses = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
@@ -312,6 +381,28 @@ class BatchReader:
         shard = self._open.setdefault(k, shard)
         self._addresses[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
         return shard
+
+    def solvable(self) -> Ints | None:
+        """Return the numbers of the problems that have a path as they are served, ascending.
+
+        None where these are all problems, or where those without a path are wanted, too. Else the
+        maps are labelled under the served movement and radius, for which every shard is opened.
+
+        Raises:
+            ShardError, ConnectionError: as `open`.
+        """
+        if self._labels_decide:
+            return None
+        connected = np.empty(len(self), np.bool_)
+        # Of the moves only those that cut corners connect more cells than straight ones do.
+        rule = (2 if self._cuts_corners else 0, UNIT)
+        for k in range(len(self.shards)):
+            self.open(k)
+            problems = slice(*self.offsets[k : k + 2].tolist())
+            connected[problems] = connected_problems(
+                self._addresses, k, self._rows[problems], self.map_size, self.least, rule
+            )
+        return np.flatnonzero(connected)
 
     def _count(self, entry: Entry) -> int:
         names = [self._problems.counted]

@@ -275,7 +275,12 @@ def seed_points(batch: Batch) -> Ints:
 
 
 def problem(batch: Batch) -> Ints:
-    """``problem``: (B,) int64, the problem's number in the dataset, filters and radius aside."""
+    """``problem``: (B,) int64, the problem's number in the dataset, filters and radius aside.
+
+    Numbers count the problems that have a path under the stored movement, or with
+    ``unsolvable=True`` all. They count all, too, where the served movement cuts corners and the
+    stored one does not.
+    """
     return batch.problems
 
 

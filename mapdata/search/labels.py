@@ -33,6 +33,7 @@ from mapdata.search.lattice import (
     BFS,
     FAR,
     UNIT,
+    UNSEEN,
     Lattice,
     Rule,
     cells_of,
@@ -284,6 +285,32 @@ def _flood_maps(
             moves = append_moves(came, goal, length, lattice, moves, used)
             used += length
     return moves[:used]
+
+
+@kernel
+def connected_components(cells: Ints, lattice: Lattice, buffers: Scratch) -> Ints:
+    """Return which of some cells a path connects, on a grid that is loaded.
+
+    Args:
+        cells: (n,) padded cells.
+        lattice: of the grid and the moves.
+        buffers: of BFS; ``came`` is not fresh afterwards.
+
+    Returns:
+        (n,) int64, a number for each cell: cells of one connected component have the same one, the
+        place of the first of them in ``cells``; an occupied cell has -1.
+    """
+    came = buffers.came
+    components = np.full(len(cells), -1)
+    for k in range(len(cells)):
+        if came[cells[k]] != UNSEEN:
+            continue  # occupied, or in the component of an earlier cell
+        flood(cells[k], cells[k:], lattice, buffers)
+        for j in range(k, len(cells)):
+            # What floods reach is below UNSEEN, which is below WALL.
+            if components[j] < 0 and came[cells[j]] < UNSEEN:
+                components[j] = k
+    return components
 
 
 @kernel

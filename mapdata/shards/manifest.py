@@ -457,7 +457,8 @@ def counts_of(labels: Labels) -> dict[str, Any]:
 
     That is segments, drawn passages, reachable segments, fully connected maps and the most rooms
     of a map; and for each split the maps, the segments ("route") and pairs of rooms ("rooms") that
-    are problems, which lead to another cell, and those without a path ("unsolvable").
+    are problems, which lead to another cell, and those without a path ("unsolvable"). Paths are
+    those of the stored movement.
     """
     maps = labels.maps
     passages = maps.rooms - 1

@@ -11,7 +11,7 @@ import random
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -411,72 +411,114 @@ def test_maps_without_a_problem_are_replaced(root: str) -> None:
 
 # --- symmetries ---------------------------------------------------------------------------------
 
-TURNS: tuple[Callable[[Array], Array], ...] = (
-    lambda grid: grid,
-    np.flipud,
-    np.fliplr,
-    lambda grid: np.rot90(grid, 2),
-    np.transpose,
-    np.rot90,
-    lambda grid: np.rot90(grid, -1),
-    lambda grid: np.rot90(grid, 2).T,
+AUGMENTATION = 3
+"""The stream of symmetries, as docs/format.md numbers it."""
+
+GRID_FIELDS = (
+    "map",
+    "free",
+    "path_mask",
+    "start_mask",
+    "goal_mask",
+    "optimal_mask",
+    "cost_to_go",
+    "heuristic_ratio",
+    "path_probability",
+    "clearance",
 )
-"""The 8 symmetries of a square; the first 4 keep any rectangle."""
+CELL_FIELDS = ("start", "goal", "path", "seed_points")
+UNTURNED_FIELDS = ("length", "cost", "hardness", "iterations", "connection_matrix", "problem")
 
 
-@pytest.mark.parametrize("movement", MOVEMENTS)
-@pytest.mark.parametrize(("name", "count"), [("square", 8), ("wide", 4)])
-def test_augmentation_moves_everything_along(
-    roots: dict[str, str], name: str, count: int, movement: Movement
+def turned_grid(grid: Array, code: int) -> Array:
+    """Return an array (H, W) after a symmetry: bits of the code flip, flip and transpose."""
+    grid = np.flipud(grid) if code & 1 else grid
+    grid = np.fliplr(grid) if code & 2 else grid
+    return grid.T if code & 4 else grid
+
+
+def turned_cells(cells: Array, code: int, shape: tuple[int, ...]) -> Array:
+    """Return where cells (..., 2) are after a symmetry: where a turned grid has their numbers."""
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    turned = turned_grid(numbers, code)
+    new_cells = np.empty((turned.size, 2), np.int64)
+    new_cells[turned.ravel()] = np.argwhere(turned >= 0)
+    is_padding = cells[..., :1] < 0
+    return np.where(is_padding, cells, new_cells[numbers[cells[..., 0], cells[..., 1]]])
+
+
+def turned_moves(bits: Array, code: int) -> Array:
+    """Return bit sets of moves (H, W) after a symmetry, which turns the directions, too."""
+    compass = np.full((3, 3), -1)
+    for move, (down, right) in enumerate(reference.STRAIGHT + reference.DIAGONAL):
+        compass[1 + down, 1 + right] = move
+    turned_compass = turned_grid(compass, code)
+    turned = turned_grid(bits, code)
+    moves = np.zeros_like(turned)
+    for move in range(8):
+        (new_move,) = compass[turned_compass == move]
+        moves |= (turned >> move & 1) * np.uint8(1 << int(new_move))
+    return moves
+
+
+CUTTING = Movement(8, corner_cutting=True)
+AUGMENTED: dict[str, tuple[str, dict[str, Any]]] = {
+    "stored paths": ("square", {}),
+    "stored paths with diagonals": ("wide", {"search": "bfs"}),
+    "pairs": ("square", {"problems": Pairs(unsolvable=True)}),
+    "another movement": ("square", {"movement": CUTTING, "search": "bfs"}),
+    "a stricter movement": ("wide", {"movement": Movement(4), "problems": "pairs"}),
+    "a robot": ("square", {"radius": 0.1, "problems": "pairs"}),
+    "random problems": ("square", {"problems": "random", "movement": Movement(8)}),
+    "random problems of a robot": ("wide", {"problems": Random((3, None)), "radius": 0.1}),
+    "online": ("square", {"movement": CUTTING}),
+    "online random problems": ("wide", {"problems": "random", "movement": Movement(8, True, 1)}),
+}
+"""Maps and arguments for each way in which a sample is made."""
+
+
+@pytest.mark.parametrize("case", AUGMENTED)
+def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
+    roots: dict[str, str], case: str
 ) -> None:
-    """Every sample is a turned one: map, cells, path and centres alike; what is found is right on
-    the turned map.
+    """All fields are those of the same problem without `augment`, turned by numpy; the symmetry is
+    drawn for the problem's number and the epoch.
     """
-    fields = (
-        "map",
-        "start",
-        "goal",
-        "path",
-        "seed_points",
-        "optimal_moves",
-        "cost_to_go",
-        "path_mask",
+    name, arguments = AUGMENTED[case]
+    how: dict[str, Any] = {"fields": samples.ALL_FIELDS, "sampling_seed": 11, **arguments}
+    plain, augmented = (
+        OnlineMapDataset(SPECS[name], SEED, 60, "train", augment=augment, **how)
+        if case.startswith("online")
+        else MapDataset(roots[name], "train", augment=augment, **how)
+        for augment in (False, True)
     )
-    plain = MapDataset(roots[name], "train", (*fields, "cost"), movement=movement)
-    turned = MapDataset(roots[name], "train", (*fields, "cost"), movement=movement, augment=True)
-    before, after = plain[:], turned[:]
-    assert torch.equal(before.cost, after.cost)
-    used = set()
-    for k in range(len(before.cost)):
-        cells = np.arange(before.map[k].numel()).reshape(before.map.shape[2:])
-        at = samples.cells_of(before.path[k])
-        to = samples.cells_of(after.path[k])
-        matching = []
-        for turn, symmetry in enumerate(TURNS[:count]):
-            places = {
-                int(cell): divmod(place, cells.shape[1])
-                for place, cell in enumerate(symmetry(cells).flat)
-            }
-            moved = [places[row * cells.shape[1] + column] for row, column in at]
-            maps_agree = np.array_equal(symmetry(before.map[k, 0].numpy()), after.map[k, 0].numpy())
-            if maps_agree and moved == to:
-                matching.append(turn)
-                seed_points = samples.cells_of(before.seed_points[k])
-                expected = [places[row * cells.shape[1] + column] for row, column in seed_points]
-                assert samples.cells_of(after.seed_points[k]) == expected or len(matching) > 1
-        assert matching
-        used |= set(matching) if len(matching) == 1 else set()
-        assert to[0] == samples.cell_of(after.start[k])
-        assert to[-1] == samples.cell_of(after.goal[k])
-        assert [
-            tuple(cell) for cell in np.argwhere(after.path_mask[k, 0].numpy()).tolist()
-        ] == sorted(to)
-        if k % 9 == 0:
-            grid = samples.grid_of(after.map[k])
-            assert reference.first_bad_step(grid, to, movement) is None
-            field = reference.reference_field(grid, to[-1], movement)
-            np.testing.assert_array_equal(after.cost_to_go[k, 0], field)
-    assert used == set(range(count))
+    shape = SPECS[name].map_size
+    last_code = 7 if shape[0] == shape[1] else 3
+    codes = set()
+    for epoch in (0, 1):
+        indices = np.arange(len(plain)) + epoch * len(plain)
+        before, after = (each.__getitems__(indices).batch for each in (plain, augmented))
+        for k, number in enumerate(before.problem.tolist()):
+            word = reference.block(11, number, epoch, AUGMENTATION, 0)[0]
+            code = reference.bounded(word, 0, last_code)
+            codes.add(code)
+            sample, turned = (
+                {field: value[k].numpy() for field, value in zip(batch._fields, batch, strict=True)}
+                for batch in (before, after)
+            )
+            for field in GRID_FIELDS:
+                expected = turned_grid(sample[field][0], code)
+                np.testing.assert_array_equal(turned[field][0], expected, field)
+            for field in CELL_FIELDS:
+                expected = turned_cells(sample[field], code, shape)
+                np.testing.assert_array_equal(turned[field], expected, field)
+            for field in UNTURNED_FIELDS:
+                np.testing.assert_array_equal(turned[field], sample[field], field)
+            expected = turned_moves(sample["optimal_moves"][0], code)
+            np.testing.assert_array_equal(turned["optimal_moves"][0], expected)
+    assert codes == set(range(last_code + 1))
+    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS, "optimal_moves"}
+    assert checked == {*samples.ALL_FIELDS}
 
 
 def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:

@@ -336,29 +336,6 @@ def test_online_pairs_are_the_first_that_fit(problems: Route | Pairs, search: st
         assert 5 < served < MAPS
 
 
-@pytest.mark.parametrize("problems", ["route", "random"])
-def test_symmetries_come_after_inflation(roots: dict[str, str], problems: str) -> None:
-    """An augmented sample is the plain one, turned as a whole."""
-    fields = ("map", "start_mask", "goal_mask", "path_mask", "optimal_mask", "cost_to_go")
-    how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": fields}
-    plain = MapDataset(roots["square"], "train", **how)
-    augmented = MapDataset(roots["square"], "train", augment=True, **how)
-    moved = 0
-    for one, other in zip(plain, augmented, strict=True):
-        before = layers_of(one)
-        after = layers_of(other)
-        quarter_turns = [np.rot90(before, k, (1, 2)) for k in range(4)]
-        mirrored = [each[:, ::-1] for each in quarter_turns]
-        assert any(np.array_equal(each, after) for each in (*quarter_turns, *mirrored))
-        moved += not np.array_equal(before, after)
-    assert moved > len(plain) / 2
-
-
-def layers_of(sample: Sample) -> Array:
-    """Return all fields of a sample, each (1, H, W), as one array, (fields, H, W)."""
-    return np.concatenate([np.asarray(field, float) for field in sample])
-
-
 @pytest.mark.parametrize("problems", ["route", "pairs", "random"])
 def test_workers_and_modules_serve_the_same(many: str, problems: str) -> None:
     """By workers, after pickling, filtered, by a data module, on disk and online."""
