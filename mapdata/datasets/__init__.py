@@ -1,11 +1,21 @@
-"""Serving maps to torch: datasets, the data module, and the fields of a sample."""
+"""Serving maps to torch: datasets, the data module, and the fields of a sample.
 
-from mapdata.datasets.datamodule import MapDataModule
+`MapDataModule` is imported on first use: Lightning, which it comes from, takes longer to import
+than torch and everything else together, and a plain training loop or a loader worker needs none.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS, Batch
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+
+if TYPE_CHECKING:
+    from mapdata.datasets.datamodule import MapDataModule
 
 __all__ = [
     "FIELDS",
@@ -18,3 +28,13 @@ __all__ = [
     "Sample",
     "row",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Import `MapDataModule`, and Lightning with it, on first use."""
+    if name != "MapDataModule":
+        raise AttributeError(f"module 'mapdata.datasets' has no attribute {name!r}")
+    from mapdata.datasets.datamodule import MapDataModule
+
+    globals()[name] = MapDataModule
+    return MapDataModule

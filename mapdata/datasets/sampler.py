@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pytorch_lightning as pl
 import torch
 from torch.utils.data import DataLoader, Dataset
 from torch.utils.data.distributed import DistributedSampler
@@ -15,6 +14,9 @@ from mapdata.arrays import Ints, UInt32s
 from mapdata.datasets.sample import Sample
 from mapdata.jit import Int, kernel
 from mapdata.rng import ORDER, block
+
+if TYPE_CHECKING:
+    import pytorch_lightning as pl
 
 
 class LateLoader(DataLoader[Sample]):

@@ -5,7 +5,9 @@ the order.
 from __future__ import annotations
 
 import json
+import pickle
 import random
+import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
@@ -74,6 +76,50 @@ def batches_of(data: MapDataModule, passes: int = 1) -> list[Sample]:
 
 
 # --- without a Trainer --------------------------------------------------------------------------
+
+LIGHTNING = (
+    "pytorch_lightning",
+    "lightning",
+    "lightning_fabric",
+    "torchmetrics",
+    "pandas",
+    "fsspec",
+    "matplotlib",
+)
+"""Packages that take seconds to import and that serve no batch."""
+
+WITHOUT_LIGHTNING = f"""
+import pickle, sys
+
+def report():
+    print([name for name in {LIGHTNING} if name in sys.modules])
+
+loader_dataset, collate = pickle.load(sys.stdin.buffer)  # as a spawned loader worker begins
+collate(loader_dataset.__getitems__([2, 1, 0]))
+report()
+from mapdata import MapDataset, MapSpec, build
+from torch.utils.data import DataLoader
+build(sys.argv[1], MapSpec(), maps=3)
+next(iter(DataLoader(MapDataset(sys.argv[1]), 2)))
+report()
+from mapdata.datasets import MapDataModule
+assert MapDataModule.__bases__ and "pytorch_lightning" in sys.modules
+"""
+
+
+def test_only_the_data_module_loads_lightning(root: str, tmp_path: Path) -> None:
+    """Neither does a dataset that is built and read, nor a spawned worker of the module's loader,
+    which gets dataset and collate function pickled.
+    """
+    loader = MapDataModule(root).train_dataloader()
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_LIGHTNING, str(tmp_path / "maps")],
+        input=pickle.dumps((loader.dataset, loader.collate_fn)),
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.decode().splitlines() == ["[]", "[]"]
 
 
 def test_a_plain_loop_needs_nothing_else(root: str) -> None:
