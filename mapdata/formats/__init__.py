@@ -4,7 +4,16 @@ docs/formats.md describes each format. A new one is a file with a `Format` and i
 below; the command line takes its options from the keyword-only parameters of its functions.
 """
 
-from mapdata.formats import huggingface, images, maze_hard, movingai, paper, planning, ros
+from mapdata.formats import (
+    huggingface,
+    images,
+    maze_hard,
+    movingai,
+    paper,
+    planning,
+    ros,
+    transpath,
+)
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import Limits
 from mapdata.formats.importing import import_maps
@@ -21,7 +30,7 @@ from mapdata.formats.registry import (
 from mapdata.npy import FormatError
 
 # images first: of formats that know a file, the last one has it, and these know some images better
-for _module in (images, paper, movingai, ros, planning, maze_hard, huggingface):
+for _module in (images, paper, movingai, ros, planning, transpath, maze_hard, huggingface):
     register(_module.FORMAT)
 
 __all__ = [
