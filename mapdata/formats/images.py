@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from mapdata.arrays import Array, Bytes
+from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -36,6 +36,9 @@ ARRAYS = (".npy", ".npz")
 
 _UNKNOWN = 205
 """The grey that map_saver of ROS writes for unknown cells."""
+
+_FREE = 254
+"""The grey that it writes for free cells."""
 
 _PHOTOMETRIC = 262
 """The tag of a TIFF that says what its numbers mean: 0 is white where it is 0."""
@@ -175,6 +178,7 @@ def read(
     *,
     threshold: float = 0.5,
     invert: bool = False,
+    unknown: Literal["occupied", "free"] | None = None,
     size: Size | None = None,
     fit: Literal["resize", "crop"] | None = None,
 ) -> Collection:
@@ -190,6 +194,8 @@ def read(
         threshold: in [0, 1]: brightness above which a cell is free, probability above which it is
             occupied.
         invert: the other way round.
+        unknown: what the unknown cells of a robot's map without its .yaml become, those of grey
+            205; without it, such pictures are left out.
         size: (rows, columns) that every map is brought to.
         fit: how: resize scales (the mean brightness of the pixels in a cell decides), crop takes
             the middle; default resize.
@@ -205,7 +211,7 @@ def read(
         raise ValueError("fit: does nothing without size")
     found = Collection()
     grids: Iterator[Bytes]
-    unknown = 0
+    unknown_shares = []
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found):
         with found.leaving_out(path):
             if path.suffix.lower() in ARRAYS:
@@ -221,7 +227,13 @@ def read(
                     raise FormatError(
                         f"{path}: {what}, nothing is above --images.threshold {threshold}"
                     )
-                unknown += int(np.count_nonzero(grey == _UNKNOWN))
+                is_unknown = _unknown_pixels(grey)
+                if unknown is not None:
+                    # before cells are scaled, so that half a cell of it counts as half
+                    grey[is_unknown] = 255 if (unknown == "free") != invert else 0
+                elif is_unknown.any() and threshold * 255 < _UNKNOWN:
+                    raise FormatError(f"{path}: {_what_is_unknown(path, is_unknown)}")
+                unknown_shares.append(is_unknown.mean())
                 # means are rounded up to what is occupied, so that half a cell of it is enough
                 light = _fit(grey, size, fit) if invert else 255 - _fit(255 - grey, size, fit)
                 is_dark = light <= threshold * 255
@@ -233,12 +245,35 @@ def read(
                 found.maps.append(ForeignMap(name, grid, split))
     what = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
     tell_free(found, what, "--images.invert")
-    if unknown and not invert and threshold * 255 < _UNKNOWN:
+    if unknown is not None and any(unknown_shares):
         found.notes.append(
-            f"{unknown} free pixels are of grey {_UNKNOWN}, which robots' maps write where nothing "
-            "is known: import the .yaml, or say --images.threshold 0.85"
+            f"{np.mean(unknown_shares):.1%} of the cells were unknown and are now {unknown}"
         )
     return found
+
+
+def _unknown_pixels(grey: Bytes) -> Flags:
+    """Return which pixels, (H, W), are unknown cells of a robot's map.
+
+    ROS's map_saver writes 0 for occupied, 205 for unknown and 254 for free cells. In a floor plan,
+    205 is one of many greys at the edges of lines; so it only counts where pixels of this grey are
+    more than those of all other greys between black and white.
+    """
+    is_unknown = grey == _UNKNOWN
+    greys = np.count_nonzero((grey > 0) & (grey < _FREE))
+    if 2 * np.count_nonzero(is_unknown) <= greys:
+        is_unknown[:] = False
+    return is_unknown
+
+
+def _what_is_unknown(path: Path, is_unknown: Flags) -> str:
+    """Return how much of a picture is unknown, and what to do about it."""
+    yamls = [beside for end in (".yaml", ".yml") if (beside := path.with_suffix(end)).is_file()]
+    return (
+        f"{is_unknown.mean():.1%} of its pixels are of grey {_UNKNOWN}, which robots' maps have "
+        f"where nothing is known: import {yamls[0] if yamls else 'its .yaml'}, or say "
+        "--images.unknown occupied or --images.unknown free"
+    )
 
 
 def tell_free(found: Collection, what: str, otherwise: str) -> None:

@@ -410,20 +410,62 @@ def test_what_was_taken_for_free_is_told(ending: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"P5\n8 6\n255\n", b"P5 8 6 65535\n"])
-def test_the_grey_of_unknown_cells_is_told(data: bytes, tmp_path: Path) -> None:
-    """A robot's .pgm without its .yaml: 205 is brighter than the threshold, and was never seen."""
+def test_unknown_cells_of_a_robots_map_are_refused_until_a_word_says_what_they_are(
+    data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A .pgm without its .yaml: 205 is brighter than the threshold, and was never seen."""
     pixels = np.where(ROOM, 0, 254).astype(np.uint8)
     pixels[1, 1:6] = 205
+    path = tmp_path / "map.pgm"
     if b"65535" in data:
-        (tmp_path / "map.pgm").write_bytes(data + (pixels.astype(">u2") * 257).tobytes())
+        path.write_bytes(data + (pixels.astype(">u2") * 257).tobytes())
     else:
-        (tmp_path / "map.pgm").write_bytes(data + pixels.tobytes())
-    said = "5 free pixels are of grey 205, which robots' maps write where nothing is known"
-    assert any(note.startswith(said) for note in read(tmp_path).notes)
-    found = read(tmp_path, threshold=0.85)
+        path.write_bytes(data + pixels.tobytes())
+    code, _, err = cli(capsys, "import", path, tmp_path / "none")
+    assert code == 2
+    assert "map.pgm: 10.4% of its pixels are of grey 205" in err
+    assert "import its .yaml, or say --images.unknown occupied or --images.unknown free" in err
+    path.with_suffix(".yaml").write_text("image: map.pgm")
+    assert f"import {tmp_path / 'map.yaml'}, or say" in read(path).left_out[0][1]
+    for unknown, is_occupied in (("occupied", pixels < 254), ("free", pixels < 205)):
+        found = read(path, unknown=unknown)  # type: ignore[arg-type]
+        assert found.maps[0].grid.tolist() == is_occupied.tolist()
+        assert f"10.4% of the cells were unknown and are now {unknown}" in found.notes
+        found = read(path, unknown=unknown, invert=True)  # type: ignore[arg-type]
+        assert (
+            found.maps[0].grid.tolist()
+            == ((pixels == 254) | ((pixels == 205) & (unknown == "occupied"))).tolist()
+        )
+    # a threshold above 205 says it, too
+    found = read(path, threshold=0.85)
     assert found.maps[0].grid.tolist() == (pixels < 254).tolist()
-    for options in ({"threshold": 0.85}, {"invert": True}):
-        assert not any("205" in note for note in read(tmp_path, **options).notes)
+
+
+def test_unknown_cells_are_settled_before_cells_are_scaled(tmp_path: Path) -> None:
+    """Half a cell of unknown is half a cell of what was said."""
+    pixels = np.full((4, 4), 254, np.uint8)
+    pixels[:, 1] = 205
+    pixels[0, 3] = 0
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    for unknown, expected in (("occupied", [[1, 0], [1, 0]]), ("free", [[0, 0], [0, 0]])):
+        found = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
+        assert found.maps[0].grid.tolist() == expected
+
+
+def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
+    """At the edges of lines 205 is one of many; maps of 0 and 254 alone are read as well."""
+    pixels = np.full((16, 16), 255, np.uint8)
+    pixels[4] = np.arange(0, 256, 16)
+    pixels[5, :2] = 205
+    plan = Image.fromarray(pixels)
+    plan.save(tmp_path / "plan.png")
+    Image.fromarray(np.where(ROOM, 0, 254).astype(np.uint8)).save(tmp_path / "map.pgm")
+    for options in ({}, {"unknown": "occupied"}):
+        found = read(tmp_path, **options)  # type: ignore[arg-type]
+        assert found.left_out == []
+        assert found.maps[1].grid.tolist() == (pixels <= 127).tolist()
+        assert found.maps[0].grid.tolist() == ROOM.tolist()
+        assert not any("unknown" in note for note in found.notes)
 
 
 def test_long_reading_shows_its_progress(
