@@ -259,7 +259,7 @@ def _unknown_pixels(grey: Bytes) -> Flags:
     205 is one of many greys at the edges of lines; so it only counts where pixels of this grey are
     more than those of all other greys between black and white.
     """
-    is_unknown = grey == _UNKNOWN
+    is_unknown: Flags = grey == _UNKNOWN
     greys = np.count_nonzero((grey > 0) & (grey < _FREE))
     if 2 * np.count_nonzero(is_unknown) <= greys:
         is_unknown[:] = False
