@@ -119,6 +119,8 @@ def read_any(
     found: Collection = _checked("read", name, options)(source, limits, **options)
     if not found.maps and not found.left_out:
         raise FormatError(f"{source}: holds no map of format {name}")
+    found.format = name
+    found.source = str(source)
     return found
 
 
