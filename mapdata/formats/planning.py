@@ -114,6 +114,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     found = Collection()
     actions = 0
     same = 0
+    elsewhere = 0
     for path in files_of(source, (".npz",), limits, found):
         # a file that was asked for by name is not left out: its error is the answer
         with nullcontext() if path == source else found.leaving_out(path):
@@ -125,14 +126,20 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
                 )
             for foreign_map, distances in _problems(file, limits, found):
                 found.maps.append(foreign_map)
-                values = hops(foreign_map.grid, foreign_map.seed_points[0], file.movement)
-                same += np.array_equal(values, distances)
+                goal = foreign_map.seed_points[0]
+                same += np.array_equal(hops(foreign_map.grid, goal, file.movement), distances)
+                elsewhere += distances[tuple(goal)] != 0
             actions = file.actions
             found.movement = file.movement
             if file.fields:
                 fields = ", ".join(file.fields)
                 found.notes.append(f"a distance field of each map ({fields}) is left out")
     found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
+    if elsewhere:
+        found.notes.append(
+            f"distances of {elsewhere} maps lead to another cell than the goal of their map, which "
+            "is kept"
+        )
     return found
 
 

@@ -374,6 +374,19 @@ def test_a_damaged_file_gives_no_map(tmp_path: Path) -> None:
     ]
 
 
+def test_distances_to_another_cell_are_told(tmp_path: Path) -> None:
+    """As in a published file, whose goals and distances are of two splits."""
+    arrays = sound()
+    arrays["arr_3"] = arrays["arr_3"][..., ::-1]
+    np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
+    found = read(tmp_path / "a.npz")
+    assert found.notes == [
+        "distances of 4 of 6 maps are what our search finds",
+        "distances of 2 maps lead to another cell than the goal of their map, which is kept",
+    ]
+    assert {tuple(one.seed_points[0].tolist()) for one in found.maps} == {(0, 0)}
+
+
 def test_many_bad_goals_are_one_line(tmp_path: Path) -> None:
     """However many maps of a split have one."""
     arrays = sound(5)
