@@ -58,7 +58,7 @@ def evaluate_command(
         preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default: dungeon)
         seed: 64-bit seed of maps and problems (default: 77), or of planning-datasets' starts
         maps: how many maps (default: 600; of a dataset, all), or at most how many problems of a
-            .scen (default: 1000)
+            .scen, evenly spread over it (default: all)
         until_hard: stop at the map with this many hard problems
         connectivity: moves
         corner_cutting: diagonal moves beside occupied cells too

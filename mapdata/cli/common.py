@@ -9,6 +9,7 @@ import shlex
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     shown = min(7, max(done - 1, 0))
     lines = {
         "maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}",
+        **({} if manifest.spec is not None else _of_import(root, manifest)),
         "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
         "size": f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map",
         "drawn passages": f"{drawn / segments:.1%}" if drawn else "",
@@ -47,6 +49,35 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         "look": f"mapdata show {shlex.quote(root)} --index {shown} -o map.png",
     }
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
+
+
+def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
+    """Return the lines of `summary` that say what no recipe of imported maps says."""
+    from mapdata.shards.dataset_card import movement_text
+    from mapdata.shards.root import read_provenance
+    from mapdata.spec import SPLITS
+
+    counts = {
+        split: sum(entry.counts[split]["maps"] for entry in manifest.shards) for split in SPLITS
+    }
+    lines = {
+        "splits": ", ".join(f"{split} {count:,}" for split, count in counts.items()),
+        "movement": movement_text(manifest.movement),
+    }
+    with suppress(OSError, ValueError, TypeError, KeyError):  # older, missing or damaged
+        values = read_provenance(root)
+        lines["free cells"] = f"{values['free']:.1%}"
+        distinct = values["distinct"]
+        if manifest.done > 1:
+            by_split = ", ".join(f"{split} {distinct[split]:,}" for split in SPLITS)
+            symmetric = values["distinct_up_to_symmetry"]["all"]
+            lines["distinct maps"] = (
+                f"{distinct['all']:,} of {manifest.done:,} ({symmetric:,} up to symmetry): "
+                f"{by_split}"
+            )
+        source = f"{values['source']}, format {values['format']}"
+        lines["source"] = "".join(letter if letter.isprintable() else "?" for letter in source)
+    return lines
 
 
 def run(command: Command, *, modules: Sequence[str] = (), **values: object) -> None:

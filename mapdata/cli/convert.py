@@ -126,7 +126,8 @@ def export_command(root: list[str], dst: str, **options: Any) -> None:
 def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     """Solve the problems of .scen files; exit code 1 unless each published optimal length is ours.
 
-    A file that cannot be read does not end the run: it is named at the end, and the exit code is 2.
+    A file whose lengths are all 0 gives none, so there is nothing to compare. A file that cannot be
+    read does not end the run: it is named at the end, and the exit code is 2.
 
     Examples:
       mapdata check-scen arena.map.scen --maps maps/
@@ -147,7 +148,13 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
         except (ValueError, OSError) as error:  # such as a name that is too long
             unread.append(str(error))
             continue
-        print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")
+        if report.has_lengths:
+            print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")
+        else:
+            print(
+                f"{name}: optimal lengths are not given, all are 0; {len(report.solved):,} of "
+                f"{report.total:,} problems have a path"
+            )
         for line in report.disagreements[:20]:
             print(line)
         if len(report.disagreements) > 20:

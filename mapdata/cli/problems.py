@@ -22,14 +22,14 @@ def given_problems(
 ) -> Problems:
     """Return one problem a map, of new maps or of the test split of a dataset, or those of a file.
 
-    Of a .scen, ``maps`` is the number of problems; of another file all are taken.
+    Of a .scen, ``maps`` is the number of problems, all without; of another file all are taken.
 
     Raises:
         ValueError: what would do nothing beside a root or a file; what `Problems.sample`,
             `Problems.read` and `read_problems` refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
-    from mapdata.formats import read_problems
+    from mapdata.formats import Limits, read_problems
     from mapdata.generators import Generator
     from mapdata.problems import Problems
 
@@ -44,7 +44,7 @@ def given_problems(
         return Problems.read(root, maps, **how)
     given = {"count": maps, "seed": seed, "until_hard": how.get("until_hard")}
     options = {name: value for name, value in given.items() if value is not None}
-    problems = read_problems(root[0], **options)
+    problems = read_problems(root[0], Limits(progress=True), **options)
     if how.get("movement") not in (None, Movement(8), problems.movement):
         raise ValueError(f"{root[0]}: its problems are for {problems.movement}")
     return problems

@@ -4,9 +4,18 @@ docs/formats.md describes each format. A new one is a file with a `Format` and i
 below; the command line takes its options from the keyword-only parameters of its functions.
 """
 
-from mapdata.formats import huggingface, images, maze_hard, movingai, paper, planning, ros
+from mapdata.formats import (
+    huggingface,
+    images,
+    maze_hard,
+    movingai,
+    paper,
+    planning,
+    ros,
+    transpath,
+)
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.files import Limits
 from mapdata.formats.importing import import_maps
 from mapdata.formats.maze_hard import is_shortest_answer
 from mapdata.formats.registry import (
@@ -18,9 +27,10 @@ from mapdata.formats.registry import (
     recognise,
     register,
 )
+from mapdata.npy import FormatError
 
 # images first: of formats that know a file, the last one has it, and these know some images better
-for _module in (images, paper, movingai, ros, planning, maze_hard, huggingface):
+for _module in (images, paper, movingai, ros, planning, transpath, maze_hard, huggingface):
     register(_module.FORMAT)
 
 __all__ = [

@@ -92,12 +92,16 @@ class Collection:
         movement: the rule of the format, None if it has none.
         left_out: (name, why) of each file or map that could not be used.
         notes: what the user should know of how it was read.
+        format: name of the format; None if the maps were made otherwise.
+        source: the file or folder that was read; None without ``format``.
     """
 
     maps: list[ForeignMap] = field(default_factory=list)
     movement: Movement | None = None
     left_out: list[tuple[str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    format: str | None = None
+    source: str | None = None
 
     def __repr__(self) -> str:
         return (

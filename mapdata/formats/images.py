@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -15,21 +16,19 @@ from typing import Literal, NamedTuple
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from mapdata.arrays import Array, Bytes
+from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
-    FormatError,
     Limits,
-    Npz,
+    check_grids,
     files_of,
-    occupancy,
+    grids_of,
     read_bytes,
-    read_npy,
-    refusing,
     split_of,
 )
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
 from mapdata.spec import Size, check_probability, check_sides
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
@@ -37,6 +36,9 @@ ARRAYS = (".npy", ".npz")
 
 _UNKNOWN = 205
 """The grey that map_saver of ROS writes for unknown cells."""
+
+_FREE = 254
+"""The grey that it writes for free cells."""
 
 _PHOTOMETRIC = 262
 """The tag of a TIFF that says what its numbers mean: 0 is white where it is 0."""
@@ -176,6 +178,7 @@ def read(
     *,
     threshold: float = 0.5,
     invert: bool = False,
+    unknown: Literal["occupied", "free"] | None = None,
     size: Size | None = None,
     fit: Literal["resize", "crop"] | None = None,
 ) -> Collection:
@@ -191,6 +194,8 @@ def read(
         threshold: in [0, 1]: brightness above which a cell is free, probability above which it is
             occupied.
         invert: the other way round.
+        unknown: what the unknown cells of a robot's map without its .yaml become, those of grey
+            205; without it, such pictures are left out.
         size: (rows, columns) that every map is brought to.
         fit: how: resize scales (the mean brightness of the pixels in a cell decides), crop takes
             the middle; default resize.
@@ -205,16 +210,15 @@ def read(
     elif fit is not None:
         raise ValueError("fit: does nothing without size")
     found = Collection()
-    unknown = 0
+    grids: Iterator[Bytes]
+    unknown_shares = []
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found):
         with found.leaving_out(path):
             if path.suffix.lower() in ARRAYS:
-                grids = _stack(path, limits, threshold)
-                if invert:
-                    grids = 1 - grids
-                if size not in (None, grids.shape[1:]):
-                    # scaled as pictures are: a cell is occupied where half of what it covers is
-                    grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+                array = _stack(path, limits)
+                check_grids(array, limits, threshold)
+                count = 1 if len(array.shape) == 2 else len(array)
+                grids = (_sized(grid, invert, size, fit) for grid in grids_of(array, threshold))
             else:
                 grey = brightness(read_pixels(path, limits))
                 if 0 < grey.max() <= threshold * 255:
@@ -223,23 +227,53 @@ def read(
                     raise FormatError(
                         f"{path}: {what}, nothing is above --images.threshold {threshold}"
                     )
-                unknown += int(np.count_nonzero(grey == _UNKNOWN))
+                is_unknown = _unknown_pixels(grey)
+                if unknown is not None:
+                    # before cells are scaled, so that half a cell of it counts as half
+                    grey[is_unknown] = 255 if (unknown == "free") != invert else 0
+                elif is_unknown.any() and threshold * 255 < _UNKNOWN:
+                    raise FormatError(f"{path}: {_what_is_unknown(path, is_unknown)}")
+                unknown_shares.append(is_unknown.mean())
                 # means are rounded up to what is occupied, so that half a cell of it is enough
                 light = _fit(grey, size, fit) if invert else 255 - _fit(255 - grey, size, fit)
                 is_dark = light <= threshold * 255
-                grids = np.asarray(is_dark != invert, np.uint8)[None]
+                count = 1
+                grids = iter([np.asarray(is_dark != invert, np.uint8)])
             split = split_of(path, source)
             for k, grid in enumerate(grids):
-                name = f"{path}[{k}]" if len(grids) > 1 else str(path)
+                name = f"{path}[{k}]" if count > 1 else str(path)
                 found.maps.append(ForeignMap(name, grid, split))
     what = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
     tell_free(found, what, "--images.invert")
-    if unknown and not invert and threshold * 255 < _UNKNOWN:
+    if unknown is not None and any(unknown_shares):
         found.notes.append(
-            f"{unknown} free pixels are of grey {_UNKNOWN}, which robots' maps write where nothing "
-            "is known: import the .yaml, or say --images.threshold 0.85"
+            f"{np.mean(unknown_shares):.1%} of the cells were unknown and are now {unknown}"
         )
     return found
+
+
+def _unknown_pixels(grey: Bytes) -> Flags:
+    """Return which pixels, (H, W), are unknown cells of a robot's map.
+
+    ROS's map_saver writes 0 for occupied, 205 for unknown and 254 for free cells. In a floor plan,
+    205 is one of many greys at the edges of lines; so it only counts where pixels of this grey are
+    more than those of all other greys between black and white.
+    """
+    is_unknown: Flags = grey == _UNKNOWN
+    greys = np.count_nonzero((grey > 0) & (grey < _FREE))
+    if 2 * np.count_nonzero(is_unknown) <= greys:
+        is_unknown[:] = False
+    return is_unknown
+
+
+def _what_is_unknown(path: Path, is_unknown: Flags) -> str:
+    """Return how much of a picture is unknown, and what to do about it."""
+    yamls = [beside for end in (".yaml", ".yml") if (beside := path.with_suffix(end)).is_file()]
+    return (
+        f"{is_unknown.mean():.1%} of its pixels are of grey {_UNKNOWN}, which robots' maps have "
+        f"where nothing is known: import {yamls[0] if yamls else 'its .yaml'}, or say "
+        "--images.unknown occupied or --images.unknown free"
+    )
 
 
 def tell_free(found: Collection, what: str, otherwise: str) -> None:
@@ -270,26 +304,27 @@ def tell_free(found: Collection, what: str, otherwise: str) -> None:
         )
 
 
-def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
-    """Return the grids of an array file, (N, H, W)."""
+def _stack(path: Path, limits: Limits) -> StoredArray:
+    """Return the array of an .npy file, or the only one of an .npz that can hold maps, unread."""
     if path.suffix.lower() == ".npy":
-        values = read_npy(path, limits)
-    else:
-        archive = Npz(path, limits)
-        names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
-        if len(names) != 1:
-            raise FormatError(
-                f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
-            )
-        values = archive[names[0]]
-    has_channel = values.ndim == 4 and values.shape[1] == 1
-    if not (values.ndim in (2, 3) or has_channel) or 0 in values.shape:
+        return open_npy(path)
+    archive = Npz(path, limits.unpacked)
+    names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
+    if len(names) != 1:
         raise FormatError(
-            f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
+            f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
         )
-    rows, columns = values.shape[-2:]
-    _check_size(path, rows, columns, limits)
-    return occupancy(values, str(path), threshold).reshape(-1, rows, columns)
+    return archive.arrays(names[0])[0]
+
+
+def _sized(grid: Bytes, invert: bool, size: Size | None, fit: str | None) -> Bytes:
+    """Return a grid of an array after ``invert``, brought to ``size`` as pictures are."""
+    if invert:
+        grid = 1 - grid
+    if size in (None, grid.shape):
+        return grid
+    # a cell is occupied where half of what it covers is
+    return _fit(255 * grid, size, fit) // 128
 
 
 def _fit(grey: Bytes, size: Size | None, fit: str | None) -> Bytes:

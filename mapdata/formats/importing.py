@@ -12,13 +12,13 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.leaks import separate
+from mapdata.formats.leaks import Separated, separate
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import check_seed_points, draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
@@ -163,9 +163,10 @@ def import_maps(
                 if one.split is not None:
                     codes[k] = one.split
             # All keep their splits: were they drawn anew, other copies might be parted.
-            kept = separate(ordered, codes, drop_leaks, source.notes)
-            maps = [ordered[k] for k in kept]
+            separated = separate(ordered, codes, drop_leaks, source.notes)
+            maps = [ordered[k] for k in separated.kept]
             advance(len(ordered) - len(maps))
+            origin = _origin(source, maps, separated, draws)
             wanted = Manifest(
                 spec=None,
                 seed=None,
@@ -181,7 +182,8 @@ def import_maps(
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                made.append(_write(folder, wanted, maps, codes[kept], draws, advance, pool))
+                splits_kept = codes[separated.kept]
+                made.append(_write(folder, wanted, maps, splits_kept, draws, origin, advance, pool))
     return made
 
 
@@ -257,12 +259,32 @@ def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
     return maps
 
 
+def _origin(
+    source: Collection, maps: list[ForeignMap], separated: Separated, draws: Draws
+) -> dict[str, Any]:
+    """Return what ``import.json`` says of a dataset: what the shards do not say."""
+    cells = len(maps) * prod(maps[0].shape)
+    occupied = sum(int(np.count_nonzero(foreign_map.grid)) for foreign_map in maps)
+    origin: dict[str, Any] = {
+        "free": 1 - occupied / cells,
+        "distinct": separated.distinct,
+        "distinct_up_to_symmetry": separated.symmetric,
+        "seeds": draws.seed_points,
+        "seed": draws.seed,
+        "sources": [foreign_map.name for foreign_map in maps],
+    }
+    if source.format is not None:
+        origin = {"format": source.format, "source": source.source, **origin}
+    return origin
+
+
 def _write(
     folder: Path,
     wanted: Manifest,
     maps: list[ForeignMap],
     splits: Bytes,
     draws: Draws,
+    origin: dict[str, Any],
     advance: Advance,
     pool: Executor,
 ) -> Imported:
@@ -295,7 +317,6 @@ def _write(
             # of two entries for the same maps, the later one counts
             manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
         advance(len(batch))
-    origin = {"seeds": draws.seed_points, "seed": draws.seed, "sources": [one.name for one in maps]}
     write_file(folder / PROVENANCE, provenance_text(origin).encode())
     return Imported(folder, manifest, checked, dict(disagreements))
 

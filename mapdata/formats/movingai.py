@@ -28,16 +28,9 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import (
-    LIMITS,
-    FormatError,
-    Limits,
-    files_of,
-    map_files,
-    read_text,
-    split_of,
-)
+from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError
 from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
@@ -209,12 +202,17 @@ class ScenReport:
     """What a check of one .scen file found.
 
     Attributes:
-        total: number of problems.
+        total: number of problems that were looked at.
+        in_file: number of problems in the file.
+        has_lengths: the file gives lengths. Scenarios of several agents (MAPF) often do not: all
+            of theirs are 0, although there are paths.
         disagreements: a line for each length that our A* does not reproduce as exactly as printed.
         solved: the problems that have a path, each with its grid.
     """
 
     total: int
+    in_file: int
+    has_lengths: bool = True
     disagreements: list[str] = field(default_factory=list)
     solved: list[tuple[Bytes, Problem]] = field(default_factory=list)
 
@@ -253,8 +251,10 @@ def check_scen(
     all_problems = read_scen(path, limits)
     if not all_problems:
         raise FormatError(f"{path}: holds no problems")
+    in_file = len(all_problems)
+    are_zero = all(float(problem.length) == 0 for problem in all_problems)
     if count is not None:
-        all_problems = all_problems[:: -(-len(all_problems) // check_count("count", count))]
+        all_problems = all_problems[:: _step(in_file, count)]
     for problem in all_problems:
         if problem.map not in terrains:
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
@@ -263,7 +263,7 @@ def check_scen(
         letter = chr(terrain[problem.start])
         letters = letter if letter in _ISLANDS else LAND
         groups.setdefault((problem.map, letters), []).append(problem)
-    report = ScenReport(len(all_problems))
+    report = ScenReport(len(all_problems), in_file)
     is_long = report.total > _AT_A_TIME
     with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
         for (name, letters), problems in groups.items():
@@ -284,31 +284,73 @@ def check_scen(
                             f"says {problem.length}, found {ours}"
                         )
                 advance(len(part))
+    if are_zero and report.solved:
+        # 0 is no path, but there are some: nobody has computed these lengths
+        report.has_lengths = False
+        report.disagreements.clear()
     return report
 
 
+def _step(total: int, count: int) -> int:
+    """Return the least k for which every k-th of ``total`` problems are at most ``count``.
+
+    Raises:
+        ValueError: ``count`` is not at least 1.
+    """
+    return -(-total // check_count("count", count))
+
+
 def problems(
-    source: Path, limits: Limits = LIMITS, *, count: int = 1000, maps: Path | None = None
+    source: Path, limits: Limits = LIMITS, *, count: int | None = None, maps: Path | None = None
 ) -> Problems:
-    """Return the problems of a .scen, to compare planners on; those without a path are left out.
+    """Return the problems of a .scen, to compare planners on.
+
+    Those without a path are left out, and those from a cell to itself. The description says how
+    many of the file there are.
 
     Args:
         source: the .scen file.
-        limits: of what is read.
-        count: how many problems at most, evenly spread over the file; each has a grid of its own.
+        limits: of what is read, and whether a progress bar shows it.
+        count: how many problems at most, evenly spread over the file; all without.
         maps: folder of the maps; default beside the .scen.
 
     Raises:
-        FormatError: what `check_scen` refuses; a length that our A* does not reproduce.
-        ValueError: no problem has a path; maps of several sizes.
+        FormatError: what `check_scen` refuses; a length that our A* does not reproduce; no problem
+            has a path.
+        ValueError: maps of several sizes.
     """
     report = check_scen(source, maps, limits, count)
     if report.disagreements:
         raise FormatError(report.disagreements[0])
-    grids = np.stack([grid for grid, _ in report.solved])
-    ends = np.array([(one.start, one.goal) for _, one in report.solved])
-    text = f"{len(grids)} problems of {source}, whose lengths are ours"
-    return Problems(grids, ends[:, 0], ends[:, 1], MOVEMENT, text)
+    if not report.solved:
+        raise FormatError(f"{source}: none of its {report.total} problems has a path")
+    grids = [grid for grid, _ in report.solved]
+    shared = grids[0]
+    ends = np.array([(problem.start, problem.goal) for _, problem in report.solved])
+    return Problems(
+        # mostly all problems are on one map, which is kept once
+        np.broadcast_to(shared, (len(grids), *shared.shape))
+        if all(grid is shared for grid in grids)
+        else np.stack(grids),
+        ends[:, 0],
+        ends[:, 1],
+        MOVEMENT,
+        _description(source, report, count),
+    )
+
+
+def _description(source: Path, report: ScenReport, count: int | None) -> str:
+    """Return in words which problems of a .scen were taken, and what is known of their lengths."""
+    text = f"{len(report.solved)} problems of {source}"
+    if len(report.solved) != report.in_file:
+        text = f"{len(report.solved)} of {report.in_file} problems of {source}"
+    step = 1 if count is None else _step(report.in_file, count)
+    if step > 1:
+        text += f", one in {step}"
+    left_out = report.total - len(report.solved)
+    if left_out:
+        text += f", {left_out} without a path or a move left out"
+    return text + (", whose lengths are ours" if report.has_lengths else ", which gives no lengths")
 
 
 def _check_cells(problem: Problem, shape: Size, path: Path) -> None:

@@ -10,7 +10,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import LIMITS, FormatError, Limits, files_of
+from mapdata.formats.files import LIMITS, Limits, files_of
+from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
 from mapdata.shards.root import Places, Root, local_path
@@ -29,7 +30,8 @@ class Format:
             written.
         write: called with a target, a `Root` and whether to show a progress bar, returns notes for
             the user; None if it can only be read.
-        problems: called with a path, returns the `Problems` of a file; None if it has none.
+        problems: called with a path and `Limits`, returns the `Problems` of a file; None if it has
+            none.
         is_mine: whether a file with one of the endings is of this format.
         beside: endings of files that belong to it where they lie beside its own: the pictures of a
             ROS map.
@@ -117,16 +119,19 @@ def read_any(
     found: Collection = _checked("read", name, options)(source, limits, **options)
     if not found.maps and not found.left_out:
         raise FormatError(f"{source}: holds no map of format {name}")
+    found.format = name
+    found.source = str(source)
     return found
 
 
-def read_problems(source: StrPath, **options: object) -> Problems:
+def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> Problems:
     """Read the problems of a file, to compare planners on.
 
     That is a MovingAI .scen, an .npz of planning-datasets, or one that `Problems.save` wrote.
 
     Args:
         source: the file.
+        limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``problems``, such as ``count``.
 
     Raises:
@@ -134,7 +139,7 @@ def read_problems(source: StrPath, **options: object) -> Problems:
     """
     name = recognise(source)
     if name in functions("problems"):
-        found: Problems = _checked("problems", name, options)(Path(source), **options)
+        found: Problems = _checked("problems", name, options)(Path(source), limits, **options)
         return found
     if options:
         raise ValueError(f"{', '.join(options)}: would do nothing beside a saved set of problems")

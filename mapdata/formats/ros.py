@@ -30,18 +30,10 @@ from PIL import Image
 
 from mapdata.arrays import Array, Bytes, Flags, Int8s
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import (
-    LIMITS,
-    FormatError,
-    Limits,
-    files_of,
-    map_files,
-    read_text,
-    refusing,
-    split_of,
-)
+from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, refusing
 from mapdata.shards.root import Root
 from mapdata.shards.shard import StrPath
 from mapdata.spec import check_resolution
@@ -58,11 +50,13 @@ class RosMap:
         cells: (H, W) int8, 0 free, 100 occupied, 1 to 99 between, -1 unknown.
         resolution: metres per cell.
         origin: (x, y, yaw) of the lower left corner, in metres and radians.
+        mode: trinary, scale or raw: how the pixels became cells.
     """
 
     cells: Int8s
     resolution: float
     origin: tuple[float, float, float]
+    mode: str = "trinary"
 
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
         """Return (x, y), in metres, of the middle of a cell (row, col)."""
@@ -110,7 +104,7 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     x, y, yaw = (_number(path, "origin", value) for value in origin)
     pixels = read_pixels(_image(path, fields["image"]), limits)
     cells = _classify(pixels, mode, negate, low, high)
-    return RosMap(cells, resolution, (x, y, yaw))
+    return RosMap(cells, resolution, (x, y, yaw), mode)
 
 
 def _fields(path: Path) -> dict[str, Any]:
@@ -214,6 +208,19 @@ def _unknown(cells: Int8s) -> Flags:
     return np.isin(cells, (0, 100), invert=True)
 
 
+def _is_filter_mask(ros_map: RosMap) -> bool:
+    """Return whether a map is what the costmap filters of Nav2 take: keepout zones, speed limits.
+
+    A map that was saved in the mode raw has free and occupied cells, 0 and 100, and perhaps unknown
+    ones. The pixels of a mask are percentages, or white, which is unknown in that mode.
+
+    Source: https://docs.nav2.org/configuration/packages/costmap-plugins/keepout_filter.html.
+    """
+    if ros_map.mode != "raw" or not _unknown(ros_map.cells).any():
+        return False
+    return not ((ros_map.cells == 0).any() and (ros_map.cells == 100).any())
+
+
 def resampled(grid: Bytes, factor: Fraction, rule: str | None, limits: Limits = LIMITS) -> Bytes:
     """Return a map whose cells are ``factor`` times as wide.
 
@@ -276,6 +283,11 @@ def read(
     for path in files_of(source, ENDINGS, limits, found):
         with found.leaving_out(path):
             one = read_map(path, limits)
+            if _is_filter_mask(one):
+                raise FormatError(
+                    f"{path}: mode: raw, a filter mask, not a map: its pixels are costs or speed "
+                    "limits"
+                )
             grid = to_grid(one.cells, unknown, str(path))
             unknowns.append(_unknown(one.cells).mean())
             if resolution is not None:

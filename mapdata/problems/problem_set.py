@@ -13,7 +13,7 @@ from io import BytesIO
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Flags, Floats, Ints, summary
+from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, check_spec, generate, identity
 from mapdata.generators.maps import Maps
 from mapdata.problems.sampling import sample_problems
@@ -36,7 +36,8 @@ _ARRAYS = ("grids", "starts", "goals")
 class Problems:
     """N problems that planners are compared on, each with a path.
 
-    The arrays are copied and cannot be written to.
+    The arrays are copied and cannot be written to. A grid that `numpy.broadcast_to` has given to
+    all problems is kept once.
 
     Attributes:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
@@ -66,7 +67,10 @@ class Problems:
             if (cost == bad_cost).any():
                 raise ValueError(f"problem {int(np.argmax(cost == bad_cost))} {why}: leave it out")
         for name, dtype in zip(_ARRAYS, (np.uint8, np.int64, np.int64), strict=True):
-            array = np.array(getattr(self, name), dtype, order="C")
+            shape = np.shape(getattr(self, name))
+            array = np.array(_shared(getattr(self, name)), dtype, order="C")
+            if array.shape != shape:
+                array = np.broadcast_to(array, shape)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
@@ -79,7 +83,8 @@ class Problems:
     @cached_property
     def optimal(self) -> BatchResult:
         """What mapdata's A* finds: optimal costs, and the iterations to compare planners with."""
-        return search_batch("astar", self.grids, self.starts, self.goals, self.movement)
+        grids = _shared(self.grids)
+        return search_batch("astar", grids, self.starts, self.goals, self.movement)
 
     @cached_property
     def hardness(self) -> Floats:
@@ -98,7 +103,8 @@ class Problems:
         for name in _ARRAYS:
             array = getattr(self, name)
             digest.update(f"{name} {array.shape}".encode())
-            digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
+            for entry in array:  # one at a time, since many may share the memory of one
+                digest.update(entry.astype(entry.dtype.newbyteorder("<")).tobytes())
         return digest.hexdigest()
 
     def save(self, path: StrPath) -> None:
@@ -231,6 +237,12 @@ class Problems:
         return _collect(
             chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
         )
+
+
+def _shared(arrays: Array) -> Array:
+    """Return the only grid, (H, W), if all of (N, H, W) are views of it; else the arrays."""
+    arrays = np.asarray(arrays)
+    return arrays[0] if len(arrays) > 0 and arrays.strides[0] == 0 else arrays
 
 
 def _collect(

@@ -19,9 +19,9 @@ from mapdata._version import __version__
 from mapdata.generators.generator import PRESETS, Generator, UnknownFamily
 from mapdata.search.lattice import HARD
 from mapdata.shards.manifest import COUNTS, PROVENANCE, Manifest
-from mapdata.shards.root import Places, read_file
+from mapdata.shards.root import Places, read_provenance
 from mapdata.shards.statistics import DatasetStatistics, Repeats, dataset_statistics
-from mapdata.spec import SPLITS, Movement, hash_of
+from mapdata.spec import SPLITS, Movement
 
 _SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
 """Size categories of the Hugging Face Hub, parted by 10**3, 10**4, ... 10**7 rows."""
@@ -197,11 +197,9 @@ def _rebuild(name: str, manifest: Manifest, spec: Generator) -> Section:
 def _origin(place: str, rooms_known: bool) -> Section:
     """Say where imported maps came from, as far as the import wrote it down."""
     try:
-        values = dict(json.loads(read_file(place, PROVENANCE)))
-        if values.pop("hash", None) != hash_of(values):
-            raise ValueError
+        values = read_provenance(place)
         sources = [str(source) for source in values.get("sources", ())]
-    except (OSError, ValueError, TypeError, RecursionError):
+    except (OSError, ValueError, TypeError):
         return Section(
             "Where it comes from",
             "Imported; there is no sound record of the source beside the data.",

@@ -21,6 +21,7 @@ from mapdata.search.labels import Labels
 from mapdata.shards.manifest import (
     MANIFEST,
     MOST_BYTES,
+    PROVENANCE,
     DatasetNotFoundError,
     Entry,
     Manifest,
@@ -31,7 +32,7 @@ from mapdata.shards.manifest import (
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.workers import bar
-from mapdata.spec import Movement, Size, sha256_of
+from mapdata.spec import Movement, Size, hash_of, parsed_json, sha256_of
 
 MOST_SILENCE = 20.0
 """Seconds without a byte after which a try to read from a URL is given up."""
@@ -267,6 +268,21 @@ def read_file(place: str, name: str) -> bytes:
     with suppress(OSError):  # a cache that may only be read
         _keep(kept, data)
     return data
+
+
+def read_provenance(place: str) -> dict[str, Any]:
+    """Return what ``import.json`` says of an imported dataset, without its hash.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ConnectionError: as `read_file`.
+        ValueError: it is damaged.
+    """
+    values = parsed_json(f"{place}/{PROVENANCE}", read_file(place, PROVENANCE))
+    with suppress(RecursionError):  # of what is nested a thousand times
+        if isinstance(values, dict) and values.pop("hash", None) == hash_of(values):
+            return values
+    raise ValueError(f"{place}/{PROVENANCE}: damaged (its hash does not fit)")
 
 
 def local_file(place: str, entry: Entry) -> Path:

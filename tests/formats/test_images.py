@@ -15,7 +15,7 @@ from PIL import Image
 
 from mapdata import read_shard
 from mapdata.formats import Collection, FormatError, Limits, read_any, recognise
-from mapdata.formats.files import natural, read_npy, walk
+from mapdata.formats.files import natural, walk
 from mapdata.formats.images import brightness, read, read_pixels
 from mapdata.shards import read_manifest
 
@@ -230,21 +230,21 @@ def hostile(folder: Path) -> dict[str, str]:
             "expected at most|exceeds limit",
         ),
         "lie.pgm": (b"P5 1000 1000 255\nx", "has 1 bytes of pixels"),
-        "pickle.npy": (npy((1,), b"\x80\x04N.", "|O"), "pickled objects are never opened"),
-        "lie.npy": (npy((2**20, 2**20), b""), "not an array of numbers"),
+        "pickle.npy": (npy((1,), b"\x80\x04N.", "|O"), "pickled objects, expected numbers"),
+        "lie.npy": (npy((2**20, 2**20), b""), "has 128 bytes, expected 128 for its header and"),
         "nan.npy": (npy((1, 2), np.array([0, np.nan]).tobytes(), "<f8"), "expected 0 to 1"),
         "grey.npy": (npy((1, 2), b"\0\xff"), "holds values from 0 to 255, expected 0 to 1"),
         "flat.npy": (npy((4,), bytes(4)), "expected (H, W), (N, H, W) or (N, 1, H, W)"),
         "empty.npy": (npy((0, 4, 4), b""), "expected (H, W), (N, H, W) or (N, 1, H, W)"),
-        "header.npy": (b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16, "not an array"),
-        "version.npy": (b"\x93NUMPY\x09\x00\x10\x00" + b" " * 16, "not an array"),
-        "long.npy": (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f{", "not an array"),
+        "header.npy": (b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16, "not a sound .npy file"),
+        "version.npy": (b"\x93NUMPY\x09\x00\x10\x00" + b" " * 16, "not a sound .npy file"),
+        "long.npy": (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f{", "not a sound .npy file"),
     }
     for name, (data, _) in cases.items():
         (folder / name).write_bytes(data)
-    npz(folder / "bomb.npz", a=npy((2**26,), bytes(2**26)))
+    npz(folder / "bomb.npz", a=npy((2**13, 2**13), bytes(2**26)))
     (folder / "folder.png").mkdir()
-    return {**{name: says for name, (_, says) in cases.items()}, "bomb.npz": "unpacks to"}
+    return {**{name: says for name, (_, says) in cases.items()}, "bomb.npz": "unpack to"}
 
 
 def test_hostile_files_are_left_out(tmp_path: Path) -> None:
@@ -266,11 +266,14 @@ from pathlib import Path
 import numpy, PIL.Image
 from mapdata.formats.images import read_pixels
 from mapdata.formats import FormatError, Limits
-from mapdata.formats.files import Npz
+from mapdata.npy import Npz
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sys.argv[1:]:
     try:
-        (Npz if path.endswith("npz") else read_pixels)(Path(path), Limits(unpacked=2**26))
+        if path.endswith("npz"):
+            Npz(Path(path), 2**26).arrays("a")
+        else:
+            read_pixels(Path(path), Limits(unpacked=2**26))
     except FormatError as error:
         print(error)
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
@@ -306,7 +309,7 @@ def test_brightness_is_exact(tmp_path: Path) -> None:
     Image.fromarray(np.array([[[255, 0, 0], [10, 20, 30]]], np.uint8)).save(tmp_path / "a.png")
     assert brightness(read_pixels(tmp_path / "a.png")).tolist() == [[85, 20]]
     with pytest.raises(FormatError, match="no such file"):
-        read_npy(tmp_path / "none.npy")
+        read_pixels(tmp_path / "none.png")
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -407,20 +410,62 @@ def test_what_was_taken_for_free_is_told(ending: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"P5\n8 6\n255\n", b"P5 8 6 65535\n"])
-def test_the_grey_of_unknown_cells_is_told(data: bytes, tmp_path: Path) -> None:
-    """A robot's .pgm without its .yaml: 205 is brighter than the threshold, and was never seen."""
+def test_unknown_cells_of_a_robots_map_are_refused_until_a_word_says_what_they_are(
+    data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A .pgm without its .yaml: 205 is brighter than the threshold, and was never seen."""
     pixels = np.where(ROOM, 0, 254).astype(np.uint8)
     pixels[1, 1:6] = 205
+    path = tmp_path / "map.pgm"
     if b"65535" in data:
-        (tmp_path / "map.pgm").write_bytes(data + (pixels.astype(">u2") * 257).tobytes())
+        path.write_bytes(data + (pixels.astype(">u2") * 257).tobytes())
     else:
-        (tmp_path / "map.pgm").write_bytes(data + pixels.tobytes())
-    said = "5 free pixels are of grey 205, which robots' maps write where nothing is known"
-    assert any(note.startswith(said) for note in read(tmp_path).notes)
-    found = read(tmp_path, threshold=0.85)
+        path.write_bytes(data + pixels.tobytes())
+    code, _, err = cli(capsys, "import", path, tmp_path / "none")
+    assert code == 2
+    assert "map.pgm: 10.4% of its pixels are of grey 205" in err
+    assert "import its .yaml, or say --images.unknown occupied or --images.unknown free" in err
+    path.with_suffix(".yaml").write_text("image: map.pgm")
+    assert f"import {tmp_path / 'map.yaml'}, or say" in read(path).left_out[0][1]
+    for unknown, is_occupied in (("occupied", pixels < 254), ("free", pixels < 205)):
+        found = read(path, unknown=unknown)  # type: ignore[arg-type]
+        assert found.maps[0].grid.tolist() == is_occupied.tolist()
+        assert f"10.4% of the cells were unknown and are now {unknown}" in found.notes
+        found = read(path, unknown=unknown, invert=True)  # type: ignore[arg-type]
+        assert (
+            found.maps[0].grid.tolist()
+            == ((pixels == 254) | ((pixels == 205) & (unknown == "occupied"))).tolist()
+        )
+    # a threshold above 205 says it, too
+    found = read(path, threshold=0.85)
     assert found.maps[0].grid.tolist() == (pixels < 254).tolist()
-    for options in ({"threshold": 0.85}, {"invert": True}):
-        assert not any("205" in note for note in read(tmp_path, **options).notes)
+
+
+def test_unknown_cells_are_settled_before_cells_are_scaled(tmp_path: Path) -> None:
+    """Half a cell of unknown is half a cell of what was said."""
+    pixels = np.full((4, 4), 254, np.uint8)
+    pixels[:, 1] = 205
+    pixels[0, 3] = 0
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    for unknown, expected in (("occupied", [[1, 0], [1, 0]]), ("free", [[0, 0], [0, 0]])):
+        found = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
+        assert found.maps[0].grid.tolist() == expected
+
+
+def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
+    """At the edges of lines 205 is one of many; maps of 0 and 254 alone are read as well."""
+    pixels = np.full((16, 16), 255, np.uint8)
+    pixels[4] = np.arange(0, 256, 16)
+    pixels[5, :2] = 205
+    plan = Image.fromarray(pixels)
+    plan.save(tmp_path / "plan.png")
+    Image.fromarray(np.where(ROOM, 0, 254).astype(np.uint8)).save(tmp_path / "map.pgm")
+    for options in ({}, {"unknown": "occupied"}):
+        found = read(tmp_path, **options)  # type: ignore[arg-type]
+        assert found.left_out == []
+        assert found.maps[1].grid.tolist() == (pixels <= 127).tolist()
+        assert found.maps[0].grid.tolist() == ROOM.tolist()
+        assert not any("unknown" in note for note in found.notes)
 
 
 def test_long_reading_shows_its_progress(

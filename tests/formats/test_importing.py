@@ -20,7 +20,7 @@ from mapdata import Labels, MapDataset, Maps, ShardError, label, read_shard, rep
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
-from mapdata.spec import Movement
+from mapdata.spec import SPLITS, Movement
 
 Bytes = npt.NDArray[np.uint8]
 SPLIT = 2
@@ -39,8 +39,10 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
     assert made.manifest.identity is None
     with pytest.raises(ValueError, match="no recipe"):
         made.manifest.recipe()
+    splits = []
     for entry in made.manifest.shards:
         maps = read_shard(made.root / entry.name).maps
+        splits += [SPLITS[code] for code in maps.split]
         for k, i in enumerate(maps.index.tolist()):
             assert np.array_equal(maps.occupancy[k], grids[i])
             cells = largest_component(grids[i], 0).tolist()
@@ -62,7 +64,15 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
         assert dataset[0].map.shape == (1, 12, 70)
     origin = json.loads((made.root / "import.json").read_text())
     assert len(origin.pop("hash")) == 64
-    assert origin == {"seeds": 4, "seed": 2**63 + 1, "sources": [f"g{k}" for k in range(7)]}
+    counts = {"all": 7, **{split: splits.count(split) for split in SPLITS}}
+    assert origin == {
+        "free": pytest.approx(1 - np.mean(grids)),
+        "distinct": counts,
+        "distinct_up_to_symmetry": counts,
+        "seeds": 4,
+        "seed": 2**63 + 1,
+        "sources": [f"g{k}" for k in range(7)],
+    }
 
 
 def test_the_content_is_what_it_was(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from helpers.wild import cli
 from mapdata import read_shard, verify
 from mapdata.arrays import Bytes
 from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.shards import read_manifest
+from mapdata.shards import PROVENANCE, read_manifest
 from mapdata.spec import SPLITS
 
 TRAIN, VAL, TEST = range(3)
@@ -79,7 +79,61 @@ def test_only_squares_are_transposed(tmp_path: Path) -> None:
     wide = random_grids(1, 9, 14)[0]
     source = collection((TRAIN, wide), (TEST, wide.T))
     import_maps(tmp_path / "wide", source)
-    assert source.notes == ["no map stands in two splits, exactly or up to symmetry"] * 2
+    assert source.notes == []  # two datasets of one map each
+    source = collection((TRAIN, square), (TEST, 1 - square))
+    import_maps(tmp_path / "two", source)
+    assert source.notes == ["no map stands in two splits, exactly or up to symmetry"]
+
+
+def test_distinct_maps_are_counted_in_each_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A split may repeat its own maps: import and info say how many it has, before and after
+    copies in other splits are left out.
+    """
+    a, b, c = random_grids(3, 12, 12)
+    stacks = {"train": [a, a, a[::-1], b, b], "val": [b, b.T], "test": [c, c, c]}
+    for split, grids in stacks.items():
+        (tmp_path / "in" / split).mkdir(parents=True)
+        np.save(tmp_path / "in" / split / "maps.npy", grids)
+    for flags, says in (
+        ((), "5 of 10 (3 up to symmetry): train 3, val 2, test 1"),
+        (("--drop-leaks",), "5 of 8 (3 up to symmetry): train 2, val 2, test 1"),
+    ):
+        root = tmp_path / f"out{len(flags)}"
+        code, imported, _ = cli(capsys, "import", tmp_path / "in", root, *flags)
+        assert code == 0
+        assert f"distinct maps:        {says}\n" in imported
+        code, info, _ = cli(capsys, "info", root)
+        assert (code, info in imported) == (0, True)
+        assert verify(root) == []
+
+
+def test_info_of_an_import_says_what_no_recipe_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Splits, movement, free cells, source and format; a single map has no copies to speak of."""
+    np.save(tmp_path / "plan.npy", np.eye(4, dtype=np.uint8))
+    _, imported, _ = cli(capsys, "import", tmp_path / "plan.npy", tmp_path / "out")
+    assert "two splits" not in imported
+    code, info, _ = cli(capsys, "info", tmp_path / "out")
+    assert code == 0
+    assert info.splitlines()[1:5] == [
+        "splits:               train 1, val 0, test 0",
+        "movement:             4-connected: north, east, south, west, each at cost 1",
+        "free cells:           75.0%",
+        f"source:               {tmp_path / 'plan.npy'}, format images",
+    ]
+    assert "distinct" not in info
+    # without a sound record, what the manifest says remains
+    for damaged in ("{}", "[", '{"free": 1}', None):
+        record = tmp_path / "out" / PROVENANCE
+        record.unlink()
+        if damaged is not None:
+            record.write_text(damaged)
+        code, info, _ = cli(capsys, "info", tmp_path / "out")
+        assert (code, "4-connected" in info, "free cells" in info) == (0, True, False)
+        record.touch()
 
 
 def test_drawn_splits_are_kept(tmp_path: Path) -> None:

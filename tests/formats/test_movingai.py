@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tempfile
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import read_shard
+from mapdata import Problems, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, read_problems
 from mapdata.formats.movingai import (
@@ -235,11 +236,80 @@ def test_problems_to_compare_planners_on(tmp_path: Path) -> None:
     table = evaluate(classical(), found, bootstrap=1)
     assert table[table["planner"] == "A*"]["opt"].tolist() == [1, 1]
     assert read_problems(path, count=4).starts.tolist() == [[0, 0], [1, 0]]  # every second line
+    others = "2 without a path or a move left out, whose lengths are ours"
+    assert found.description == f"5 of 7 problems of {path}, {others}"
+    thinned = read_problems(path, count=4).description
+    assert thinned == f"2 of 7 problems of {path}, one in 2, {others}"
     elsewhere = tmp_path / "scens"
     elsewhere.mkdir()
     path.rename(elsewhere / "x.scen")
     moved = read_problems(elsewhere / "x.scen", maps=tmp_path)
     assert moved.content_hash == found.content_hash
+
+
+ZEROS = re.sub(r"\t[0-9.]+\n", "\t0\n", SCEN)
+
+
+def test_lengths_that_are_all_0_are_not_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in scenarios of several agents: nothing to compare, and still problems to read."""
+    path = files(tmp_path, ZEROS)
+    code, out, err = cli(capsys, "check-scen", path)
+    assert (code, err) == (0, "")
+    assert out == (
+        f"{path}: optimal lengths are not given, all are 0; 5 of 7 problems have a path\n"
+    )
+    problems = read_problems(path)
+    assert problems.starts.tolist() == read_problems(files(tmp_path)).starts.tolist()
+    files(tmp_path, ZEROS)
+    assert read_problems(path, count=1).description == (
+        f"1 of 7 problems of {path}, one in 7, which gives no lengths"
+    )
+
+
+def test_lengths_of_0_are_compared_where_there_is_no_path_or_another_length(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 is no path: beside other lengths it is wrong where there is one; alone it may be right."""
+    lines = ZEROS.splitlines(keepends=True)
+    path = files(tmp_path, lines[0] + lines[5])  # from land to water
+    code, out, _ = cli(capsys, "check-scen", path)
+    assert (code, out) == (0, f"{path}: 1 of 1 optimal lengths agree\n")
+    with pytest.raises(FormatError, match="none of its 1 problems has a path"):
+        read_problems(path)
+    path = files(tmp_path, "".join(SCEN.splitlines(keepends=True)[:-1]) + lines[1])
+    code, out, _ = cli(capsys, "check-scen", path)
+    assert code == 1
+    assert "6 of 7 optimal lengths agree" in out
+
+
+def test_all_problems_of_one_map_share_its_grid(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Many problems on a large map take the memory of one grid; a bar shows how far it is."""
+    (tmp_path / "a.map").write_text(
+        "type octile\nheight 200\nwidth 200\nmap\n" + 200 * f"{200 * '.'}\n"
+    )
+    line = "0\ta.map\t200\t200\t{0}\t0\t{0}\t4\t4.00000000\n"
+    scen = "version 1\n" + "".join(line.format(k % 200) for k in range(600))
+    (tmp_path / "a.scen").write_text(scen)
+    read_problems(tmp_path / "a.scen", count=1)
+    tracemalloc.start()
+    problems = read_problems(tmp_path / "a.scen", Limits(progress=True))
+    content_hash = problems.content_hash
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert problems.grids.shape == (600, 200, 200)
+    assert peak < 6e6  # of 24 MB
+    assert "600/600" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="read-only"):
+        problems.grids[0, 0, 0] = 1
+    copied = Problems(
+        problems.grids.copy(), problems.starts, problems.goals, Movement(8), problems.description
+    )
+    assert copied.content_hash == content_hash
+    assert np.array_equal(copied.optimal.cells, problems.optimal.cells)
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,37 @@ def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert grid.tolist() == [[0, 0, 1], [value, 0, 0]]
 
 
+@pytest.mark.parametrize(
+    "pixels",
+    [
+        [[254, 254, 255], [205, 254, 255]],  # white: no area; all of it is unknown in this mode
+        [[0, 0, 255], [255, 255, 255]],
+        [[0, 40, 60], [0, 0, 40]],
+    ],
+)
+def test_a_filter_mask_is_no_map(
+    pixels: list[list[int]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of keepout zones or speed limits: named as one, whatever unknown cells are to become."""
+    path = write(tmp_path, b"P5 3 2 255\n" + np.array(pixels, np.uint8).tobytes(), mode="raw")
+    for options in ((), ("--ros.unknown", "free")):
+        code, _, err = cli(capsys, "import", path, tmp_path / "out", *options)
+        assert code == 2
+        assert "map.yaml: mode: raw, a filter mask, not a map" in err
+    assert read_map(path).mode == "raw"
+
+
+def test_a_map_that_was_saved_raw_is_read(tmp_path: Path) -> None:
+    """Its pixels are 0 and 100, and 255 where nothing is known."""
+    pixels = np.array([[0, 0, 100], [255, 0, 0]], np.uint8)
+    path = write(tmp_path, b"P5 3 2 255\n" + pixels.tobytes(), mode="raw")
+    assert "16.7% of its cells are unknown" in read(path).left_out[0][1]
+    assert read(path, unknown="free").maps[0].grid.tolist() == [[0, 0, 1], [0, 0, 0]]
+    pixels[1, 0] = 100
+    write(tmp_path, b"P5 3 2 255\n" + pixels.tobytes(), mode="raw")
+    assert read(path).maps[0].grid.tolist() == [[0, 0, 1], [1, 0, 0]]
+
+
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each kind of picture gives the grids, the splits and the resolution back."""
     truth = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]

@@ -1,0 +1,165 @@
+"""TransPath's folders of .npy files: its maps are read, and nothing else is taken for one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.wild import cli
+
+from mapdata import read_shard
+from mapdata.arrays import Array, Bytes
+from mapdata.formats import FormatError, Limits, read_any, recognise
+from mapdata.formats.transpath import read
+from mapdata.shards import read_manifest
+from mapdata.spec import SPLITS, Movement
+
+SAMPLES = {"train": 7, "val": 3, "test": 4}
+
+
+def one_hot(cells: Array, shape: tuple[int, ...]) -> Array:
+    """Return masks (N, 1, H, W), bool, that are True in one cell each, (N, 2)."""
+    masks = np.zeros(shape, bool)
+    masks[np.arange(len(cells)), 0, cells[:, 0], cells[:, 1]] = True
+    return masks
+
+
+def write_samples(folder: Path, grids: Bytes, starts: Array, goals: Array) -> None:
+    """Write the six files of a split as their loader opens them, labels without a meaning."""
+    folder.mkdir(parents=True)
+    maps = grids[:, None]
+    labels = np.random.default_rng(1).random(maps.shape)
+    np.save(folder / "maps.npy", maps.astype(np.float32))
+    np.save(folder / "starts.npy", one_hot(starts, maps.shape))
+    np.save(folder / "goals.npy", one_hot(goals, maps.shape))
+    for name in ("focal", "cf", "abs"):
+        np.save(folder / f"{name}.npy", labels)
+
+
+@pytest.fixture
+def samples(tmp_path: Path) -> dict[str, tuple[Bytes, Array, Array]]:
+    """Write three splits below ``TransPath_data``; return grids, starts and goals of each."""
+    written = {}
+    random = np.random.default_rng(0)
+    for split, count in SAMPLES.items():
+        grids = (random.random((count, 12, 12)) < 0.3).astype(np.uint8)
+        starts, goals = random.integers(0, 12, (2, count, 2))
+        for cells in (starts, goals):
+            grids[np.arange(count), cells[:, 0], cells[:, 1]] = 0
+        write_samples(tmp_path / "TransPath_data" / split, grids, starts, goals)
+        written[split] = (grids, starts, goals)
+    return written
+
+
+def test_maps_splits_goals_and_starts_are_read(
+    samples: dict[str, tuple[Bytes, Array, Array]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A map for each sample, whose goal and start are its first two seed points."""
+    folder = tmp_path / "TransPath_data"
+    assert recognise(folder) == "transpath"
+    found = read_any(folder)
+    assert found.left_out == []
+    assert len(found.maps) == 14
+    for split, (grids, starts, goals) in samples.items():
+        of_split = [sample for sample in found.maps if sample.split == SPLITS.index(split)]
+        assert [sample.name for sample in of_split] == [
+            f"{folder / split / 'maps.npy'}: {number}" for number in range(len(grids))
+        ]
+        for sample, grid, start, goal in zip(of_split, grids, starts, goals, strict=True):
+            assert np.array_equal(sample.grid, grid)
+            assert sample.seed_points.tolist() == [goal.tolist(), start.tolist()]
+    code, out, _ = cli(capsys, "import", folder, tmp_path / "maps", "--seed-points", 2)
+    assert code == 0
+    assert "labels (focal, cf, abs) are left out" in out
+    manifest = read_manifest(tmp_path / "maps")
+    assert (manifest.maps, manifest.movement) == (14, Movement(8, corner_cutting=True))
+    (entry,) = manifest.shards
+    maps = read_shard(tmp_path / "maps" / entry.name).maps
+    ends = [
+        (goal, start)
+        for _, starts, goals in samples.values()
+        for goal, start in zip(goals, starts, strict=True)
+    ]
+    assert sorted(maps.seed_points[:, :2].tolist()) == sorted(np.array(ends).tolist())
+
+
+def test_a_folder_of_one_split_or_its_maps_are_read(
+    samples: dict[str, tuple[Bytes, Array, Array]], tmp_path: Path
+) -> None:
+    """Without a name that says the split; starts alone are refused."""
+    folder = tmp_path / "TransPath_data" / "val"
+    for source in (folder, folder / "maps.npy"):
+        assert recognise(source) == "transpath"
+        found = read_any(source)
+        assert [sample.split for sample in found.maps] == [None] * 3
+        assert np.array_equal([sample.grid for sample in found.maps], samples["val"][0])
+    for name in ("starts.npy", "cf.npy"):
+        with pytest.raises(FormatError, match=rf"{name}: expected maps\.npy"):
+            read_any(folder / name)
+
+
+def test_maps_without_starts_and_goals_are_images(tmp_path: Path) -> None:
+    """Any stack of grids may be called so."""
+    np.save(tmp_path / "maps.npy", np.zeros((2, 1, 6, 6)))
+    np.save(tmp_path / "starts.npy", np.zeros((2, 1, 6, 6)))
+    assert recognise(tmp_path) == "images"
+
+
+def test_samples_that_cannot_be_are_left_out(tmp_path: Path) -> None:
+    """A start on an occupied cell, two goals, none; a start at its goal is a seed point."""
+    grids = np.zeros((6, 5, 5), np.uint8)
+    grids[1, 2, 2] = 1
+    starts = np.full((6, 2), 2)
+    goals = np.zeros((6, 2), int)
+    goals[5] = 2
+    write_samples(tmp_path / "train", grids, starts, goals)
+    masks = np.load(tmp_path / "train" / "goals.npy")
+    masks[2, 0, 4, 4] = True
+    masks[3] = False
+    np.save(tmp_path / "train" / "goals.npy", masks)
+    found = read(tmp_path)
+    assert [sample.name[-1] for sample in found.maps] == ["0", "4", "5"]
+    assert found.maps[-1].seed_points.tolist() == [[2, 2]]
+    assert found.left_out == [
+        (
+            f"{tmp_path / 'train' / 'maps.npy'}: 1 and 2 others",
+            "its start or its goal is not one free cell",
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "says"),
+    [
+        ("goals", np.zeros((2, 1, 5, 5)), r"goals\.npy: has shape \(2, 1, 5, 5\), expected \(3, 1"),
+        ("maps", np.zeros((3, 5, 5)), r"maps\.npy: has shape \(3, 5, 5\), expected \(N, 1, H, W\)"),
+        ("maps", np.full((3, 1, 5, 5), 0.5), r"maps\.npy: map 0: holds values between 0 and 1"),
+        ("starts", np.array([{}]), r"starts\.npy: holds pickled objects"),
+    ],
+)
+def test_folders_that_do_not_fit_together_are_refused(
+    name: str, array: Array, says: str, tmp_path: Path
+) -> None:
+    """By the file and its shape, before any map is read."""
+    folder = tmp_path / "train"
+    write_samples(
+        folder, np.zeros((3, 5, 5), np.uint8), np.zeros((3, 2), int), np.ones((3, 2), int)
+    )
+    np.save(folder / f"{name}.npy", array)
+    with pytest.raises(FormatError, match=says):
+        read(folder / "maps.npy")
+    found = read(tmp_path)
+    assert (found.maps, len(found.left_out)) == ([], 1)
+
+
+def test_limits_hold(samples: dict[str, tuple[Bytes, Array, Array]], tmp_path: Path) -> None:
+    """Of the cells of a map and of the number of maps in a file."""
+    del samples
+    path = tmp_path / "TransPath_data" / "train" / "maps.npy"
+    with pytest.raises(FormatError, match="has 12 x 12 pixels, expected at most 100 in all"):
+        read(path, Limits(pixels=100))
+    with pytest.raises(FormatError, match="has 7 maps, expected at most 6"):
+        read(path, Limits(maps=6))
