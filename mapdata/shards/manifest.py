@@ -52,11 +52,11 @@ LOCK = ".lock"
 PROVENANCE = "import.json"
 """File beside the manifest that says where each map came from."""
 
-MOST_BYTES = 2**28
-"""Largest manifest that is read."""
+MOST_BYTES = 2**27
+"""Largest manifest that is read: one that lists `MOST_SHARDS` has some 80 MB."""
 
 MOST_SHARDS = 100_000
-"""Most files of a dataset; a manifest that lists them has some 80 MB."""
+"""Most files of a dataset."""
 
 COUNTS = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
 """What `counts_of` counts in each split."""

@@ -252,7 +252,7 @@ def read_file(place: str, name: str) -> bytes:
     Raises:
         FileNotFoundError: there is none.
         ConnectionError: the URL cannot be reached, and the file was never fetched.
-        ShardError: it is a link that leads out of the folder.
+        ShardError: it is a link that leads out of the folder, or longer than `MOST_BYTES` at a URL.
     """
     if not is_url(place):
         return path_in(Path(place), name).read_bytes()
@@ -335,6 +335,7 @@ def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
     Raises:
         DatasetNotFoundError: it is not there.
         ConnectionError: no try got it; the message says why the last one did not.
+        ShardError: it is longer.
     """
     for pause in PAUSES:
         try:
@@ -352,12 +353,14 @@ def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
 def _fetch_once(place: str, name: str, most: int) -> bytes:
     """Do what `_fetch` does, in one try."""
     url = f"{place}/{name}"
-    data = bytearray()
+    pieces = []
+    length = 0
     try:
         with _open_url(url) as file:
             # a stream gives what has arrived, which may be less than is asked for
-            while piece := file.read(most + 1 - len(data)):
-                data += piece
+            while piece := file.read(most + 1 - length):
+                pieces.append(piece)
+                length += len(piece)
     except ImportError as error:
         raise ValueError(f"root: {place} needs another package: {error}") from None
     except ValueError as error:  # a protocol that fsspec does not know
@@ -369,7 +372,10 @@ def _fetch_once(place: str, name: str, most: int) -> bytes:
         # one in all, which has a name at least.
         why = " ".join((str(error) or str(error.__cause__) or repr(error)).split())
     else:
-        return bytes(data)
+        # Before it is joined or parsed, which takes some times as much memory.
+        if length > most:
+            raise ShardError(f"{url}: what was fetched is damaged (it has more than {most} bytes)")
+        return b"".join(pieces)
     # Not from within the handler: the error of HTTP holds what cannot be pickled, and Dask pickles
     # an error with its causes.
     raise ConnectionError(

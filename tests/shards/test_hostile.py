@@ -93,6 +93,8 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     (folder / "pipe").mkdir()
     os.mkfifo(folder / "pipe" / MANIFEST)
     yield "manifest", folder / "pipe", "ShardError"
+    (folder / "piece").write_text("[0, 1, 2], " * 10)
+    yield "url", folder / "piece", "ShardError"
     for name in ("deep", "digits"):
         yield "recipe", folder / name / MANIFEST, "ValueError"
 
