@@ -30,6 +30,7 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
+from mapdata.shards.temporary import sweep_temporaries
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement, Size, sha256_of
 
@@ -266,6 +267,7 @@ def read_file(place: str, name: str) -> bytes:
         return kept.read_bytes()
     with suppress(OSError):  # a cache that may only be read
         _keep(kept, data)
+        sweep_temporaries(kept.parent)
     return data
 
 

@@ -8,18 +8,13 @@ from __future__ import annotations
 
 import io
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import IO, Any, NamedTuple
-from uuid import uuid4
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-
-if sys.platform != "win32":
-    import fcntl
 
 from mapdata._version import __version__
 from mapdata.arrays import Array, Bytes, Flags, Ints
@@ -29,6 +24,7 @@ from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
+from mapdata.shards.temporary import sweep_temporaries, take_lock, temporary_path
 from mapdata.spec import FORMAT_VERSIONS, Movement, Size, canonical_json, least_version
 
 StrPath = str | os.PathLike[str]
@@ -384,7 +380,7 @@ def write_file(path: Path, data: bytes) -> None:
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
-    temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+    temporary = temporary_path(path)
     try:
         with open(temporary, "xb") as file:
             take_lock(file)  # it tells those who sweep that the writer lives
@@ -406,6 +402,8 @@ def write_file(path: Path, data: bytes) -> None:
 def write_output(path: StrPath, data: bytes) -> None:
     """Write ``data`` to what a user names: a file at once, a link followed, a device or pipe as is.
 
+    What writers left beside the file that were killed is removed.
+
     Raises:
         OSError: as `write_file`.
     """
@@ -413,22 +411,9 @@ def write_output(path: StrPath, data: bytes) -> None:
     if target.exists() and not target.is_file():
         target.write_bytes(data)
     else:
-        write_file(Path(os.path.realpath(path)), data)
-
-
-def take_lock(file: IO[bytes], wait: bool = False) -> bool:
-    """Lock an open file until it is closed; without ``wait``, return False if another one holds it.
-
-    Where there are no locks (Windows, some file systems) return True.
-    """
-    if sys.platform != "win32":
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            pass  # this file system has no locks
-    return True
+        target = Path(os.path.realpath(path))
+        sweep_temporaries(target.parent)
+        write_file(target, data)
 
 
 def sync_folder(folder: Path) -> None:

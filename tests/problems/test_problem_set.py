@@ -4,6 +4,7 @@ answer is refused.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 from dataclasses import replace
@@ -294,6 +295,18 @@ def test_a_full_disk_leaves_the_set_that_was_there(
         Problems.sample(DUNGEON, 77, 20).save(path)
     assert_same(Problems.load(path), problems)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_save_removes_what_a_killed_one_left(tmp_path: Path) -> None:
+    """In the same folder, of a set of any name; what a living writer has locked stays."""
+    problems = Problems.sample(DUNGEON, 77, 5)
+    left = tmp_path / ".set.npz.0123456789abcdef.mapdata.tmp"
+    living = tmp_path / ".set.npz.fedcba9876543210.mapdata.tmp"
+    left.write_bytes(b"half")
+    with open(living, "wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        problems.save(tmp_path / "other.npz")
+    assert set(tmp_path.iterdir()) == {living, tmp_path / "other.npz"}
 
 
 def test_the_hash_tells_sets_apart() -> None:
