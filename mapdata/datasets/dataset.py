@@ -310,7 +310,8 @@ class MapDataset(ProblemDataset):
     Raises:
         DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
         ShardError: a damaged or hostile file, found at its first touch.
-        ValueError: arguments that do not fit, or that would do nothing.
+        ValueError: arguments that do not fit, or that would do nothing; a dataset of which no
+            shard is finished.
     """
 
     def __init__(

@@ -124,6 +124,20 @@ class Root:
             )
         return first
 
+    def check_begun(self) -> None:
+        """Refuse a dataset of which no map is there yet, such as what a build leaves that failed.
+
+        Raises:
+            ValueError: the message names the place, and what to do.
+        """
+        for place, manifest in zip(self.places, self.manifests, strict=True):
+            if not manifest.shards:
+                raise ValueError(
+                    f"root: {place} holds none of its {manifest.maps} maps yet: no shard is "
+                    "finished. Wait for the build that runs, or run the command that makes it once "
+                    "more: it goes on, or says what stops it"
+                )
+
     def __repr__(self) -> str:
         return f"Root({', '.join(map(repr, (*self.places, *self.manifests)))})"
 
@@ -172,7 +186,9 @@ class Root:
 
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
+            ValueError: as `check_begun`.
         """
+        self.check_begun()
         with bar(progress, sum(manifest.done for manifest in self.manifests)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):
                 yield self.shard_labels(k)
@@ -182,8 +198,9 @@ class Root:
         """Return the shard that holds map ``index``, and the place of the map in it.
 
         Raises:
-            ValueError: the dataset has no such map.
+            ValueError: the dataset has no such map, or as `check_begun`.
         """
+        self.check_begun()
         for k, (_, first, entry) in enumerate(self.shards):
             number = index - first  # of the map in its own place
             if entry.start <= number < entry.stop:

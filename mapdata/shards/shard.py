@@ -33,6 +33,13 @@ Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
 
 
+TESTED_H5PY = ("3.15", "3.16")
+"""The oldest and the newest h5py whose files were read back; docs/promises.md has a table."""
+
+_MAX_TEXT = 4070
+"""Largest text attribute, in bytes: with its header it has 4,096, the most that the heap takes."""
+
+
 class ShardError(ValueError):
     """A file that is not a sound shard; the message names the file and what is wrong with it."""
 
@@ -245,11 +252,21 @@ def _check_image(image: bytes, attributes: dict[str, Any], arrays: dict[str, Arr
         )
     except ValueError:
         same = False
-    if not same:
+    if same:
+        return
+    size = len(attributes["spec"].encode())
+    if size > _MAX_TEXT:
         raise ShardError(
-            f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than "
-            "it was asked to; try another version, or a spec of less than 4,000 characters"
+            f"spec: its JSON has {size} bytes, expected at most {_MAX_TEXT}: HDF5 stores longer "
+            "texts in another way"
         )
+    oldest, newest = TESTED_H5PY
+    raise ShardError(
+        f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than it "
+        f"was asked to; mapdata was tested with h5py {oldest} to {newest}: install one of those "
+        f"(pip install 'h5py=={newest}.*') and run the same command again. Nothing was written, "
+        "and datasets that exist stay readable"
+    )
 
 
 def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:

@@ -127,9 +127,14 @@ def test_a_folder_that_is_swept_too_early_is_made_again(
 
 def test_a_folder_goes_with_what_it_holds(tmp_path: Path) -> None:
     """When its writer fails, too."""
-    with pytest.raises(OSError, match="disk"), temporary_folder(tmp_path / "export") as folder:
-        (folder / "export").write_bytes(b"half")
-        raise OSError("disk")
+
+    def fail() -> None:
+        with temporary_folder(tmp_path / "export") as folder:
+            (folder / "export").write_bytes(b"half")
+            raise OSError("disk")
+
+    with pytest.raises(OSError, match="disk"):
+        fail()
     assert list(tmp_path.iterdir()) == []
 
 
