@@ -6,7 +6,7 @@ below; the command line takes its options from the keyword-only parameters of it
 
 from mapdata.formats import huggingface, images, maze_hard, movingai, paper, planning, ros
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import FormatError, Limits
+from mapdata.formats.files import Limits
 from mapdata.formats.importing import import_maps
 from mapdata.formats.maze_hard import is_shortest_answer
 from mapdata.formats.registry import (
@@ -18,6 +18,7 @@ from mapdata.formats.registry import (
     recognise,
     register,
 )
+from mapdata.npy import FormatError
 
 # images first: of formats that know a file, the last one has it, and these know some images better
 for _module in (images, paper, movingai, ros, planning, maze_hard, huggingface):

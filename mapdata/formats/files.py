@@ -1,68 +1,45 @@
-"""What all formats share: errors, limits, folders, and .npy and .npz arrays read without trust."""
+"""What all formats share: limits, files and folders, and what stands for free and occupied."""
 
 from __future__ import annotations
 
-import io
 import os
 import re
-import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
-from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
 from mapdata.arrays import Array, Bytes, Ints
 from mapdata.formats.collection import Collection
+from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 from mapdata.spec import SPLITS
 
 
-class FormatError(ValueError):
-    """A foreign file that cannot be used; one line names the file and what is wrong with it."""
-
-    def __init__(self, message: str) -> None:
-        """Keep ``message`` on one line, whatever a library put into it."""
-        super().__init__(re.sub(r"\s*\n\s*", " ", message.strip()))
-
-
 @dataclass(frozen=True)
 class Limits:
-    """How an importer reads: what it unpacks at most, checked before it unpacks.
+    """How an importer reads: its limits, which are checked before anything is unpacked.
 
     Attributes:
         pixels: pixels of one image, cells of one map.
-        unpacked: bytes of one file once unpacked.
+        unpacked: bytes of one file; of an archive, of all arrays that are read of it, once
+            unpacked. An .npy file may be larger: it is read a map at a time.
         files: files looked at in a folder.
+        maps: maps in one file.
         progress: show a progress bar while many files, or a long one, are read.
     """
 
     pixels: int = 2**24
-    unpacked: int = 2**30
+    unpacked: int = MAX_BYTES
     files: int = 2_000_000
+    maps: int = 2**20
     progress: bool = False
 
 
 LIMITS = Limits()
-
-
-@contextmanager
-def refusing(message: str) -> Iterator[None]:
-    """Turn whatever a library raises into a `FormatError` that says ``message`` and the cause.
-
-    What zipfile, Pillow's decoders and numpy's parser of headers raise on damaged files is not
-    documented: zlib.error, struct.error, SyntaxError, EOFError and more.
-    """
-    try:
-        yield
-    except FormatError:
-        raise
-    except Exception as error:
-        raise FormatError(f"{message} ({type(error).__name__}: {error})") from None
 
 
 def check_file(path: Path, limits: Limits) -> None:
@@ -178,86 +155,6 @@ def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, 
             yield folder / f"map{maps.index[k]}", grid, maps.seed_points[k, : maps.rooms[k]]
 
 
-# --- arrays -------------------------------------------------------------------------------------
-
-
-class Npz:
-    """An .npz archive that unpacks an array when it is asked for.
-
-    Attributes:
-        path: the file.
-        shapes: shape of each array, by name.
-    """
-
-    def __init__(self, path: Path, limits: Limits = LIMITS) -> None:
-        """Read the directory of the archive and the header of each array; unpack nothing.
-
-        Raises:
-            FormatError: not a sound archive, too large, or pickled arrays in it.
-        """
-        self.path = path
-        self.shapes: dict[str, tuple[int, ...]] = {}
-        if not path.is_file():
-            raise FormatError(f"{path}: no such file")
-        with refusing(f"{path}: not a sound .npz file"), zipfile.ZipFile(path) as archive:
-            infos = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            if not infos or len(infos) > 1000:
-                raise FormatError(f"{path}: holds {len(infos)} arrays, expected 1 to 1000")
-            for info in infos:
-                name = info.filename[:-4]
-                if info.file_size > limits.unpacked:
-                    raise FormatError(
-                        f"{path}: array {name!r} unpacks to {info.file_size} bytes, expected at "
-                        f"most {limits.unpacked}"
-                    )
-                with archive.open(info) as member:
-                    self.shapes[name], _, _ = _header(member)
-
-    def __getitem__(self, name: str) -> Array:
-        """Return one array.
-
-        Raises:
-            FormatError: there is none, or it is damaged.
-        """
-        if name not in self.shapes:
-            raise FormatError(f"{self.path}: holds no array {name!r}, but {', '.join(self.shapes)}")
-        with (
-            refusing(f"{self.path}: not a sound .npz file"),
-            zipfile.ZipFile(self.path) as archive,
-            archive.open(f"{name}.npy") as member,
-        ):
-            size = archive.getinfo(f"{name}.npy").file_size
-            return _array(member, size, f"{self.path}: array {name!r}")
-
-
-def read_npy(path: Path, limits: Limits = LIMITS) -> Array:
-    """Return the array of an .npy file.
-
-    Raises:
-        FormatError: not a sound file, too large, or pickled objects.
-    """
-    data = read_bytes(path, limits)
-    return _array(io.BytesIO(data), len(data), str(path))
-
-
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return what the header of an .npy says: shape, Fortran order and type."""
-    is_first_version = read_magic(file) == (1, 0)
-    return read_array_header_1_0(file) if is_first_version else read_array_header_2_0(file)
-
-
-def _array(file: IO[bytes], size: int, what: str) -> Array:
-    """Return the numbers of an .npy of ``size`` bytes, if it has as many as its header says."""
-    with refusing(f"{what}: not an array of numbers, and pickled objects are never opened"):
-        shape, fortran, dtype = _header(file)
-        # no more than the archive states: without a number zipfile unpacks all that is there
-        values = np.frombuffer(file.read(size), dtype)
-        values = values.reshape(shape, order="F" if fortran else "C")
-    if values.dtype.kind not in "biuf":
-        raise FormatError(f"{what}: holds {values.dtype}, expected numbers")
-    return values
-
-
 def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes:
     """Return an array of 0 and 1, bool, or probabilities in [0, 1] as uint8.
 
@@ -279,6 +176,65 @@ def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes
     if threshold is None and not np.array_equal(occupied, values):
         raise FormatError(f"{what}: holds values between 0 and 1, expected only 0 and 1")
     return occupied.view(np.uint8)
+
+
+def check_grids(array: StoredArray, limits: Limits, threshold: float | None = None) -> None:
+    """Look at all of an array before any of its grids is used: a damaged file gives no map.
+
+    A grid at a time is in memory.
+
+    Args:
+        array: (H, W), (N, H, W) or (N, 1, H, W).
+        limits: of the cells of a grid and of the number of grids.
+        threshold: as of `occupancy`.
+
+    Raises:
+        FormatError: another shape, more than the limits allow, bad numbers, or damage.
+    """
+    shape = array.shape
+    has_channel = len(shape) == 4 and shape[1] == 1
+    if not (len(shape) in (2, 3) or has_channel) or 0 in shape:
+        raise FormatError(
+            f"{array.label}: has shape {shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
+        )
+    count = 1 if len(shape) == 2 else shape[0]
+    rows, columns = shape[-2:]
+    if rows * columns > limits.pixels:
+        raise FormatError(
+            f"{array.label}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all"
+        )
+    if count > limits.maps:
+        raise FormatError(f"{array.label}: has {count} maps, expected at most {limits.maps}")
+    for _ in grids_of(array, threshold):
+        pass
+
+
+def grids_of(array: StoredArray, threshold: float | None = None) -> Iterator[Bytes]:
+    """Yield the grids of an array, (H, W) uint8 each, of a shape that `check_grids` accepts.
+
+    Args:
+        array: read anew, a grid at a time.
+        threshold: as of `occupancy`.
+
+    Raises:
+        FormatError: as `occupancy` and `StoredArray.read`.
+    """
+    if len(array.shape) == 2:
+        yield occupancy(array.read(), array.label, threshold)
+        return
+    for number, entry in enumerate(array.entries()):
+        grid = occupancy(entry, f"{array.label}: map {number}", threshold)
+        yield grid.reshape(grid.shape[-2:])
+
+
+def several(name: str, numbers: list[int]) -> str:
+    """Return the name under which some maps of a file are left out for the same reason.
+
+    >>> several("a.npz: train", [3, 5, 8])
+    'a.npz: train 3 and 2 others'
+    """
+    others = len(numbers) - 1
+    return f"{name} {numbers[0]}" + (f" and {others} other{'s' * (others > 1)}" if others else "")
 
 
 def files_of(

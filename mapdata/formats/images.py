@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -19,17 +20,15 @@ from mapdata.arrays import Array, Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
-    FormatError,
     Limits,
-    Npz,
+    check_grids,
     files_of,
-    occupancy,
+    grids_of,
     read_bytes,
-    read_npy,
-    refusing,
     split_of,
 )
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
 from mapdata.spec import Size, check_probability, check_sides
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
@@ -205,16 +204,15 @@ def read(
     elif fit is not None:
         raise ValueError("fit: does nothing without size")
     found = Collection()
+    grids: Iterator[Bytes]
     unknown = 0
     for path in files_of(source, (*PICTURES, *ARRAYS), limits, found):
         with found.leaving_out(path):
             if path.suffix.lower() in ARRAYS:
-                grids = _stack(path, limits, threshold)
-                if invert:
-                    grids = 1 - grids
-                if size not in (None, grids.shape[1:]):
-                    # scaled as pictures are: a cell is occupied where half of what it covers is
-                    grids = np.stack([_fit(255 * grid, size, fit) for grid in grids]) // 128
+                array = _stack(path, limits)
+                check_grids(array, limits, threshold)
+                count = 1 if len(array.shape) == 2 else len(array)
+                grids = (_sized(grid, invert, size, fit) for grid in grids_of(array, threshold))
             else:
                 grey = brightness(read_pixels(path, limits))
                 if 0 < grey.max() <= threshold * 255:
@@ -227,10 +225,11 @@ def read(
                 # means are rounded up to what is occupied, so that half a cell of it is enough
                 light = _fit(grey, size, fit) if invert else 255 - _fit(255 - grey, size, fit)
                 is_dark = light <= threshold * 255
-                grids = np.asarray(is_dark != invert, np.uint8)[None]
+                count = 1
+                grids = iter([np.asarray(is_dark != invert, np.uint8)])
             split = split_of(path, source)
             for k, grid in enumerate(grids):
-                name = f"{path}[{k}]" if len(grids) > 1 else str(path)
+                name = f"{path}[{k}]" if count > 1 else str(path)
                 found.maps.append(ForeignMap(name, grid, split))
     what = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
     tell_free(found, what, "--images.invert")
@@ -270,26 +269,27 @@ def tell_free(found: Collection, what: str, otherwise: str) -> None:
         )
 
 
-def _stack(path: Path, limits: Limits, threshold: float) -> Bytes:
-    """Return the grids of an array file, (N, H, W)."""
+def _stack(path: Path, limits: Limits) -> StoredArray:
+    """Return the array of an .npy file, or the only one of an .npz that can hold maps, unread."""
     if path.suffix.lower() == ".npy":
-        values = read_npy(path, limits)
-    else:
-        archive = Npz(path, limits)
-        names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
-        if len(names) != 1:
-            raise FormatError(
-                f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
-            )
-        values = archive[names[0]]
-    has_channel = values.ndim == 4 and values.shape[1] == 1
-    if not (values.ndim in (2, 3) or has_channel) or 0 in values.shape:
+        return open_npy(path)
+    archive = Npz(path, limits.unpacked)
+    names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
+    if len(names) != 1:
         raise FormatError(
-            f"{path}: has shape {values.shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
+            f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
         )
-    rows, columns = values.shape[-2:]
-    _check_size(path, rows, columns, limits)
-    return occupancy(values, str(path), threshold).reshape(-1, rows, columns)
+    return archive.arrays(names[0])[0]
+
+
+def _sized(grid: Bytes, invert: bool, size: Size | None, fit: str | None) -> Bytes:
+    """Return a grid of an array after ``invert``, brought to ``size`` as pictures are."""
+    if invert:
+        grid = 1 - grid
+    if size in (None, grid.shape):
+        return grid
+    # a cell is occupied where half of what it covers is
+    return _fit(255 * grid, size, fit) // 128
 
 
 def _fit(grey: Bytes, size: Size | None, fit: str | None) -> Bytes:

@@ -24,8 +24,9 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, SPLIT_NAMES, FormatError, Limits, check_file, files_of
+from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_of
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError
 from mapdata.search.api import astar
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root

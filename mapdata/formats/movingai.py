@@ -28,16 +28,9 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import (
-    LIMITS,
-    FormatError,
-    Limits,
-    files_of,
-    map_files,
-    read_text,
-    split_of,
-)
+from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError
 from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR

@@ -51,17 +51,10 @@ from PIL import Image
 
 from mapdata.arrays import Flags, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import (
-    LIMITS,
-    SPLIT_NAMES,
-    FormatError,
-    Limits,
-    check_file,
-    refusing,
-    walk,
-)
+from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, walk
 from mapdata.formats.images import PICTURES, brightness, read_pixels, tell_free
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, refusing
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root

@@ -16,30 +16,37 @@ of one size:
 A move to any of the 8 neighbours counts 1, corners may be cut. The loader draws a start between the
 percentiles of the distances; where no cell lies there it fails, so such maps are left out of an
 export.
+
+Two other layouts are read, both of iA*, https://github.com/sair-lab/iAstar. Where the third array
+is (N, 4, 1, H, W), paths have no diagonals and the actions are N E W S. A file of 15 arrays has
+five a split; the fifth, (N, H, W), is a distance field, which is left out.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.format import write_array_header_1_0
 
 from mapdata.arrays import Array, Bytes, Float32s, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, FormatError, Limits, Npz, files_of, occupancy
+from mapdata.formats.files import LIMITS, Limits, check_grids, files_of, grids_of, several
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, Npz, StoredArray
 from mapdata.problems.problem_set import Problems
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
-from mapdata.spec import NEURAL_ASTAR, SPLITS, check_seed
+from mapdata.spec import NEURAL_ASTAR, SPLITS, Movement, check_seed
 
 ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""
@@ -57,63 +64,185 @@ def is_planning(path: Path) -> bool:
     return {f"arr_{k}" for k in range(4)} <= set(shapes) and len(shapes["arr_2"]) == 5
 
 
+class _Split(NamedTuple):
+    """The arrays of a split, unread, for N maps of (H, W).
+
+    Attributes:
+        name: of the split.
+        maps: (N, H, W), 1 free and 0 occupied.
+        goals: (N, 1, H, W), 1 in one cell.
+        distances: (N, 1, H, W).
+    """
+
+    name: str
+    maps: StoredArray
+    goals: StoredArray
+    distances: StoredArray
+
+
+class _File(NamedTuple):
+    """What the headers of a file say.
+
+    Attributes:
+        path: the file.
+        splits: those that it has.
+        actions: 4 or 8.
+        fields: names of the arrays that hold a distance field of each map, where it has some.
+    """
+
+    path: Path
+    splits: list[_Split]
+    actions: int
+    fields: list[str]
+
+    @property
+    def movement(self) -> Movement:
+        """The rule of its policies: without diagonals, or with all of them."""
+        return Movement(4) if self.actions == 4 else NEURAL_ASTAR
+
+
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
     """Read the maps, goals and splits of an .npz, or of all below a folder; check their distances.
 
-    The goal becomes the first seed point of its map.
+    The goal becomes the first seed point of its map. The movement is that of the policies, which
+    have 4 or 8 actions.
 
     Raises:
         FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad
-            goal.
+            goal, and files with another number of actions than the first one.
     """
-    found = Collection(movement=NEURAL_ASTAR)
+    found = Collection()
+    actions = 0
     same = 0
     for path in files_of(source, (".npz",), limits, found):
         # a file that was asked for by name is not left out: its error is the answer
         with nullcontext() if path == source else found.leaving_out(path):
-            for one, distances in _problems(path, limits, found):
-                found.maps.append(one)
-                same += np.array_equal(hops(one.grid, one.seed_points[0]), distances)
+            file = _open(path, limits)
+            if actions not in (0, file.actions):
+                raise FormatError(
+                    f"{path}: has {file.actions} actions, the files before it {actions}: import "
+                    "it by itself"
+                )
+            for foreign_map, distances in _problems(file, limits, found):
+                found.maps.append(foreign_map)
+                values = hops(foreign_map.grid, foreign_map.seed_points[0], file.movement)
+                same += np.array_equal(values, distances)
+            actions = file.actions
+            found.movement = file.movement
+            if file.fields:
+                fields = ", ".join(file.fields)
+                found.notes.append(f"a distance field of each map ({fields}) is left out")
     found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
     return found
 
 
-def _problems(path: Path, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
-    """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``."""
-    archive = Npz(path, limits)
-    all_names = [f"arr_{number}" for number in range(4 * len(SPLITS))]
-    present = archive.shapes.keys()
-    if present.isdisjoint(all_names):
+def _open(path: Path, limits: Limits) -> _File:
+    """Return the arrays of a file after a look at their names and shapes.
+
+    Raises:
+        FormatError: another file, or one that is larger than the limits allow.
+    """
+    archive = Npz(path, limits.unpacked)
+    shapes = archive.shapes
+    count = sum(re.fullmatch("arr_[0-9]+", name) is not None for name in shapes)
+    if count == 0:
+        raise FormatError(f"{path}: holds arrays {', '.join(shapes)}, expected arr_0 to arr_11")
+    if count in (3, 6, 9) and len(shapes.get("arr_5", ())) == 5:
         raise FormatError(
-            f"{path}: holds arrays {', '.join(archive.shapes)}, expected arr_0 to arr_11"
+            f"{path}: holds {count} arrays, three a split as gated-path-planning-networks writes "
+            "them; expected four, the last of them distances"
         )
+    per_split = 5 if count % 5 == 0 else 4
+    names: dict[str, list[str]] = {}
     for code, split in enumerate(SPLITS):
-        names = all_names[4 * code : 4 * code + 4]
-        if present.isdisjoint(names):
-            continue
-        of_maps, of_goals, _, of_distances = names  # the actions follow from the distances
-        free = archive[of_maps]
-        if free.ndim != 3:
-            raise FormatError(f"{path}: {of_maps} has shape {free.shape}, expected (N, H, W)")
-        grids = 1 - occupancy(free, f"{path}: {of_maps}")
-        goals = archive[of_goals]
-        distances = archive[of_distances]
-        expected = (len(grids), 1, *grids.shape[1:])
-        for name, array in ((of_goals, goals), (of_distances, distances)):
-            if array.shape != expected:
-                raise FormatError(f"{path}: {name} has shape {array.shape}, expected {expected}")
-        for k, grid in enumerate(grids):
-            name = f"{path}: {split} {k}"
-            cells = np.argwhere(goals[k, 0] == 1)
-            if len(cells) != 1 or np.count_nonzero(goals[k]) != 1 or grid[tuple(cells[0])]:
-                found.left_out.append((name, "its goal is not one free cell"))
+        of_split = [f"arr_{per_split * code + k}" for k in range(per_split)]
+        if not shapes.keys().isdisjoint(of_split):
+            names[split] = of_split
+    archive.require(*chain(*names.values()))
+    actions = _check_shapes(path, shapes, names)
+    # Policies are not read, and do not count for the limit: they are larger than all the rest.
+    arrays = archive.arrays(*(names[split][k] for split in names for k in (0, 1, 3)))
+    splits = [_Split(split, *arrays[3 * k : 3 * k + 3]) for k, split in enumerate(names)]
+    return _File(
+        path, splits, actions, [name for of_split in names.values() for name in of_split[4:]]
+    )
+
+
+def _check_shapes(
+    path: Path, shapes: dict[str, tuple[int, ...]], names: dict[str, list[str]]
+) -> int:
+    """Return the number of actions of a file, if all its shapes fit together.
+
+    Args:
+        path: named in errors.
+        shapes: of all arrays, by name.
+        names: of the arrays of each split, in their order.
+
+    Raises:
+        FormatError: they do not; the message says which.
+    """
+    actions = 0
+    for of_maps, of_goals, of_policies, of_distances, *fields in names.values():
+        shape = shapes[of_maps]
+        if len(shape) != 3:
+            raise FormatError(f"{path}: {of_maps} has shape {shape}, expected (N, H, W)")
+        count, rows, columns = shape
+        policies = shapes[of_policies]
+        if not actions:
+            actions = policies[1] if len(policies) == 5 else 0
+        if actions not in (4, 8) or policies != (count, actions, 1, rows, columns):
+            raise FormatError(
+                f"{path}: {of_policies} has shape {policies}, expected "
+                f"{(count, actions if actions in (4, 8) else 8, 1, rows, columns)}: 8 actions, or "
+                "4 without diagonals, as in all splits"
+            )
+        expected: dict[str, tuple[int, ...]] = dict.fromkeys(fields, shape)
+        expected[of_goals] = expected[of_distances] = (count, 1, rows, columns)
+        for name, wanted in expected.items():
+            if shapes[name] != wanted:
+                raise FormatError(f"{path}: {name} has shape {shapes[name]}, expected {wanted}")
+    return actions
+
+
+def _problems(file: _File, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
+    """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``.
+
+    All of it is looked at before the first map is yielded: a damaged file gives no map.
+    """
+    for split in file.splits:
+        check_grids(split.maps, limits)
+        split.goals.check()
+        split.distances.check()
+    for split in file.splits:
+        arrays = (grids_of(split.maps), split.goals.entries(), split.distances.entries())
+        bad_goals = []
+        for k, (free, goal, distances) in enumerate(zip(*arrays, strict=True)):
+            grid = 1 - free
+            cells = np.argwhere(goal[0])
+            if len(cells) != 1 or goal[0][tuple(cells[0])] != 1 or grid[tuple(cells[0])]:
+                bad_goals.append(k)
                 continue
-            yield ForeignMap(name, grid, code, seed_points=cells.astype(np.int64)), distances[k, 0]
+            foreign_map = ForeignMap(
+                f"{file.path}: {split.name} {k}",
+                grid,
+                SPLITS.index(split.name),
+                seed_points=cells.astype(np.int64),
+            )
+            yield foreign_map, distances[0]
+        if bad_goals:
+            name = several(f"{file.path}: {split.name}", bad_goals)
+            found.left_out.append((name, "its goal is not one free cell"))
 
 
-def hops(grid: Bytes, goal: object) -> Float32s:
-    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W without a path."""
-    distance = distance_field(grid, goal, NEURAL_ASTAR)
+def hops(grid: Bytes, goal: object, movement: Movement = NEURAL_ASTAR) -> Float32s:
+    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W without a path.
+
+    Args:
+        grid: (H, W).
+        goal: (row, col), a free cell.
+        movement: with or without diagonals, all moves of the same cost.
+    """
+    distance = distance_field(grid, goal, movement)
     # 0 - distance rather than -distance: the goal is 0, not -0, in the file
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
@@ -156,8 +285,9 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
     Raises:
         FormatError: no such file, or no problem in it.
     """
+    file = _open(source, limits)
     found = []
-    for k, (one, values) in enumerate(_problems(source, limits, Collection())):
+    for k, (one, values) in enumerate(_problems(file, limits, Collection())):
         if one.split == SPLITS.index("test"):
             words = block(np.uint64(check_seed(seed)), np.uint64(k), 0, PROBLEM, 0)
             for cells, word in zip(starts_of(values), words, strict=False):  # three of four words
@@ -167,7 +297,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
         raise FormatError(f"{source}: has no map of a test split with a problem")
     grids, starts, goals = map(np.array, zip(*found, strict=True))
     text = f"{len(found)} problems of {source}, starts by seed {seed}"
-    return Problems(grids, starts, goals, NEURAL_ASTAR, text)
+    return Problems(grids, starts, goals, file.movement, text)
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:

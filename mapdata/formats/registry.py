@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import LIMITS, FormatError, Limits, files_of
+from mapdata.formats.files import LIMITS, Limits, files_of
+from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
 from mapdata.shards.root import Places, Root, local_path

@@ -30,18 +30,10 @@ from PIL import Image
 
 from mapdata.arrays import Array, Bytes, Flags, Int8s
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import (
-    LIMITS,
-    FormatError,
-    Limits,
-    files_of,
-    map_files,
-    read_text,
-    refusing,
-    split_of,
-)
+from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, refusing
 from mapdata.shards.root import Root
 from mapdata.shards.shard import StrPath
 from mapdata.spec import check_resolution

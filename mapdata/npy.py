@@ -1,0 +1,349 @@
+"""Arrays in .npy and .npz files of others: headers are checked before any array is unpacked.
+
+A .npz file is a zip archive of .npy files. The directory of an archive and the header of an array
+may claim anything, and a few kilobytes can unpack to many gigabytes. So sizes are compared with
+what the header says, sizes are limited, pickled objects are never opened, and the entries of an
+array can be read one at a time.
+
+Sources: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
+https://docs.python.org/3/library/zipfile.html.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
+
+from mapdata.arrays import Array
+
+MAX_BYTES = 2**30
+"""The default limit of what an archive unpacks to, in bytes, for the arrays that are read."""
+
+_MAX_READ = 2**20
+"""The largest piece of a file that is read in one call, in bytes; also limits zip directories."""
+
+_MAX_HEADER = 2**14
+"""The largest header of an array, in bytes; NumPy's own limit of its text is 10,000."""
+
+_MAX_MEMBERS = 1000
+"""The most arrays in an archive."""
+
+_MAX_FORTRAN = 2**27
+"""The largest array in Fortran order, in bytes: its entries cannot be read one at a time."""
+
+
+class FormatError(ValueError):
+    """A foreign file that cannot be used; one line names the file and what is wrong with it."""
+
+    def __init__(self, message: str) -> None:
+        """Keep ``message`` on one line, whatever a library put into it."""
+        super().__init__(re.sub(r"\s*\n\s*", " ", message.strip()))
+
+
+@contextmanager
+def refusing(message: str) -> Iterator[None]:
+    """Turn whatever a library raises into a `FormatError` that says ``message`` and the cause.
+
+    What zipfile, Pillow's decoders and numpy's parser of headers raise on damaged files is not
+    documented: zlib.error, struct.error, SyntaxError, EOFError and more.
+    """
+    try:
+        yield
+    except FormatError:
+        raise
+    except Exception as error:
+        raise FormatError(f"{message} ({type(error).__name__}: {error})") from None
+
+
+class _Header(NamedTuple):
+    """The header of an .npy file.
+
+    Attributes:
+        shape: of the array.
+        is_fortran: whether the first axis is the fastest in the file.
+        dtype: of the array.
+        size: of the header itself, in bytes.
+    """
+
+    shape: tuple[int, ...]
+    is_fortran: bool
+    dtype: np.dtype[Any]
+    size: int
+
+
+def _read_header(file: IO[bytes]) -> _Header:
+    """Read a header at the start of ``file``, and perhaps some bytes behind it.
+
+    Raises:
+        Exception: whatever NumPy raises where it is damaged.
+    """
+    # NumPy reads as many bytes as a header claims to have before it looks at their number.
+    start = io.BytesIO(file.read(_MAX_HEADER))
+    is_first_version = read_magic(start) == (1, 0)
+    parse = read_array_header_1_0 if is_first_version else read_array_header_2_0
+    shape, is_fortran, dtype = parse(start)
+    return _Header(shape, is_fortran, dtype, start.tell())
+
+
+@dataclass(frozen=True)
+class StoredArray:
+    """An array of numbers in a file, of which only the header has been read.
+
+    Attributes:
+        label: names the file, and the array in it, in errors.
+        shape: of the array.
+        dtype: of the array: bool, integers or floats of at most 8 bytes.
+        is_fortran: whether the first axis is the fastest in the file.
+        offset: bytes of the header before the numbers.
+        path: the file.
+        member: name of the array in an archive, None in an .npy file.
+    """
+
+    label: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    is_fortran: bool
+    offset: int
+    path: Path
+    member: str | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """The size of the numbers, in bytes."""
+        return prod(self.shape) * self.dtype.itemsize
+
+    def __len__(self) -> int:
+        """Return the length of the first axis."""
+        return self.shape[0]
+
+    def read(self) -> Array:
+        """Return the whole array.
+
+        Raises:
+            FormatError: it is damaged, or cannot be read.
+        """
+        with refusing(f"{self.label}: damaged"), self._opened() as file:
+            numbers = self._numbers(file, prod(self.shape))
+            return numbers.reshape(self.shape, order="F" if self.is_fortran else "C")
+
+    def entries(self) -> Iterator[Array]:
+        """Yield ``array[0]``, ``array[1]``, ...; only one of them is in memory at a time.
+
+        An array in Fortran order is read whole. An array without numbers has no entries, however
+        long its first axis is.
+
+        Raises:
+            FormatError: as `read`; more than 128 MiB in Fortran order.
+        """
+        count, *shape = self.shape
+        if self.is_fortran and shape:
+            if self.nbytes > _MAX_FORTRAN:
+                raise FormatError(
+                    f"{self.label}: has {self.nbytes} bytes in Fortran order, expected at most "
+                    f"{_MAX_FORTRAN}: save it with numpy.ascontiguousarray"
+                )
+            yield from self.read()
+            return
+        with refusing(f"{self.label}: damaged"), self._opened() as file:
+            for _ in range(count if self.nbytes else 0):
+                yield self._numbers(file, prod(shape)).reshape(shape)
+
+    def check(self) -> None:
+        """Read all of it and keep nothing, so that damage shows before any of it is used.
+
+        Raises:
+            FormatError: as `entries`.
+        """
+        for _ in self.entries():
+            pass
+
+    @contextmanager
+    def _opened(self) -> Iterator[IO[bytes]]:
+        """Yield the file, at the first of the numbers."""
+        if self.member is None:
+            with open(self.path, "rb") as file:
+                file.seek(self.offset)
+                yield file
+        else:
+            with _opened_archive(self.path) as archive, archive.open(self.member) as member:
+                member.read(self.offset)
+                yield member
+
+    def _numbers(self, file: IO[bytes], count: int) -> Array:
+        """Return the next ``count`` numbers, (count,)."""
+        numbers = np.empty(count, self.dtype)
+        buffer = numbers.view(np.uint8).data
+        position = 0
+        while position < len(buffer):
+            # zipfile unpacks no more than it is asked for
+            piece = file.read(min(_MAX_READ, len(buffer) - position))
+            if not piece:
+                raise FormatError(f"{self.label}: damaged (it ends early)")
+            buffer[position : position + len(piece)] = piece
+            position += len(piece)
+        return numbers
+
+
+class Npz:
+    """An .npz archive, of which only the headers of the arrays have been read.
+
+    Attributes:
+        path: the file.
+        shapes: shape of each array, by name.
+    """
+
+    def __init__(self, path: Path, max_bytes: int = MAX_BYTES) -> None:
+        """Read the directory of the archive and the header of each array; unpack nothing else.
+
+        Args:
+            path: the file.
+            max_bytes: the limit of what the arrays that are read unpack to, all together.
+
+        Raises:
+            FormatError: no such file, or not a sound archive of up to 1,000 arrays.
+        """
+        self.path = path
+        self._max_bytes = max_bytes
+        self._headers: dict[str, _Header] = {}
+        self._sizes: dict[str, int] = {}
+        if not path.is_file():
+            raise FormatError(f"{path}: no such file")
+        with refusing(f"{path}: not a sound .npz file"), _opened_archive(path) as archive:
+            members = [member for member in archive.infolist() if member.filename[-4:] == ".npy"]
+            if not 1 <= len(members) <= _MAX_MEMBERS:
+                raise FormatError(
+                    f"{path}: holds {len(members)} arrays, expected 1 to {_MAX_MEMBERS}"
+                )
+            for member in members:
+                name = member.filename[:-4]
+                # zipfile cannot unpack the other ways of compression a part at a time
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise FormatError(
+                        f"{path}: array {name!r} is compressed by method {member.compress_type}, "
+                        "expected stored or deflated, as NumPy writes them"
+                    )
+                with archive.open(member) as file:
+                    self._headers[name] = _read_header(file)
+                self._sizes[name] = member.file_size
+        self.shapes = {name: header.shape for name, header in self._headers.items()}
+
+    def require(self, *names: str) -> None:
+        """Refuse an archive without arrays of these names.
+
+        Raises:
+            FormatError: one is missing; the message lists those that are there.
+        """
+        for name in names:
+            if name not in self.shapes:
+                raise FormatError(
+                    f"{self.path}: holds no array {name!r}, but {', '.join(self.shapes)}"
+                )
+
+    def arrays(self, *names: str) -> list[StoredArray]:
+        """Return the arrays of these names, unread; all that is read of an archive in one call.
+
+        Raises:
+            FormatError: one is missing, holds no numbers, or has another size than its header says;
+                together they are larger than ``max_bytes``.
+        """
+        self.require(*names)
+        arrays = [self._array(name) for name in names]
+        size = sum(array.nbytes for array in arrays)
+        if size > self._max_bytes:
+            raise FormatError(
+                f"{self.path}: {', '.join(names)} unpack to {size} bytes, expected at most "
+                f"{self._max_bytes}"
+            )
+        return arrays
+
+    def text(self, name: str, max_length: int = 2**16) -> str:
+        """Return a text that was saved as an array without axes.
+
+        Raises:
+            FormatError: there is none, or it is longer than ``max_length``.
+        """
+        self.require(name)
+        header = self._headers[name]
+        label = self._label(name)
+        count = header.dtype.itemsize // 4
+        if header.dtype.kind != "U" or header.shape != () or count > max_length:
+            raise FormatError(
+                f"{label}: holds {header.dtype} of shape {header.shape}, expected a text of at "
+                f"most {max_length} letters"
+            )
+        codes = np.dtype(np.uint32).newbyteorder(header.dtype.byteorder)
+        stored = StoredArray(label, (count,), codes, False, header.size, self.path, f"{name}.npy")
+        with refusing(f"{label}: damaged"):
+            return str(stored.read().view(header.dtype)[0]) if count else ""
+
+    def _label(self, name: str) -> str:
+        return f"{self.path}: array {name!r}"
+
+    def _array(self, name: str) -> StoredArray:
+        header = self._headers[name]
+        return _stored(header, self._label(name), self._sizes[name], self.path, f"{name}.npy")
+
+
+def open_npy(path: Path) -> StoredArray:
+    """Return the array of an .npy file, unread.
+
+    Raises:
+        FormatError: no such file, or not a sound one; it holds no numbers.
+    """
+    if not path.is_file():
+        raise FormatError(f"{path}: no such file")
+    with refusing(f"{path}: not a sound .npy file"), open(path, "rb") as file:
+        header = _read_header(file)
+        size = file.seek(0, io.SEEK_END)
+    return _stored(header, str(path), size, path)
+
+
+def _stored(
+    header: _Header, label: str, size: int, path: Path, member: str | None = None
+) -> StoredArray:
+    """Return the array of a file of ``size`` bytes, if its header fits."""
+    dtype = header.dtype
+    if dtype.hasobject:
+        raise FormatError(f"{label}: holds pickled objects, expected numbers; they are not opened")
+    if dtype.kind not in "biuf" or dtype.itemsize > 8:
+        raise FormatError(f"{label}: holds {dtype}, expected numbers of at most 8 bytes")
+    array = StoredArray(label, header.shape, dtype, header.is_fortran, header.size, path, member)
+    if min(array.shape, default=0) < 0 or header.size + array.nbytes != size:
+        raise FormatError(
+            f"{label}: has {size} bytes, expected {header.size} for its header and those of "
+            f"{dtype} in shape {array.shape}"
+        )
+    return array
+
+
+class _ShortReads(io.FileIO):
+    """A file that refuses long reads: zipfile reads the directory of an archive in one call."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read ``size`` bytes, or all that are left.
+
+        Raises:
+            ValueError: that is more than ``_MAX_READ``.
+        """
+        if size is None or size < 0:
+            size = max(0, os.fstat(self.fileno()).st_size - self.tell())
+        if size > _MAX_READ:
+            raise ValueError(f"its directory has {size} bytes, expected at most {_MAX_READ}")
+        return super().read(size)
+
+
+@contextmanager
+def _opened_archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    with _ShortReads(path) as file, zipfile.ZipFile(file) as archive:
+        yield archive
