@@ -95,7 +95,7 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     yield "manifest", folder / "pipe", "ShardError"
     (folder / "piece").write_text("[0, 1, 2], " * 10)
     yield "url", folder / "piece", "ShardError"
-    for name in ("deep", "digits"):
+    for name in ("deep", "digits", "endless"):
         yield "recipe", folder / name / MANIFEST, "ValueError"
 
 
