@@ -36,7 +36,7 @@ from tqdm.contrib.concurrent import thread_map
 
 from mapdata.arrays import Array, Bytes, Floats, Ints
 from mapdata.datasets import LateLoader, MapDataModule, Sample
-from mapdata.shards import write_file
+from mapdata.shards import write_output
 from mapdata.spec import canonical_json, check_choice
 from models.roadmap import between, build_roadmap, halton, radius
 
@@ -230,7 +230,7 @@ class Bank:
         buffer = BytesIO()
         np.savez(buffer, identity=self.identity, **self.arrays)  # type: ignore[arg-type]
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_file(file, buffer.getvalue())
+        write_output(file, buffer.getvalue())
 
     @staticmethod
     def read(file: Path, identity: str) -> Bank:

@@ -286,9 +286,10 @@ class BatchReader:
             movement: that is served; None for the stored one.
 
         Raises:
-            DatasetNotFoundError, ShardError, ValueError: as `Root.open`.
+            DatasetNotFoundError, ShardError, ValueError: as `Root.open`; no shard is finished.
         """
         self.root = Root.open(root)
+        self.root.check_begun()
         self.shards = self.root.shards
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size

@@ -317,7 +317,8 @@ class MapDataset(ProblemDataset):
         DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
         ShardError: a damaged or hostile file, found at its first touch, or at once where opening
             the dataset opens all shards.
-        ValueError: arguments that do not fit, or that would do nothing.
+        ValueError: arguments that do not fit, or that would do nothing; a dataset of which no
+            shard is finished.
     """
 
     def __init__(

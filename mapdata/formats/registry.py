@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args, get_origin
 
 from mapdata.formats.collection import Collection
@@ -16,6 +15,7 @@ from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
 from mapdata.shards.root import Places, Root, local_path
 from mapdata.shards.shard import StrPath
+from mapdata.shards.temporary import sweep_temporaries, temporary_folder
 from mapdata.spec import check_choice
 
 
@@ -156,6 +156,8 @@ def export(
 ) -> list[str]:
     """Write a dataset in a foreign format; ``target`` appears when it is complete.
 
+    What exports left beside it that were killed is removed.
+
     Args:
         root: folder or URL of the dataset, or several.
         target: new name, or an empty folder; for planning-datasets a name that ends with .npz.
@@ -178,13 +180,16 @@ def export(
     ending = FORMATS[kind].target_ending
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
+    if target.name in ("", ".."):
+        raise FormatError(f"{target}: expected the name of the file or folder to write")
     source = Root.open(root, complete=True)
     is_empty = target.is_dir() and not any(target.iterdir())
     if target.exists() and not is_empty:
         raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".", dir=target.parent, ignore_cleanup_errors=True) as folder:
-        temporary = Path(folder, "export")
+    sweep_temporaries(target.parent)
+    with temporary_folder(target) as folder:
+        temporary = folder / "export"
         notes: list[str] = write(temporary, source, progress, **options)
         if target.is_dir():
             target.rmdir()  # it is empty; a file cannot replace a folder

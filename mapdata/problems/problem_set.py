@@ -6,16 +6,18 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, summary
 from mapdata.generators.generator import Generator, check_spec, generate, identity
 from mapdata.generators.maps import Maps
+from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
@@ -30,6 +32,14 @@ _DRAWS = (0, 1000)
 
 _MAPS_A_CHUNK = 256
 _ARRAYS = ("grids", "starts", "goals")
+
+_MAX_UNPACKED = 2**26
+"""Bytes that the arrays of any saved set may unpack to: 16,000 maps of 64 x 64 cells."""
+
+_MAX_RATIO = 200
+"""How many times its file a larger set may unpack to, up to `MAX_BYTES`. Maps that planners are
+compared on reach some 10 to 160 times; a file that is made to fill the memory reaches 1,000.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,35 +121,57 @@ class Problems:
         """Write the problems to a compressed .npz; the same problems are the same bytes.
 
         It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: JSON of the rest. A
-        file that is there is replaced at once, or not at all.
+        file that is there is replaced at once, or not at all. A set that would unpack to more than
+        `load` allows is not compressed: one of over 1 GiB, or many large and nearly empty maps.
         """
         about = {"movement": asdict(self.movement), "description": self.description}
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         file = BytesIO()
         np.savez_compressed(file, about=canonical_json(about), **arrays)
+        size = file.getbuffer().nbytes
+        if sum(array.nbytes for array in arrays.values()) > _max_unpacked(size):
+            file = BytesIO()
+            np.savez(file, about=canonical_json(about), **arrays)
         write_output(path, file.getvalue())
 
     @staticmethod
     def load(path: StrPath) -> Problems:
         """Read what `save` wrote.
 
+        The headers of the arrays are checked before anything is unpacked. All together may unpack
+        to 64 MiB, or to 200 times the size of the file but not over 1 GiB; uncompressed ones may
+        have any size.
+
         Raises:
             FileNotFoundError: no such file.
-            ValueError: it holds no problems, or what `Problems` refuses; the message names it.
+            ValueError: it holds no problems, too many for its size, or what `Problems` refuses; the
+                message names it.
         """
+        path = Path(path)
+        limit = _max_unpacked(path.stat().st_size)
         try:
-            with np.load(path) as file:
-                about = json.loads(str(file["about"]))
-                arrays = {name: file[name] for name in _ARRAYS}
+            archive = Npz(path, sys.maxsize)  # the limit is compared below, in words of its own
+            about = json.loads(archive.text("about"))
+            stored = archive.arrays(*_ARRAYS)
+            _check_shapes([array.shape for array in stored])
+            size = sum(array.nbytes for array in stored)
+            if size > limit:
+                raise ValueError(
+                    f"they unpack to {size} bytes, expected at most {limit}: 64 MiB, or "
+                    f"{_MAX_RATIO} times the file up to 1 GiB. If you trust it, save its arrays "
+                    "with numpy.savez, uncompressed"
+                )
+            grids, starts, goals = (array.read() for array in stored)
             return Problems(
-                **arrays,
+                grids,
+                starts,
+                goals,
                 movement=Movement(**about["movement"]),
                 description=str(about["description"]),
             )
-        except FileNotFoundError:
-            raise
-        except Exception as error:  # what numpy's and zip's readers raise is not documented
-            raise ValueError(f"{path}: holds no saved problems ({error})") from None
+        except Exception as error:  # what zip's and JSON's readers raise is not documented
+            why = str(error).removeprefix(f"{path}: ")
+            raise ValueError(f"{path}: holds no saved problems ({why})") from None
 
     @staticmethod
     def sample(
@@ -243,6 +275,28 @@ def _shared(arrays: Array) -> Array:
     """Return the only grid, (H, W), if all of (N, H, W) are views of it; else the arrays."""
     arrays = np.asarray(arrays)
     return arrays[0] if len(arrays) > 0 and arrays.strides[0] == 0 else arrays
+
+
+def _max_unpacked(size: int) -> int:
+    """Return to how many bytes the arrays of a saved set may unpack whose file has ``size``.
+
+    Arrays that are not compressed are smaller than their file, and always allowed.
+    """
+    return max(_MAX_UNPACKED, min(_MAX_RATIO * size, MAX_BYTES), size)
+
+
+def _check_shapes(shapes: Sequence[tuple[int, ...]]) -> None:
+    """Refuse shapes of grids, starts and goals that do not fit together.
+
+    Raises:
+        ValueError: the message says what was expected.
+    """
+    grids, starts, goals = shapes
+    if len(grids) != 3 or starts != (grids[0], 2) or goals != starts:
+        raise ValueError(
+            f"grids, starts and goals have shapes {grids}, {starts} and {goals}, expected "
+            "(N, H, W), (N, 2) and (N, 2)"
+        )
 
 
 def _collect(

@@ -10,7 +10,6 @@ import os
 import re
 import shlex
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -33,9 +32,9 @@ from mapdata.shards.shard import (
     ShardError,
     Span,
     check_version,
-    take_lock,
     write_file,
 )
+from mapdata.shards.temporary import remove_if_left, take_lock
 from mapdata.spec import (
     SPLITS,
     Movement,
@@ -52,23 +51,20 @@ LOCK = ".lock"
 PROVENANCE = "import.json"
 """File beside the manifest that says where each map came from."""
 
-MOST_BYTES = 2**28
-"""Largest manifest that is read."""
+MOST_BYTES = 2**27
+"""Largest manifest that is read: one that lists `MOST_SHARDS` has some 80 MB."""
 
 MOST_SHARDS = 100_000
-"""Most files of a dataset; a manifest that lists them has some 80 MB."""
+"""Most files of a dataset."""
 
 COUNTS = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
 """What `counts_of` counts in each split."""
-
-_A_DAY = 86_400
-"""Seconds after which a temporary file counts as left behind where there are no locks."""
 
 _OURS = r"(maps-\d{12,}-\d{12,}\.h5|manifest\.json|import\.json|README\.md|recipe\.json)"
 """Names of files that a root may hold, as a regular expression."""
 
 _TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
-"""Names under which `write_file` writes them."""
+"""Names under which `write_file` writes them, and under which earlier versions did."""
 
 
 class DatasetNotFoundError(FileNotFoundError):
@@ -409,9 +405,8 @@ def union(mine: Manifest, theirs: Manifest) -> Manifest:
 def sweep(root: Path, manifest: Manifest) -> None:
     """Remove what dead builders left: temporary files, and shards that larger ones replaced."""
     for path in root.glob(".*.tmp"):
-        with suppress(FileNotFoundError):  # another builder sweeps too
-            if re.fullmatch(_TEMPORARY, path.name) and path.is_file() and _is_left(path):
-                path.unlink()
+        if re.fullmatch(_TEMPORARY, path.name) and path.is_file():
+            remove_if_left(path)
     stops = dict(entry.limits for entry in manifest.shards)
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
@@ -424,19 +419,6 @@ def limits_of(path: Path) -> Span:
     """Return (start, stop) of the maps of a shard file, as its name states them."""
     _, start, stop = path.stem.split("-")
     return int(start), int(stop)
-
-
-def _is_left(path: Path) -> bool:
-    """Return whether the writer of a temporary file has died: it holds a lock while it lives.
-
-    Process numbers and host names would not tell: those of two containers may be equal.
-    """
-    with suppress(PermissionError), open(path, "r+b") as first, open(path, "r+b") as second:
-        if not take_lock(first):
-            return False
-        if not take_lock(second):
-            return True  # locks work here, and nobody held this one
-    return time.time() - path.stat().st_mtime > _A_DAY
 
 
 def load_shard(root: Path, header: Header) -> Entry | None:

@@ -10,6 +10,9 @@ from mapdata.generators.generator import PRESETS, Generator, identity
 from mapdata.shards.shard import check_version
 from mapdata.spec import check_choice, check_count, check_seed, did_you_mean, parsed_json
 
+MAX_BYTES = 2**20
+"""Largest file that is read as a recipe: one has some 600 bytes."""
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -64,5 +67,8 @@ def _parsed(text: str) -> object:
                 f"recipe: {text!r} is no preset ({', '.join(PRESETS)}), no file and no JSON text"
                 f"{did_you_mean(text, PRESETS)}"
             )
+        size = Path(text).stat().st_size
+        if size > MAX_BYTES:
+            raise ValueError(f"recipe: {text} has {size} bytes, expected at most {MAX_BYTES}")
         return parsed_json(f"recipe: {text}", Path(text).read_bytes())
     return parsed_json("recipe", text)

@@ -31,6 +31,7 @@ from mapdata.shards.manifest import (
 )
 from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
+from mapdata.shards.temporary import sweep_temporaries
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement, Size, hash_of, parsed_json, sha256_of
 
@@ -124,6 +125,20 @@ class Root:
             )
         return first
 
+    def check_begun(self) -> None:
+        """Refuse a dataset of which no map is there yet, such as what a build leaves that failed.
+
+        Raises:
+            ValueError: the message names the place, and what to do.
+        """
+        for place, manifest in zip(self.places, self.manifests, strict=True):
+            if not manifest.shards:
+                raise ValueError(
+                    f"root: {place} holds none of its {manifest.maps} maps yet: no shard is "
+                    "finished. Wait for the build that runs, or run the command that makes it once "
+                    "more: it goes on, or says what stops it"
+                )
+
     def __repr__(self) -> str:
         return f"Root({', '.join(map(repr, (*self.places, *self.manifests)))})"
 
@@ -172,7 +187,9 @@ class Root:
 
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
+            ValueError: as `check_begun`.
         """
+        self.check_begun()
         with bar(progress, sum(manifest.done for manifest in self.manifests)) as advance:
             for k, (_, _, entry) in enumerate(self.shards):
                 yield self.shard_labels(k)
@@ -182,8 +199,9 @@ class Root:
         """Return the shard that holds map ``index``, and the place of the map in it.
 
         Raises:
-            ValueError: the dataset has no such map.
+            ValueError: the dataset has no such map, or as `check_begun`.
         """
+        self.check_begun()
         for k, (_, first, entry) in enumerate(self.shards):
             number = index - first  # of the map in its own place
             if entry.start <= number < entry.stop:
@@ -253,7 +271,7 @@ def read_file(place: str, name: str) -> bytes:
     Raises:
         FileNotFoundError: there is none.
         ConnectionError: the URL cannot be reached, and the file was never fetched.
-        ShardError: it is a link that leads out of the folder.
+        ShardError: it is a link that leads out of the folder, or longer than `MOST_BYTES` at a URL.
     """
     if not is_url(place):
         return path_in(Path(place), name).read_bytes()
@@ -267,6 +285,7 @@ def read_file(place: str, name: str) -> bytes:
         return kept.read_bytes()
     with suppress(OSError):  # a cache that may only be read
         _keep(kept, data)
+        sweep_temporaries(kept.parent)
     return data
 
 
@@ -351,6 +370,7 @@ def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
     Raises:
         DatasetNotFoundError: it is not there.
         ConnectionError: no try got it; the message says why the last one did not.
+        ShardError: it is longer.
     """
     for pause in PAUSES:
         try:
@@ -368,12 +388,14 @@ def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
 def _fetch_once(place: str, name: str, most: int) -> bytes:
     """Do what `_fetch` does, in one try."""
     url = f"{place}/{name}"
-    data = bytearray()
+    pieces = []
+    length = 0
     try:
         with _open_url(url) as file:
             # a stream gives what has arrived, which may be less than is asked for
-            while piece := file.read(most + 1 - len(data)):
-                data += piece
+            while piece := file.read(most + 1 - length):
+                pieces.append(piece)
+                length += len(piece)
     except ImportError as error:
         raise ValueError(f"root: {place} needs another package: {error}") from None
     except ValueError as error:  # a protocol that fsspec does not know
@@ -385,7 +407,10 @@ def _fetch_once(place: str, name: str, most: int) -> bytes:
         # one in all, which has a name at least.
         why = " ".join((str(error) or str(error.__cause__) or repr(error)).split())
     else:
-        return bytes(data)
+        # Before it is joined or parsed, which takes some times as much memory.
+        if length > most:
+            raise ShardError(f"{url}: what was fetched is damaged (it has more than {most} bytes)")
+        return b"".join(pieces)
     # Not from within the handler: the error of HTTP holds what cannot be pickled, and Dask pickles
     # an error with its causes.
     raise ConnectionError(

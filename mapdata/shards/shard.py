@@ -8,18 +8,13 @@ from __future__ import annotations
 
 import io
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import IO, Any, NamedTuple
-from uuid import uuid4
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-
-if sys.platform != "win32":
-    import fcntl
 
 from mapdata._version import __version__
 from mapdata.arrays import Array, Bytes, Flags, Ints
@@ -29,12 +24,20 @@ from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
+from mapdata.shards.temporary import sweep_temporaries, take_lock, temporary_path
 from mapdata.spec import FORMAT_VERSIONS, Movement, Size, canonical_json, least_version
 
 StrPath = str | os.PathLike[str]
 
 Span = tuple[int, int]
 """(start, stop) of the maps of a shard."""
+
+
+TESTED_H5PY = ("3.15", "3.16")
+"""The oldest and the newest h5py whose files were read back; docs/promises.md has a table."""
+
+_MAX_TEXT = 4070
+"""Largest text attribute, in bytes: with its header it has 4,096, the most that the heap takes."""
 
 
 class ShardError(ValueError):
@@ -268,11 +271,21 @@ def _check_image(image: bytes, attributes: dict[str, Any], arrays: dict[str, Arr
         )
     except ValueError:
         same = False
-    if not same:
+    if same:
+        return
+    size = len(attributes["spec"].encode())
+    if size > _MAX_TEXT:
         raise ShardError(
-            f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than "
-            "it was asked to; try another version, or a spec of less than 4,000 characters"
+            f"spec: its JSON has {size} bytes, expected at most {_MAX_TEXT}: HDF5 stores longer "
+            "texts in another way"
         )
+    oldest, newest = TESTED_H5PY
+    raise ShardError(
+        f"HDF5 {h5py.version.hdf5_version} (h5py {h5py.__version__}) wrote another file than it "
+        f"was asked to; mapdata was tested with h5py {oldest} to {newest}: install one of those "
+        f"(pip install 'h5py=={newest}.*') and run the same command again. Nothing was written, "
+        "and datasets that exist stay readable"
+    )
 
 
 def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -403,7 +416,7 @@ def write_file(path: Path, data: bytes) -> None:
     Raises:
         OSError: the disk is full or not writable; nothing is left behind under any name.
     """
-    temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+    temporary = temporary_path(path)
     try:
         with open(temporary, "xb") as file:
             take_lock(file)  # it tells those who sweep that the writer lives
@@ -425,6 +438,8 @@ def write_file(path: Path, data: bytes) -> None:
 def write_output(path: StrPath, data: bytes) -> None:
     """Write ``data`` to what a user names: a file at once, a link followed, a device or pipe as is.
 
+    What writers left beside the file that were killed is removed.
+
     Raises:
         OSError: as `write_file`.
     """
@@ -432,22 +447,9 @@ def write_output(path: StrPath, data: bytes) -> None:
     if target.exists() and not target.is_file():
         target.write_bytes(data)
     else:
-        write_file(Path(os.path.realpath(path)), data)
-
-
-def take_lock(file: IO[bytes], wait: bool = False) -> bool:
-    """Lock an open file until it is closed; without ``wait``, return False if another one holds it.
-
-    Where there are no locks (Windows, some file systems) return True.
-    """
-    if sys.platform != "win32":
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            pass  # this file system has no locks
-    return True
+        target = Path(os.path.realpath(path))
+        sweep_temporaries(target.parent)
+        write_file(target, data)
 
 
 def sync_folder(folder: Path) -> None:

@@ -4,6 +4,7 @@ that can be tested.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -83,6 +84,23 @@ def test_what_is_missing_is_named_itself() -> None:
                 text = (ROOT / name).read_text(encoding="utf-8")
                 assert not re.search(r"pip install ['\"]?mapdata", text), name
                 assert folder != "mapdata" or "python scripts/" not in text, name
+
+
+def test_the_newest_dependencies_are_tried_each_week() -> None:
+    """By a command that looks at no constraints, with no secret and no right to write."""
+    text = (ROOT / ".github" / "workflows" / "newest.yml").read_text(encoding="utf-8")
+    workflow = yaml.safe_load(text)
+    (entry,) = workflow[True]["schedule"]  # to YAML 1.1, "on" is a bool
+    assert re.fullmatch(r"\d+ \d+ \* \* \d", entry["cron"])
+    (job,) = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if "run" in step] == [".ci/newest"]
+    assert workflow["permissions"] == {"contents": "read"}
+    assert "secrets" not in text
+    command = ROOT / ".ci" / "newest"
+    assert os.access(command, os.X_OK)
+    (install,) = re.findall("^pip install .*$", command.read_text(encoding="utf-8"), re.MULTILINE)
+    assert "--upgrade " in install
+    assert " -c " not in install
 
 
 @pytest.mark.slow

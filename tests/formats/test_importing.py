@@ -16,10 +16,20 @@ from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
 
-from mapdata import Labels, MapDataset, Maps, ShardError, label, read_shard, repair, verify
+from mapdata import (
+    Labels,
+    MapDataset,
+    Maps,
+    Problems,
+    ShardError,
+    label,
+    read_shard,
+    repair,
+    verify,
+)
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
-from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
+from mapdata.shards import MANIFEST, PROVENANCE, Root, dataset_statistics, read_manifest
 from mapdata.spec import SPLITS, Movement
 
 Bytes = npt.NDArray[np.uint8]
@@ -320,10 +330,16 @@ def test_a_repaired_manifest_is_that_of_the_import(
     import_maps(tmp_path / "out", collection(*grids), seed_points=2)
 
 
-def test_an_import_that_has_not_begun_can_be_opened(tmp_path: Path) -> None:
-    """As a build can: a dataset without a problem yet, which says that it is not finished."""
+def test_an_import_that_has_not_begun_is_refused_as_such(tmp_path: Path) -> None:
+    """As such a build is, by the dataset, by problems and by figures."""
     (made,) = import_maps(tmp_path / "out", collection(*random_grids(5)), shard_size=2)
     (made.root / MANIFEST).write_text(replace(made.manifest, shards=()).to_json())
-    dataset = MapDataset(made.root)
-    assert len(dataset) == 0
-    assert "not finished" in repr(dataset)
+    says = r"holds none of its 5 maps yet: no shard is finished\. .*run the command that makes it"
+    with pytest.raises(ValueError, match=says):
+        MapDataset(made.root)
+    with pytest.raises(ValueError, match=says):
+        Problems.read(made.root)
+    with pytest.raises(ValueError, match=says):
+        dataset_statistics(made.root)
+    with pytest.raises(ValueError, match=says):
+        Root.open(made.root).map(3)

@@ -80,6 +80,36 @@ def test_an_export_is_whole_or_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_export_removes_what_a_killed_one_left(square: Path, tmp_path: Path) -> None:
+    """Beside its target, whatever that was called; files of other programs stay."""
+    left = tmp_path / ".before.0123456789abcdef.mapdata.tmp"
+    (left / "export" / "train").mkdir(parents=True)
+    (left / "lock").touch()
+    (tmp_path / ".notes.tmp").touch()
+    export(square, tmp_path / "out", "ros")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".notes.tmp", "out"]
+
+
+def test_an_export_is_written_under_a_name_that_says_whose_it_is(
+    square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And two at once do not take each other's files away."""
+    true_replace = os.replace
+    targets = [tmp_path / "second"]
+
+    def replace(source: Path, target: Path) -> None:
+        names = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+        assert all(re.fullmatch(r"\.\w+\.[0-9a-f]{16}\.mapdata\.tmp", name) for name in names)
+        assert names
+        if targets:
+            export(square, targets.pop(), "ros")
+        true_replace(source, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+    export(square, tmp_path / "first", "ros")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["first", "second"]
+
+
 def test_what_cannot_be_exported(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

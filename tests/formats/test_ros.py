@@ -247,6 +247,9 @@ FIELDS = {
     "raw negate": ({"mode": "raw", "negate": "1"}, "mode raw with negate"),
     "not yaml": ({"image": "{unclosed"}, "not plain YAML"),
     "alias": ({"image": "*nothing"}, "not plain YAML \\(an alias: write out"),
+    "deep lists": ({"image": "[" * 500}, "more than 16 deep, expected the flat YAML"),
+    "deep keys": ({"image": "\n  " + "? " * 30_000}, "more than 16 deep, expected the flat YAML"),
+    "long": ({"image": "? " * 200_000}, "bytes, expected at most 65536"),
 }
 
 

@@ -11,10 +11,15 @@ import json
 import re
 import resource
 import sys
+import threading
 from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from mapdata import MapDataset
+import aiohttp  # noqa: F401  # what a fetch imports is not its memory
+import fsspec.implementations.http  # noqa: F401
+
+from mapdata import MapDataset, Problems
 from mapdata.formats import FormatError, read_any
 from mapdata.shards import Recipe, open_shard, read_manifest
 from models.path_predictor import PathPredictor
@@ -27,12 +32,42 @@ def read_format(path: str) -> None:
         raise FormatError(found.left_out[0][1])
 
 
+class EndlessHandler(BaseHTTPRequestHandler):
+    """Answers with the text of a file that is asked for by its path, again and again."""
+
+    def do_GET(self) -> None:
+        """Send it until the client is gone."""
+        text = Path(self.path).parent.read_bytes() * 1000
+        self.send_response(200)
+        self.end_headers()
+        try:
+            while True:
+                self.wfile.write(text)
+        except OSError:
+            pass
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+
+def fetch_endless(path: str) -> None:
+    """Open a dataset at a URL whose manifest begins as the file, and has no end."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), EndlessHandler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            MapDataset(f"http://127.0.0.1:{server.server_port}{path}")
+        finally:
+            server.shutdown()
+
+
 LOADERS: dict[str, Callable[[str], object]] = {
     "shard": open_shard,
     "manifest": lambda path: read_manifest(Path(path)),
     "dataset": lambda path: MapDataset(path)[:],
+    "url": fetch_endless,
     "recipe": Recipe.load,
     "format": read_format,
+    "problems": Problems.load,
     "model": PathPredictor.load,
 }
 

@@ -4,6 +4,7 @@ answer is refused.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 from dataclasses import replace
@@ -278,6 +279,41 @@ def test_a_saved_set_is_the_same(movement: Movement, tmp_path: Path) -> None:
     assert saved_again.read_bytes() == path.read_bytes()
 
 
+def test_a_set_may_unpack_to_200_times_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What `save` writes is read, also where a small limit stands for many maps: then it does not
+    compress. Others are refused with a way out.
+    """
+    monkeypatch.setattr("mapdata.problems.problem_set._MAX_UNPACKED", 2**16)
+    count = 50
+    grids = np.zeros((count, 120, 120), np.uint8)
+    starts = np.stack([np.arange(count), np.zeros(count, np.int64)], axis=1)
+    problems = Problems(grids, starts, starts + 5, Movement())
+    path = tmp_path / "set.npz"
+    problems.save(path)
+    assert path.stat().st_size > grids.nbytes
+    assert_same(Problems.load(path), problems)
+    with np.load(path) as file:
+        np.savez_compressed(path, **file)
+    size = grids.nbytes + 2 * starts.nbytes
+    limit = max(2**16, 200 * path.stat().st_size)
+    assert size > limit
+    says = rf"unpack to {size} bytes, expected at most {limit}: .* save its arrays with numpy.savez"
+    with pytest.raises(ValueError, match=says):
+        Problems.load(path)
+    walls = Problems.sample(DUNGEON, 77, 20)  # some 30 times its file
+    walls.save(path)
+    assert walls.grids.nbytes > 10 * path.stat().st_size
+    assert_same(Problems.load(path), walls)
+    monkeypatch.setattr("mapdata.problems.problem_set.MAX_BYTES", 2**16)
+    with pytest.raises(ValueError, match="expected at most 65536: "):
+        Problems.load(path)
+    walls.save(path)
+    assert walls.grids.nbytes < path.stat().st_size
+    assert_same(Problems.load(path), walls)
+
+
 def test_a_full_disk_leaves_the_set_that_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -294,6 +330,18 @@ def test_a_full_disk_leaves_the_set_that_was_there(
         Problems.sample(DUNGEON, 77, 20).save(path)
     assert_same(Problems.load(path), problems)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_save_removes_what_a_killed_one_left(tmp_path: Path) -> None:
+    """In the same folder, of a set of any name; what a living writer has locked stays."""
+    problems = Problems.sample(DUNGEON, 77, 5)
+    left = tmp_path / ".set.npz.0123456789abcdef.mapdata.tmp"
+    living = tmp_path / ".set.npz.fedcba9876543210.mapdata.tmp"
+    left.write_bytes(b"half")
+    with open(living, "wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        problems.save(tmp_path / "other.npz")
+    assert set(tmp_path.iterdir()) == {living, tmp_path / "other.npz"}
 
 
 def test_the_hash_tells_sets_apart() -> None:

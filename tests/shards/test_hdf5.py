@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +13,24 @@ import numpy as np
 import pytest
 from helpers import hostile
 from helpers.builds import SOUND_SEED, SOUND_SPEC
+from helpers.pages import ROOT
 from helpers.specs import Noted, movements
 
-from mapdata import Generator, Movement, ShardError, build, generate, label, read_shard
+from mapdata import (
+    Generator,
+    MapDataset,
+    Movement,
+    ShardError,
+    build,
+    generate,
+    label,
+    read_shard,
+)
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import PRESETS
 from mapdata.shards import content_hash, open_shard
 from mapdata.shards.hdf5 import read_dataset, read_root
-from mapdata.shards.shard import FIELDS, Header, shard_image
+from mapdata.shards.shard import FIELDS, TESTED_H5PY, Header, shard_image
 
 DATA = Path(__file__).parents[1] / "data"
 KEPT = sorted(DATA.glob("*/maps-*.h5"))
@@ -100,8 +112,8 @@ def test_long_specs_read_as_by_h5py(letters: int, tmp_path: Path) -> None:
 
 
 def test_a_spec_that_is_too_long_is_refused_when_it_is_written() -> None:
-    """HDF5 keeps texts of over 4,000 letters in another way."""
-    with pytest.raises(ShardError, match="a spec of less than 4,000 characters"):
+    """HDF5 keeps texts of over 4,000 letters in another way; no version of it is to blame."""
+    with pytest.raises(ShardError, match=r"^spec: its JSON has 4329 bytes, expected at most 4070"):
         image_of(Noted((8, 8), note="x" * 4100), 1)
 
 
@@ -120,9 +132,37 @@ def test_what_is_written_is_read_back(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, fault in (("File", file), ("File.create_dataset", create)):
         with monkeypatch.context() as patch:
             patch.setattr(f"h5py.{name}", fault)
-            with pytest.raises(ShardError, match=r"HDF5 .* \(h5py .*\) wrote another file"):
+            with pytest.raises(
+                ShardError, match=r"HDF5 .* \(h5py .*\) wrote another file"
+            ) as caught:
                 image_of(SOUND_SPEC, 1)
+            oldest, newest = TESTED_H5PY
+            assert f"was tested with h5py {oldest} to {newest}: install one" in str(caught.value)
+            assert "4,000" not in str(caught.value)
     assert image_of(SOUND_SPEC, 1)
+
+
+def test_a_build_with_an_h5py_that_writes_other_files_goes_on_with_a_tested_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it leaves says that no map is there yet, and does not look like a dataset of none."""
+    root = tmp_path / "maps"
+    with monkeypatch.context() as patch:
+        patch.setattr("h5py.File", partial(h5py.File, fs_strategy="page"))
+        with pytest.raises(ShardError, match="Nothing was written"):
+            build(root, SOUND_SPEC, maps=2, workers=1)
+    assert sorted(path.name for path in root.iterdir()) == [".lock", "manifest.json"]
+    with pytest.raises(ValueError, match="holds none of its 2 maps yet"):
+        MapDataset(root)
+    build(root, SOUND_SPEC, maps=2, workers=1)
+    assert len(MapDataset(root, problems="random")) == 2
+
+
+def test_the_tested_versions_are_those_that_the_project_names() -> None:
+    """The lowest that pip may choose, and the pinned one."""
+    allowed = re.findall(r'"h5py>=(\d+\.\d+)"', (ROOT / "pyproject.toml").read_text("utf-8"))
+    pinned = re.findall(r"^h5py==(\d+\.\d+)", (ROOT / "constraints.txt").read_text("utf-8"), re.M)
+    assert (*allowed, *pinned) == TESTED_H5PY
 
 
 @pytest.fixture

@@ -93,7 +93,9 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     (folder / "pipe").mkdir()
     os.mkfifo(folder / "pipe" / MANIFEST)
     yield "manifest", folder / "pipe", "ShardError"
-    for name in ("deep", "digits"):
+    (folder / "piece").write_text("[0, 1, 2], " * 10)
+    yield "url", folder / "piece", "ShardError"
+    for name in ("deep", "digits", "endless"):
         yield "recipe", folder / name / MANIFEST, "ValueError"
 
 
@@ -168,6 +170,32 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
     ):
         zeros(folder / name, size=size, stated=stated, claimed=claimed)
         yield "format", folder / name, "FormatError"
+
+
+# --- saved problems ----------------------------------------------------------------------------
+
+
+def problem_cases(folder: Path, _: Path) -> Iterator[Case]:
+    """Write sets that unpack to much, or whose headers do not fit together."""
+    about = '{"movement": {"connectivity": 8}, "description": "a bomb"}'
+    ends = np.zeros((2, 2), np.int64)
+    zeros = {
+        "many": np.zeros((2**15, 64, 64), np.uint8),  # 128 MiB in 130 kB
+        "words": np.zeros((1, 2**12, 2**12), np.int64),
+    }
+    for name, grids in zeros.items():
+        starts = np.zeros((len(grids), 2), np.int64)
+        np.savez_compressed(
+            folder / name, about=about, grids=grids, starts=starts, goals=starts + 1
+        )
+    shapes = {"flat": (4096, 4096), "fewer": (3, 64, 64), "none": ()}
+    for name, shape in shapes.items():
+        np.savez(
+            folder / name, about=about, grids=np.zeros(shape, np.uint8), starts=ends, goals=ends
+        )
+    (folder / "pickle.npz").write_bytes(pickle.dumps(Bomb(folder / "hacked")))
+    for path in sorted(folder.glob("*.npz")):
+        yield "problems", path, "ValueError"
 
 
 # --- checkpoints --------------------------------------------------------------------------------
@@ -249,7 +277,7 @@ def model_cases(folder: Path, _: Path) -> Iterator[Case]:
 def test_refused_by_name_within_200_mb(sound: Path, tmp_path: Path) -> None:
     """In a process of their own: the loader's own error on one line, little memory, no code run."""
     wanted = []
-    for cases in (shard_cases, manifest_cases, format_cases, model_cases):
+    for cases in (shard_cases, manifest_cases, format_cases, problem_cases, model_cases):
         folder = tmp_path / cases.__name__
         folder.mkdir()
         wanted += list(cases(folder, sound))

@@ -449,6 +449,7 @@ def test_a_lock_is_a_plain_file(what: str, tmp_path: Path) -> None:
 # --- sweeping -----------------------------------------------------------------------------------
 
 TEMPORARIES = [
+    f".{shard_name(0, 3)}.1234567890abcdef.mapdata.tmp",
     f".{shard_name(0, 3)}.1234567890abcdef.tmp",
     f".{MANIFEST}.1234567890abcdef.tmp",
     f".{PROVENANCE}.1234567890abcdef.tmp",

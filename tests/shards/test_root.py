@@ -223,6 +223,16 @@ def test_damaged_files_are_refused(server: Server, tmp_path: Path) -> None:
     assert hashlib.sha256(cached.read_bytes()).hexdigest() == entry.sha256
 
 
+def test_a_cache_is_rid_of_what_killed_fetches_left(server: Server, tmp_path: Path) -> None:
+    """When its dataset is opened next."""
+    MapDataset(server.url)
+    (folder,) = (tmp_path / "cache" / "mapdata" / "remote").iterdir()
+    left = folder / ".0123456789abcdef-maps.h5.0123456789abcdef.mapdata.tmp"
+    left.write_bytes(b"half a shard")
+    MapDataset(server.url)
+    assert [path.name for path in folder.iterdir()] == [MANIFEST]
+
+
 def test_a_damaged_cache_is_fetched_again(server: Server, tmp_path: Path) -> None:
     """A file that was cut short on disk is replaced."""
     first = MapDataset(server.url)[0]

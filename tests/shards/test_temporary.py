@@ -1,0 +1,147 @@
+"""Temporary files and folders: what dead writers left is removed, and nothing else."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from mapdata.shards import write_output
+from mapdata.shards.temporary import sweep_temporaries, temporary_folder, temporary_path
+
+TARGET = "maps.npz"
+
+
+def leave_folder(target: Path) -> Path:
+    """Make what an export that was killed leaves beside ``target``."""
+    folder = temporary_path(target)
+    with temporary_folder(target) as living:
+        (living / "export" / "train").mkdir(parents=True)
+        (living / "export" / "train" / "map0.png").write_bytes(b"half a picture")
+        shutil.copytree(living, folder)
+    return folder
+
+
+def leave_file(target: Path) -> Path:
+    """Make what a write that was killed leaves beside ``target``."""
+    path = temporary_path(target)
+    path.write_bytes(b"half a file")
+    return path
+
+
+def test_what_dead_writers_left_is_swept(tmp_path: Path) -> None:
+    """Files and folders, of any target in the folder; those that are locked stay."""
+    dead = [leave_file(tmp_path / TARGET), leave_folder(tmp_path / "export")]
+    living = leave_file(tmp_path / TARGET)
+    with open(living, "r+b") as file, temporary_folder(tmp_path / "export") as folder:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        sweep_temporaries(tmp_path)
+        assert [path.exists() for path in dead] == [False, False]
+        assert set(tmp_path.iterdir()) == {living, folder}
+    sweep_temporaries(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        ".maps.npz.0123456789abcdef.tmp",  # without the mark of mapdata
+        ".maps.npz.0123456789ABCDEF.mapdata.tmp",
+        ".0123456789abcdef.mapdata.tmp",
+        "maps.npz.0123456789abcdef.mapdata.tmp",
+        ".maps.npz.0123456789abcdef.mapdata.tmp.bak",
+    ],
+)
+def test_other_names_are_left_alone(name: str, tmp_path: Path) -> None:
+    """A folder of the user may hold anything."""
+    (tmp_path / name).touch()
+    sweep_temporaries(tmp_path)
+    assert (tmp_path / name).exists()
+
+
+def test_links_and_pipes_are_left_alone(tmp_path: Path) -> None:
+    """Neither is followed, nor waited for."""
+    (tmp_path / "export").mkdir()
+    (tmp_path / "export" / "lock").touch()
+    links = [temporary_path(tmp_path / TARGET) for _ in range(3)]
+    links[0].symlink_to(tmp_path / "export")
+    links[1].symlink_to(tmp_path / "export" / "lock")
+    os.mkfifo(links[2])
+    sweep_temporaries(tmp_path)
+    assert all(os.path.lexists(path) for path in links)
+    assert (tmp_path / "export" / "lock").exists()
+
+
+def test_a_folder_that_was_just_made_is_left_alone(tmp_path: Path) -> None:
+    """Its writer is about to make the lock; after a day without one it is dead."""
+    folder = temporary_path(tmp_path / "export")
+    folder.mkdir()
+    sweep_temporaries(tmp_path)
+    assert folder.exists()
+    old = folder.stat().st_mtime - 90_000
+    os.utime(folder, (old, old))
+    sweep_temporaries(tmp_path)
+    assert not folder.exists()
+
+
+def test_without_locks_the_age_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was begun within a day may have a living writer."""
+
+    def flock(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    left = [leave_file(tmp_path / TARGET), leave_folder(tmp_path / "export")]
+    for age, stays in ((80_000, True), (90_000, False)):
+        for path in left:
+            old = path.stat().st_mtime - age
+            os.utime(path, (old, old))
+        sweep_temporaries(tmp_path)
+        assert [path.exists() for path in left] == [stays, stays]
+
+
+def test_a_folder_that_is_swept_too_early_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between making it and having its lock, a writer looks like a dead one."""
+    true_flock = fcntl.flock
+    swept: list[Path] = []
+
+    def flock(file: int, how: int) -> None:
+        if not swept:
+            swept.extend(tmp_path.iterdir())
+            sweep_temporaries(tmp_path)
+        true_flock(file, how)
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    with temporary_folder(tmp_path / "export") as folder:
+        assert not swept[0].exists()
+        assert list(tmp_path.iterdir()) == [folder]
+        (folder / "export").write_bytes(b"whole")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_goes_with_what_it_holds(tmp_path: Path) -> None:
+    """When its writer fails, too."""
+
+    def fail() -> None:
+        with temporary_folder(tmp_path / "export") as folder:
+            (folder / "export").write_bytes(b"half")
+            raise OSError("disk")
+
+    with pytest.raises(OSError, match="disk"):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_to_what_users_name_sweeps(tmp_path: Path) -> None:
+    """Whatever the name, in a folder that is behind a link, too."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "folder" / TARGET)
+    leave_file(tmp_path / "folder" / "other")
+    write_output(tmp_path / "link", b"whole")
+    assert list((tmp_path / "folder").iterdir()) == [tmp_path / "folder" / TARGET]
