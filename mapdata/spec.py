@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from operator import index
-from typing import Any
+from typing import Any, TypeGuard
 
 FORMAT_VERSIONS = (1, 2)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
@@ -170,7 +170,7 @@ def known_values(
     Raises:
         ValueError: no object of named values, or a key that is not known.
     """
-    if not isinstance(values, dict):
+    if not isinstance(values, Mapping):
         raise ValueError(f"{what}: got {values!r}, expected an object of named values")
     names = [*further, *(item.name for item in fields(of))]
     unknown = [str(name) for name in values if name not in names]
@@ -185,8 +185,23 @@ def known_values(
 
 
 def items_of(values: object) -> tuple[Any, ...]:
-    """Return the items of a tuple or list; of anything else there are none."""
-    return tuple(values) if isinstance(values, (tuple, list)) else ()
+    """Return the items of a tuple, a list or another sequence; of anything else there are none."""
+    return tuple(values) if _is_sequence(values) else ()
+
+
+def plain_values(values: object) -> Any:
+    """Return ``values`` with a dict in place of each mapping, and a list in place of each sequence.
+
+    JSON and checkpoints cannot hold the configurations of other libraries, such as OmegaConf.
+    """
+    if isinstance(values, Mapping):
+        return {name: plain_values(value) for name, value in values.items()}
+    return [plain_values(item) for item in values] if _is_sequence(values) else values
+
+
+def _is_sequence(values: object) -> TypeGuard[Sequence[Any]]:
+    """Return whether ``values`` is a sequence of items; text and bytes are not."""
+    return isinstance(values, Sequence) and not isinstance(values, (str, bytes, bytearray))
 
 
 def check_integers(name: str, values: object) -> Range:

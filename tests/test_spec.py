@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import re
+from collections import UserDict, UserList
 from random import Random
 from typing import Any
 
@@ -16,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import MapSpec, identity
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement
+from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, items_of, plain_values
 
 SETTINGS = settings(max_examples=200)
 
@@ -290,3 +291,36 @@ def test_frozen_and_hashable(value: MapSpec | Movement) -> None:
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(value, field.name, 1)
     assert {value: 1}[type(value)()] == 1
+
+
+# --- configurations of other libraries ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("values", [(1, 2), [1, 2], UserList([1, 2]), range(1, 3)])
+def test_every_sequence_has_items(values: Any) -> None:
+    """Not tuples and lists alone: configurations have a class of their own."""
+    assert items_of(values) == (1, 2)
+
+
+def test_a_spec_takes_any_sequence() -> None:
+    """And keeps tuples, so that equal specs have equal hashes."""
+    sides: Any = UserList([40, 50])
+    assert MapSpec(sides, rooms=(2, 3)) == MapSpec((40, 50), rooms=(2, 3))
+    assert type(MapSpec(sides, rooms=(2, 3)).map_size) is tuple
+
+
+@pytest.mark.parametrize("values", ["12", b"12", bytearray(b"12"), 12, None, {1: 2}, {1, 2}])
+def test_text_and_other_values_have_no_items(values: Any) -> None:
+    """Text is a sequence for Python, and bytes are even one of integers."""
+    assert items_of(values) == ()
+    with pytest.raises(ValueError, match=r"rooms: got .*, expected 2 integers"):
+        MapSpec(rooms=values)
+
+
+def test_plain_values_hold_no_class_of_a_configuration() -> None:
+    """Mappings and sequences at every depth; all else stays."""
+    values = UserDict({"a": UserList([1, UserDict({"b": None}), (2.5, "text")]), "c": UserList()})
+    plain = plain_values(values)
+    assert plain == {"a": [1, {"b": None}, [2.5, "text"]], "c": []}
+    assert (type(plain), type(plain["a"]), type(plain["a"][1])) == (dict, list, dict)
+    assert plain_values("paper") == "paper"

@@ -7,8 +7,10 @@ from dataclasses import astuple, dataclass
 from functools import partial
 from typing import Any
 
+import torch
+
 from mapdata.datasets.fields import FIELDS
-from mapdata.datasets.sample import Sample
+from mapdata.datasets.sample import MAPS_AND_MASKS, Sample
 from mapdata.problems.sources import Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import least_squared
@@ -100,3 +102,24 @@ class Serving:
             raise ValueError(
                 "fields: a function gives its name to the sample; use 'def', not 'lambda'"
             )
+
+
+def torch_dtype(dtype: torch.dtype | str | None, names: Sequence[str]) -> torch.dtype | None:
+    """Return the type that maps and masks among the fields ``names`` become.
+
+    Args:
+        dtype: a type of torch or its name, such as "float32"; None leaves them as they are.
+        names: the names of the fields.
+
+    Raises:
+        ValueError: no type, or there is neither map nor mask among the fields.
+    """
+    if dtype is None:
+        return None
+    named = getattr(torch, dtype.removeprefix("torch."), None) if isinstance(dtype, str) else dtype
+    if isinstance(named, torch.dtype) and set(names) & set(MAPS_AND_MASKS):
+        return named
+    raise ValueError(
+        f"dtype: got {dtype!r}, expected one of torch, such as torch.float32 or its name, and one "
+        f"of {', '.join(MAPS_AND_MASKS)} among the fields"
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,18 +13,19 @@ import pytorch_lightning as pl
 import torch
 from torch.utils.data import DataLoader
 
-from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
-from mapdata.datasets.dataset import MapDataset
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, torch_dtype
+from mapdata.datasets.dataset import MapDataset, Transform
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.datasets.transforms import check_transform
 from mapdata.generators.generator import identity
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
-from mapdata.spec import SPLITS, Movement, check_count
+from mapdata.spec import SPLITS, Movement, check_count, items_of, known_values, plain_values
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule
@@ -42,10 +43,14 @@ class MapDataModule(_Base):
     """Loaders for training, validation, test and prediction.
 
     ``prepare_data`` only builds what is missing, ``setup`` only opens; without a Trainer the
-    loaders call both themselves. Loaders deliver maps and masks as uint8; under a Trainer they
-    become float32 on the device, or what ``Trainer(precision=...)`` makes of the model.
-    ``num_workers=0`` is the fast way: whole batches come from one kernel call, and workers only add
-    the cost of sending them.
+    loaders call both themselves. ``num_workers=0`` is the fast way: whole batches come from one
+    kernel call, and workers only add the cost of sending them.
+
+    Loaders deliver maps and masks as uint8, or as the type that ``dtype`` names. Under a Trainer
+    they become the type of the model on its device: float32, or what ``Trainer(precision=...)``
+    makes of the model. So ``dtype=torch.float32`` serves a plain loop, and under a Trainer a model
+    of bfloat16, too. Integers and bools that ``dtype`` asks for stay, as an embedding needs them,
+    and so does a batch that a ``transform`` made into anything but a `Sample`.
 
     ``setup`` adds recipe, identity and content hash of the maps to ``hparams``, and tells loggers
     them with all arguments, as ``data``: checkpoints and logs say what was trained on. (Imported
@@ -61,13 +66,15 @@ class MapDataModule(_Base):
         root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without
             any disk.
         build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file,
-            its JSON text, or what that says as a dict.
+            its JSON text, or what that says as a dict or another mapping.
         batch_size: samples a batch (a rank).
         num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of
         torch's DataLoader.
         fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training
-            split only.
-        movement: a `Movement`, or (connectivity, corner_cutting, diagonal_cost).
+            split only, ``transform`` all splits. A checkpoint holds neither a ``transform`` nor
+            functions among the fields: give them to ``load_from_checkpoint`` again.
+        movement: a `Movement`; (connectivity, corner_cutting, diagonal_cost); or some of these by
+            name, as a mapping.
 
     Raises:
         ValueError: arguments that do not fit, or that would do nothing.
@@ -77,7 +84,7 @@ class MapDataModule(_Base):
         self,
         root: str | Path | Sequence[str] | None = "data/maps",
         *,
-        build: str | dict[str, Any] | None = None,
+        build: str | Mapping[str, Any] | None = None,
         batch_size: int = 256,
         num_workers: int = 0,
         pin_memory: bool = False,
@@ -87,10 +94,12 @@ class MapDataModule(_Base):
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         problems: SourceLike = "route",
         search: str = "astar",
-        movement: Movement | tuple[int, bool, float] | None = None,
+        movement: Movement | tuple[int, bool, float] | Mapping[str, Any] | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
+        dtype: torch.dtype | str | None = None,
+        transform: Transform | None = None,
         radius: float = 0.0,
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
@@ -103,7 +112,7 @@ class MapDataModule(_Base):
         if build is not None and (len(roots) > 1 or any(map(is_url, roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
         self.roots = roots
-        self.build = build
+        self.build = plain_values(build)
         self.batch_size = check_count("batch_size", batch_size)
         self.loading: dict[str, Any] = {
             "num_workers": num_workers,
@@ -112,17 +121,20 @@ class MapDataModule(_Base):
             "prefetch_factor": prefetch_factor,
             "multiprocessing_context": multiprocessing_context,
         }
-        if isinstance(movement, (tuple, list)):
-            movement = Movement(*movement)
         source = problem_source(problems)
+        moves = _movement(movement)
         self.serving = Serving(
-            fields, source, search, movement, augment, sampling_seed, max_length, radius
+            fields, source, search, moves, augment, sampling_seed, max_length, radius
         )
+        check_transform(transform)
+        self.dtype = torch_dtype(dtype, self.serving.names)
+        self.transform = transform
         self.datasets: dict[str, Dataset] = {}
-        plain = {
+        plain = {  # without the transform, which a checkpoint cannot hold safely
             **self.loading,
             **self.serving.plain(),
-            "build": build,
+            "dtype": None if self.dtype is None else str(self.dtype).removeprefix("torch."),
+            "build": self.build,
             "batch_size": self.batch_size,
             "root": roots[0] if len(roots) == 1 else roots or None,
         }
@@ -192,11 +204,18 @@ class MapDataModule(_Base):
         # Unlike the arguments it has the stored movement, and the names of functions.
         movement = astuple(dataset.movement)
         told = {**self.hparams, "fields": self.serving.names, "movement": movement}
+        if self.transform is not None:
+            told["transform"] = getattr(self.transform, "__name__", repr(self.transform))
         for logger in self.trainer.loggers if self.trainer else ():
             logger.log_hyperparams({"data": json.loads(json.dumps(told, default=str))})  # no tuples
 
     def _open(self, split: str) -> Dataset:
-        arguments = {**vars(self.serving), "augment": self.serving.augment and split == "train"}
+        arguments = {
+            **vars(self.serving),
+            "augment": self.serving.augment and split == "train",
+            "dtype": self.dtype,
+            "transform": self.transform,
+        }
         if self.roots:
             return MapDataset(self.roots, split, **arguments)
         assert self.build is not None  # there are roots or a recipe
@@ -231,9 +250,19 @@ class MapDataModule(_Base):
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
         """Cast maps and masks to the type of the model, on the device of the batch.
 
-        That is float32 unless the Trainer's ``precision`` says otherwise.
+        That is float32 unless the Trainer's ``precision`` says otherwise. Integers and bools that
+        ``dtype`` asked for stay, and so does what a ``transform`` made into another type of batch.
         """
-        if not isinstance(batch, Sample):
+        stays = self.dtype is not None and not self.dtype.is_floating_point
+        if stays or not isinstance(batch, Sample):
             return batch
         dtype: Any = self.trainer.lightning_module.dtype if self.trainer else torch.float32
         return cast(batch, dtype)
+
+
+def _movement(values: Any) -> Any:
+    """Return the `Movement` that plain values stand for; what is none of these stays as it is."""
+    if isinstance(values, Mapping):
+        return Movement(**known_values("movement", values, Movement))
+    items = items_of(values)
+    return Movement(*items) if items else values

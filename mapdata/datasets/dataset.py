@@ -15,18 +15,11 @@ from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, torch_dtype
 from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
-from mapdata.datasets.sample import (
-    MAPS_AND_MASKS,
-    Rows,
-    Sample,
-    cast,
-    row,
-    sample_class,
-    stack,
-)
+from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
+from mapdata.datasets.transforms import check_transform
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
@@ -86,7 +79,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         self,
         split: str | None,
         serving: Serving,
-        dtype: torch.dtype | None,
+        dtype: torch.dtype | str | None,
         transform: Transform | None,
     ) -> None:
         """Check and keep the arguments that `MapDataset` describes."""
@@ -96,17 +89,10 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise ValueError(
                 f"augment: would change the split {split!r}, expected the training split"
             )
-        if transform is not None and not callable(transform):
-            raise ValueError(f"transform: got {transform!r}, expected a function of a sample")
-        changes = isinstance(dtype, torch.dtype) and set(serving.names) & set(MAPS_AND_MASKS)
-        if dtype is not None and not changes:
-            raise ValueError(
-                f"dtype: got {dtype!r}, expected one of torch, such as torch.float32, and one of "
-                f"{', '.join(MAPS_AND_MASKS)} among the fields"
-            )
+        check_transform(transform)
         self.split = split
         self.serving = serving
-        self.dtype = dtype
+        self.dtype = torch_dtype(dtype, serving.names)
         self.transform = transform
         self._class = sample_class(serving.names, serving.max_length)
         # glibc hands freed blocks back to the system above a threshold that grows with the largest
@@ -297,15 +283,17 @@ class MapDataset(ProblemDataset):
             for val and test.
         sampling_seed: seed of all that is drawn while loading; the maps have a seed of their own.
         max_length: fixed number of rows of ``path``; a longer path is an error.
-        dtype: what maps and masks become, such as torch.float32, which networks take; cells,
-            counts and bit sets stay integers. None leaves them uint8, a quarter of the bytes.
-        transform: a function of one sample (never of a batch), called after all else, as in
-            torchvision; what it returns is what ``dataset[i]`` gives. Return a `Sample`, such as
-            ``sample._replace(map=...)``, and ragged paths are still padded in batches. The price:
-            each batch is taken apart and stacked again, some tens of microseconds a sample; a
-            function among the fields gets whole batches, and is the fast way to values of your own.
-            What it draws at random is its own affair. Loader workers started by spawn need one that
-            can be pickled, so no lambda.
+        dtype: what maps and masks become, such as torch.float32, which networks take, or its name,
+            "float32"; cells, counts and bit sets stay integers. None leaves them uint8, a quarter
+            of the bytes.
+        transform: a function of one sample (never of a batch), called after all else; what it
+            returns is what ``dataset[i]`` gives. Return a `Sample`, such as
+            ``sample._replace(map=...)``, and ragged paths are still padded in batches. Geometric
+            transforms of torchvision are refused: they would move the map, but neither cells nor
+            masks, whereas ``augment`` moves everything. The price: each batch is taken apart and
+            stacked again, some tens of microseconds a sample; a function among the fields gets
+            whole batches, and is the fast way to values of your own. What it draws at random is its
+            own affair. Loader workers started by spawn need one that can be pickled, so no lambda.
         radius: of the robot, in metres. Above 0 all maps are served as `mapdata.inflate` gives them
             for ``radius / resolution`` cells, and everything is solved anew on those, as under
             another movement. A seed point on which the robot has no room has no path: such problems
@@ -333,7 +321,7 @@ class MapDataset(ProblemDataset):
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
-        dtype: torch.dtype | None = None,
+        dtype: torch.dtype | str | None = None,
         transform: Transform | None = None,
         radius: float = 0.0,
     ) -> None:

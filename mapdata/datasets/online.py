@@ -56,7 +56,7 @@ class OnlineMapDataset(ProblemDataset):
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
-        dtype: torch.dtype | None = None,
+        dtype: torch.dtype | str | None = None,
         transform: Transform | None = None,
         radius: float = 0.0,
     ) -> None:

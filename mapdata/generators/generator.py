@@ -145,7 +145,7 @@ class Generator(ABC):
         """
         if isinstance(values, str):
             return cls.preset(values)
-        if not isinstance(values, dict):
+        if not isinstance(values, Mapping):
             raise ValueError(f"spec: got {values!r}, expected an object of named values")
         name = values.get("generator", _FIRST)
         if not isinstance(name, str):

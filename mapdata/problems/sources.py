@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -118,7 +119,7 @@ class Random:
 
 Source = Route | Pairs | Random
 
-SourceLike = str | Source | dict[str, Any]
+SourceLike = str | Source | Mapping[str, Any]
 """What `problem_source` makes a source of."""
 
 SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
@@ -129,7 +130,7 @@ def problem_source(value: SourceLike) -> Source:
 
     Args:
         value: a source; its name, "route", "pairs" or "random"; or its name with its arguments as a
-            dict or as JSON text, such as ``{"random": {"distance": [10, null]}}``.
+            dict or another mapping, or as JSON text: ``{"random": {"distance": [10, null]}}``.
 
     Raises:
         ValueError: none of these, an argument that the source does not have, or a bad band.
@@ -139,7 +140,7 @@ def problem_source(value: SourceLike) -> Source:
     given: Any = value
     if isinstance(value, str):
         given = parsed_json(f"problems: {value!r}", value) if value.startswith("{") else {value: {}}
-    name = " ".join(map(str, given)) if isinstance(given, dict) else ""
+    name = " ".join(map(str, given)) if isinstance(given, Mapping) else ""
     if name not in SOURCES:
         expected = f'one of {", ".join(SOURCES)}, or one with its arguments, {{"random": {{...}}}}'
         hint = did_you_mean(name, SOURCES)

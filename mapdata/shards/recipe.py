@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,15 +32,18 @@ class Recipe:
     content_hash: str | None = None
 
     @staticmethod
-    def load(given: str | dict[str, Any]) -> Recipe:
-        """Return the recipe of a preset's name, a JSON file, JSON text, or a dict as in such text.
+    def load(given: str | Mapping[str, Any]) -> Recipe:
+        """Return the recipe of a preset's name, a JSON file, JSON text, or what such text holds.
+
+        Args:
+            given: the name, path or text; or a dict or another mapping.
 
         Raises:
             ValueError: none of these, or a recipe with impossible values.
         """
         values = _parsed(given) if isinstance(given, str) else given
         known = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
-        if not isinstance(values, dict):
+        if not isinstance(values, Mapping):
             raise ValueError(f"recipe: expected an object with {', '.join(known)}")
         for name in values:
             check_choice("recipe", name, known)

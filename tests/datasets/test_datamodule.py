@@ -10,6 +10,7 @@ import random
 import subprocess
 import sys
 import tracemalloc
+from collections import UserDict, UserList
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
@@ -143,6 +144,46 @@ def test_a_plain_loop_needs_nothing_else(root: str) -> None:
     samples.assert_all_same(list(data.predict_dataloader()), list(data.test_dataloader()))
 
 
+def test_a_plain_loop_trains_with_a_dtype(root: str) -> None:
+    """Maps and masks as the network takes them, in every split; all else as it was."""
+    fields = ("map", "goal_mask", "path", "cost_to_go", "optimal_moves")
+    data = module(root, fields=fields, dtype=torch.float32)
+    plain = module(root, fields=fields)
+    for loader, expected in (
+        (data.train_dataloader(), plain.train_dataloader()),
+        (data.val_dataloader(), plain.val_dataloader()),
+        (data.test_dataloader(), plain.test_dataloader()),
+    ):
+        for batch, before in zip(loader, expected, strict=True):
+            samples.assert_same(batch, before, without=("map", "goal_mask"))
+            for name in ("map", "goal_mask"):
+                assert getattr(batch, name).dtype == torch.float32
+                assert torch.equal(getattr(batch, name), getattr(before, name).float())
+    layer = torch.nn.Conv2d(1, 1, 3)
+    layer(next(iter(data.train_dataloader())).map).mean().backward()
+    assert layer.weight.grad is not None
+
+
+def input_and_target(sample: Sample) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what many training loops expect of a dataset."""
+    return sample.map, sample.goal
+
+
+def test_a_transform_is_that_of_the_dataset(root: str) -> None:
+    """Called with single samples of every split, in the order of the module."""
+    arguments: dict[str, Any] = {"dtype": torch.float32, "transform": input_and_target}
+    data = module(root, **arguments)
+    order = [batch.problem for batch in module(root).train_dataloader()]
+    dataset = MapDataset(root, "train", FIELDS, **arguments)
+    for batch, problems in zip(data.train_dataloader(), order, strict=True):
+        for values, expected in zip(batch, dataset[problems], strict=True):
+            assert torch.equal(values, expected)
+    assert batch[0].dtype == torch.float32
+    for split, loader in (("val", data.val_dataloader()), ("test", data.test_dataloader())):
+        _, goals = next(iter(loader))
+        assert torch.equal(goals, MapDataset(root, split)[:8].goal)
+
+
 class Convolution(pl.LightningModule):
     """Feeds maps to a layer, remembers their types."""
 
@@ -177,6 +218,60 @@ def test_maps_have_the_type_of_the_model(root: str, precision: Any, dtype: torch
     data = module(root, fields=("map", "cost_to_go"))
     trainer(precision=precision, max_steps=1).fit(model, datamodule=data)
     assert model.types == {dtype}
+
+
+@pytest.mark.parametrize(
+    ("dtype", "precision", "arrives"),
+    [
+        (torch.float32, "32-true", torch.float32),
+        (torch.float32, "bf16-true", torch.bfloat16),
+        (torch.float16, "32-true", torch.float32),
+        (torch.int64, "bf16-true", torch.int64),
+        (torch.uint8, "32-true", torch.uint8),
+    ],
+)
+def test_a_trainer_casts_floats_to_the_type_of_the_model(
+    root: str, dtype: torch.dtype, precision: Any, arrives: torch.dtype
+) -> None:
+    """As Lightning does with all floats; integers that were asked for, say for an embedding,
+    stay.
+    """
+    types = set()
+
+    class Remembers(Convolution):
+        def training_step(self, batch: Sample, _: int) -> torch.Tensor:
+            types.add(batch.map.dtype)
+            loss: torch.Tensor = self.layer(batch.map.to(self.dtype)).mean()
+            return loss
+
+    data = module(root, fields=("map",), dtype=dtype)
+    trainer(precision=precision, max_steps=1, limit_val_batches=0).fit(Remembers(), datamodule=data)
+    assert types == {arrives}
+
+
+def test_a_transform_decides_what_arrives_under_a_trainer(root: str) -> None:
+    """A pair is left as the transform made it; a `Sample` is cast like any other."""
+    seen: list[Any] = []
+
+    class Remembers(Convolution):
+        def training_step(self, batch: Any, _: int) -> torch.Tensor:
+            seen.append(batch)
+            loss: torch.Tensor = self.layer(batch[0].to(self.dtype)).mean()
+            return loss
+
+    for transform in (input_and_target, goal_as_start):
+        run = trainer(max_steps=1, limit_val_batches=0)
+        run.fit(Remembers(), datamodule=module(root, transform=transform))
+    pair, batch = seen
+    assert (type(pair), pair[0].dtype) == (list, torch.uint8)  # as torch collates tuples
+    assert (batch.map.dtype, batch.start.dtype) == (torch.float32, torch.int64)
+    assert torch.equal(batch.start, batch.goal)
+
+
+def goal_as_start(sample: Sample) -> Sample:
+    """Return the sample with its goal in place of its start."""
+    changed: Sample = sample._replace(start=sample.goal)
+    return changed
 
 
 def test_a_trainer_takes_a_plain_loader(root: str) -> None:
@@ -467,6 +562,85 @@ def test_checkpoints_load_with_torchs_safe_default(
     assert model.size == 3
 
 
+def test_checkpoints_hold_the_name_of_the_dtype_and_no_transform(root: str, tmp_path: Path) -> None:
+    """They load with torch's safe default; a transform is given again, or is none."""
+    path = tmp_path / "last.ckpt"
+    data = module(root, dtype=torch.float64, transform=goal_as_start)
+    told = Told()
+    run = trainer(max_steps=1, logger=[told], limit_val_batches=0, log_every_n_steps=1)
+    run.fit(Model(), datamodule=data)
+    run.save_checkpoint(path)
+    saved = torch.load(path, weights_only=True)["datamodule_hyper_parameters"]
+    assert saved["dtype"] == "float64"
+    assert "transform" not in saved
+    assert (told.params["data"]["dtype"], told.params["data"]["transform"]) == (
+        "float64",
+        "goal_as_start",
+    )
+    again = MapDataModule.load_from_checkpoint(path)
+    assert (again.dtype, again.transform) == (torch.float64, None)
+    again = MapDataModule.load_from_checkpoint(path, transform=goal_as_start)
+    samples.assert_all_same(list(again.val_dataloader()), list(data.val_dataloader()))
+
+
+def test_a_configuration_becomes_plain_values(root: str) -> None:
+    """Mappings and sequences of any class: the arguments and hparams are those of dicts and
+    lists.
+    """
+
+    def configured(mapping: Any, sequence: Any, movement: Any) -> MapDataModule:
+        return MapDataModule(
+            root,
+            build=mapping({"maps": 60, "spec": mapping({"map_size": sequence([20, 20])})}),
+            fields=sequence(["map", "goal", "problem"]),
+            problems=mapping({"random": mapping({"distance": sequence([3, None])})}),
+            movement=movement,
+        )
+
+    expected = configured(dict, list, Movement(8, True, 1))
+    named = UserDict({"connectivity": 8, "corner_cutting": True, "diagonal_cost": 1})
+    for movement in (UserList([8, True, 1]), named):
+        data = configured(UserDict, UserList, movement)
+        assert data.serving == expected.serving
+        assert data.hparams == expected.hparams
+        assert type(data.hparams["build"]["spec"]) is dict
+        assert type(data.hparams["build"]["spec"]["map_size"]) is list
+
+
+def test_hydra_makes_a_module(root: str, tmp_path: Path) -> None:
+    """Without `_convert_`, of plain values and of `_target_`; a checkpoint holds nothing of it."""
+    instantiate = pytest.importorskip("hydra.utils").instantiate
+    create = pytest.importorskip("omegaconf").OmegaConf.create
+    common = {
+        "_target_": "mapdata.MapDataModule",
+        "root": [root, root],
+        "batch_size": 8,
+        "fields": list(FIELDS),
+        "dtype": "float32",
+    }
+    source, movement = Random(distance=(3, None)), Movement(8)
+    expected = MapDataModule([root, root], fields=FIELDS, problems=source, movement=movement)
+    for arguments in (
+        {"problems": {"random": {"distance": [3, None]}}, "movement": {"connectivity": 8}},
+        {
+            "problems": {"_target_": "mapdata.Random", "distance": [3, None]},
+            "movement": {"_target_": "mapdata.Movement", "connectivity": 8},
+        },
+    ):
+        data = instantiate(create({**common, **arguments}))
+        assert data.serving == expected.serving
+        assert data.dtype == torch.float32
+        run = trainer(max_steps=1, limit_val_batches=0)
+        run.fit(Model(), datamodule=data)
+        run.save_checkpoint(tmp_path / "hydra.ckpt")
+        saved = torch.load(tmp_path / "hydra.ckpt", weights_only=True)
+        assert all(plain(value) for value in saved["datamodule_hyper_parameters"].values())
+    recipe = json.loads(RECIPE)
+    online = instantiate(create({**common, "root": None, "build": recipe}))
+    assert json.loads(json.dumps(online.hparams["build"])) == recipe
+    assert type(online.hparams["build"]["spec"]["movement"]) is dict
+
+
 class Told(Logger):
     """A logger that keeps what it is told, as W&B and MLflow do."""
 
@@ -718,6 +892,22 @@ REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
         "batch_size: got 0, expected an integer of at least 1",
     ),
     "movement": (lambda: MapDataModule("a", movement=(6, False, 1.0)), "connectivity: got 6"),
+    "movement-name": (
+        lambda: MapDataModule("a", movement={"conectivity": 8}),
+        "movement: unknown conectivity; .* did you mean connectivity",
+    ),
+    "dtype": (
+        lambda: MapDataModule("a", dtype="flaot32"),
+        "dtype: got 'flaot32', expected one of torch",
+    ),
+    "dtype-fields": (
+        lambda: MapDataModule("a", fields=("start", "goal"), dtype=torch.float32),
+        "dtype: .* and one of map, free, .* among the fields",
+    ),
+    "transform": (
+        lambda: MapDataModule("a", transform=3),  # type: ignore[arg-type]
+        "transform: got 3, expected a function",
+    ),
 }
 
 
@@ -800,6 +990,32 @@ def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
     assert cli.datamodule.serving.search == "bfs"
     assert cli.datamodule.serving.problems == Random(distance=(3, None), length=(None, 30))
     run_cli(["validate", *QUIET[:4], f"--config={config}"])
+
+
+def test_cli_takes_a_dtype_and_a_transform(
+    root: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The type by its name, the function by its import path; a wrong name is answered clearly."""
+    (tmp_path / "own_transforms.py").write_text("def swap(sample):\n    return sample[::-1]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    flags = [f"--data.root={root}", "--data.batch_size=8", "--data.fields=[map,start,goal,problem]"]
+    cli = run_cli(["fit", *QUIET, *flags, "--data.dtype=float64"])
+    assert isinstance(cli.datamodule, MapDataModule)
+    assert cli.datamodule.dtype == torch.float64
+    assert isinstance(cli.model, Model)
+    assert {batch.dtype for batch in cli.model.seen} == {torch.float32}
+    flags += [*QUIET, "--data.transform=own_transforms.swap"]
+    cli = LightningCLI(
+        Model,
+        MapDataModule,
+        args=[*flags, "--data.dtype=float64"],
+        run=False,
+        seed_everything_default=0,
+    )
+    problem, _, _, map_ = next(iter(cli.datamodule.train_dataloader()))
+    assert (problem.dtype, map_.dtype) == (torch.int64, torch.float64)
+    with pytest.raises(ValueError, match="dtype: got 'flaot32', expected one of torch"):
+        run_cli(["fit", *flags, "--data.dtype=flaot32"])
 
 
 def test_cli_takes_several_roots(root: str, tmp_path: Path) -> None:

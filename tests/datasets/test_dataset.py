@@ -1029,6 +1029,13 @@ def test_dtype_is_that_of_maps_and_masks_alone(root: str, dtype: torch.dtype) ->
         assert {getattr(found, name).dtype for name in INTEGERS} == {torch.int64, torch.uint8}
 
 
+def test_a_dtype_may_be_its_name(root: str) -> None:
+    """As configurations and command lines say it, and as torch prints it."""
+    for name in ("float16", "torch.float16"):
+        assert MapDataset(root, dtype=name)[:2].map.dtype == torch.float16
+        assert OnlineMapDataset(samples.SPEC, length=3, dtype=name)[0].map.dtype == torch.float16
+
+
 class Masked(NamedTuple):
     """What `masked` makes of a sample."""
 
@@ -1117,9 +1124,10 @@ def test_workers_call_the_transform(root: str, method: str) -> None:
 
 def test_dtypes_and_transforms_that_cannot_be_are_refused(root: str) -> None:
     """No type of torch, or nothing that would change."""
-    wrong: Any = "float32"
-    with pytest.raises(ValueError, match="dtype: got 'float32', expected one of torch"):
-        MapDataset(root, dtype=wrong)
+    wrongs: tuple[Any, ...] = ("flaot32", "nn", float, 32)
+    for wrong in wrongs:
+        with pytest.raises(ValueError, match=f"dtype: got {wrong!r}, expected one of torch"):
+            MapDataset(root, dtype=wrong)
     with pytest.raises(ValueError, match=r"expected .* and one of map, free, .* among the"):
         OnlineMapDataset(samples.SPEC, fields=("start", "cost"), dtype=torch.float32)
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 import json
 import pickle
 import sys
+from collections import UserList
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -367,6 +369,17 @@ def test_version_1_says_what_it_always_said() -> None:
     assert (MapSpec().format_version, Maze().format_version) == (1, 2)
     assert MapSpec.from_dict({"generator": "rooms"}) == MapSpec()
     assert Generator.from_json(Maze(corridor=3).to_json()) == Maze(corridor=3)
+
+
+def test_a_spec_is_read_from_any_mapping() -> None:
+    """With mappings in it; what is kept are plain values, and so the identity is the same."""
+    movement = MappingProxyType({"connectivity": 8})
+    values = {"map_size": UserList([40, 50]), "cover": UserList([0.1, 0.2]), "movement": movement}
+    spec = Generator.from_dict(MappingProxyType({"generator": "forest", **values}))
+    assert spec == Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8))
+    assert identity(spec, 3) == identity(
+        Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8)), 3
+    )
 
 
 SEEDED = {"seed_points": 4, "splits": (0.5, 0.25, 0.25)}

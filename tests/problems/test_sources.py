@@ -5,6 +5,7 @@ name.
 from __future__ import annotations
 
 import math
+from collections import UserDict, UserList
 from typing import Any
 
 import pytest
@@ -36,6 +37,11 @@ SAME: list[tuple[Any, Source, str]] = [
         Random(distance=(5, None), to_first_seed_point=True),
         '{"random": {"distance": [5.0, null], "to_first_seed_point": true}}',
     ),
+    (  # as a configuration of another library says it
+        UserDict({"random": UserDict({"distance": UserList([10, None])})}),
+        Random(distance=(10, None)),
+        '{"random": {"distance": [10.0, null]}}',
+    ),
 ]
 
 
@@ -49,14 +55,27 @@ def test_what_a_source_is_written_as(value: Any, source: Source, text: str) -> N
 
 def test_bands_are_brought_to_floats() -> None:
     """Open sides are 0 and infinity."""
-    source = Random([10, None], length=(2, 5))  # type: ignore[arg-type]
+    source = Random(UserList([10, None]), length=[2, 5])  # type: ignore[arg-type]
+    assert (type(source.distance), type(source.length)) == (tuple, tuple)
     assert source.distance == (10.0, math.inf)
     assert source.bands == ((10, math.inf), (0, math.inf), (2, 5))
     assert hash(source) == hash(Random((10.0, None), None, (2.0, 5.0)))
 
 
 @pytest.mark.parametrize(
-    "band", [10, (5,), (5, 4), (1, 2, 3), (math.nan, 4), (4, math.nan), (math.inf, None), (-3, -2)]
+    "band",
+    [
+        10,
+        (5,),
+        (5, 4),
+        (1, 2, 3),
+        (math.nan, 4),
+        (4, math.nan),
+        (math.inf, None),
+        (-3, -2),
+        "12",
+        b"12",
+    ],
 )
 @pytest.mark.parametrize("name", ["distance", "hardness", "length"])
 def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:

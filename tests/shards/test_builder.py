@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from random import Random
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import h5py
@@ -646,6 +647,7 @@ def test_recipes_come_from_presets_files_and_text(tmp_path: Path) -> None:
     assert Recipe.load("narrow") == Recipe(MapSpec.preset("narrow"))
     assert Recipe.load("{}") == Recipe.load({}) == Recipe(MapSpec())
     assert Recipe.load(json.loads(text)) == Recipe.load(text)
+    assert Recipe.load(MappingProxyType(json.loads(text))) == Recipe.load(text)
     assert Recipe.load(text) == Recipe.load(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
 
 
