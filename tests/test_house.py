@@ -18,7 +18,7 @@ from helpers.pages import DOCS, ROOT, blocks
 
 import mapdata
 
-GROUND = ("_version", "arrays", "jit", "options", "rng", "spec")
+GROUND = ("_version", "arrays", "interrupts", "jit", "options", "rng", "spec")
 FOLDERS = (
     "generators",
     "search",

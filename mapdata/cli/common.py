@@ -11,6 +11,8 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
 
+from mapdata.interrupts import EXIT_CODE, STOPPED, THREADS, leave, stoppable
+
 if TYPE_CHECKING:
     from mapdata.options import Option
     from mapdata.shards import Manifest
@@ -50,25 +52,21 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
 
 
 def run(command: Command, **values: object) -> None:
-    """Call ``command`` and exit with 0, 1 or 2.
+    """Call ``command`` and exit with 0, 1, 2 or, after Ctrl-C, 130.
 
     What a user can put right is one clear line instead of a traceback.
     """
     try:
-        command(**values)
-        print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
+        with stoppable():
+            command(**values)
+            print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
         sys.exit(141)  # as a shell says it
-    except KeyboardInterrupt:
-        from mapdata.shards.workers import THREADS
-
-        code = complain("stopped; run the same command again to go on", 130)
+    except KeyboardInterrupt:  # in a process without `exit_on_interrupt`
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
-            sys.stdout.flush()
-            # A plain exit would wait for the shards under way, however long they take.
-            os._exit(code)
-        sys.exit(code)
+            leave()
+        sys.exit(complain(STOPPED, EXIT_CODE))
     except (DisagreeError, ValueError, OSError) as error:
         from mapdata.shards import ShardError  # late: the list of verbs needs nothing of it
 
