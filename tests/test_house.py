@@ -50,6 +50,7 @@ TESTED_IN = {
     "mapdata/formats/movingai.py": ("formats/test_movingai.py", "formats/test_fuzz.py"),
     "mapdata/formats/paper.py": ("formats/test_paper.py", "formats/test_registry.py"),
     "mapdata/plotting/figures.py": ("plotting/test_figures.py", "shards/test_root.py"),
+    "mapdata/plotting/plot.py": ("plotting/test_plot.py", "plotting/test_arrows.py"),
     "mapdata/problems/sources.py": ("problems/test_sources.py", "datasets/test_datamodule.py"),
     "mapdata/problems/symmetry.py": ("datasets/test_dataset.py", "problems/test_symmetry.py"),
     "mapdata/search/kernels.py": (
