@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
 
@@ -57,7 +58,10 @@ def run(command: Command, **values: object) -> None:
     What a user can put right is one clear line instead of a traceback.
     """
     try:
-        with stoppable():
+        with stoppable(), warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            # When all tries have failed, the error says how many there were.
+            warnings.filterwarnings("ignore", r".*\. Trying again in ")
             command(**values)
             print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
@@ -150,13 +154,13 @@ def add_flag(
     kind = option.kind
     origin = get_origin(kind)
     metavar = {int: "N", float: "X"}.get(kind, name.rpartition(".")[2].upper())
-    how = {"type": kind, "metavar": metavar}
+    how = {"type": whole_number if kind is int else kind, "metavar": metavar}
     if kind is bool:
         how = {"action": "store_true"}
     elif kind == Literal[True]:  # or a text: its value may be left out
         how = {"nargs": "?", "const": True, "metavar": metavar}
     elif origin is list:
-        how = {"nargs": "+", "type": get_args(kind)[0], "metavar": "N"}
+        how = {"nargs": "+", "type": whole_number, "metavar": "N"}
     elif origin is Literal:
         choices = get_args(kind)
         how = {"type": type(choices[0]), "choices": choices}
@@ -175,6 +179,30 @@ def path_name(text: str) -> str:
     return text
 
 
+def whole_number(text: str) -> int:
+    """Return an integer, which may be written as 10000, 10_000 or 1e4."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    match = re.fullmatch(r"(\d{1,19})(?:\.(\d{1,19}))?[eE]\+?(\d{1,2})", text)
+    if match is not None:
+        whole, fraction, exponent = match[1], (match[2] or "").rstrip("0"), int(match[3])
+        if len(fraction) <= exponent:
+            return int(whole + fraction.ljust(exponent, "0"))
+    raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number such as 10000 or 1e4")
+
+
+def unused_name(name: str) -> str:
+    """Return a name of a file that does not exist: ``map.png``, else ``map-2.png`` and so on."""
+    stem, ending = os.path.splitext(name)
+    number = 2
+    while os.path.lexists(name):
+        name = f"{stem}-{number}{ending}"
+        number += 1
+    return name
+
+
 def _size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text)
     if match is None:
@@ -185,6 +213,11 @@ def _size(text: str) -> tuple[int, int]:
 def run_parsed(command: Command, arguments: list[str] | None = None, **defaults: object) -> None:
     """Be the command line of a script: `run` a function with the arguments that it was given."""
     run(command, **vars(parser_of(command, None, **defaults).parse_args(arguments)))
+
+
+def _print_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning as one line, without the line of Python that it comes from."""
+    complain(f"warning: {message}", 0)
 
 
 def complain(error: object, code: int) -> int:

@@ -13,7 +13,7 @@ from mapdata.formats.collection import Collection
 from mapdata.formats.files import LIMITS, FormatError, Limits, files_of
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
-from mapdata.shards.root import Places, Root, local_path
+from mapdata.shards.root import Places, Root, local_path, make_folder
 from mapdata.shards.shard import StrPath
 from mapdata.spec import check_choice
 
@@ -177,7 +177,7 @@ def export(
     is_empty = target.is_dir() and not any(target.iterdir())
     if target.exists() and not is_empty:
         raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     with TemporaryDirectory(prefix=".", dir=target.parent, ignore_cleanup_errors=True) as folder:
         temporary = Path(folder, "export")
         notes: list[str] = write(temporary, source, progress, **options)
