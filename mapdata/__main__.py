@@ -1,6 +1,15 @@
-"""``python -m mapdata``: the command ``mapdata``."""
+"""The command ``mapdata``, also as ``python -m mapdata``."""
 
-from mapdata.cli import main
+from mapdata.interrupts import exit_on_interrupt
+
+
+def main() -> None:
+    """Run the command line in a process of its own, and exit with its code."""
+    exit_on_interrupt()  # before the imports
+    from mapdata.cli import main as run_command_line
+
+    run_command_line()
+
 
 if __name__ == "__main__":
     main()

@@ -10,6 +10,7 @@ from pytorch_lightning.utilities import CombinedLoader
 from torch.utils.data import DataLoader
 
 from mapdata import MapDataModule, Sample
+from mapdata.interrupts import stoppable
 from models.common import Model, fast_precision
 
 
@@ -18,16 +19,17 @@ class TrainingCli(LightningCLI):
 
     def __init__(self, model: type[Model], config: Path, arguments: ArgsType) -> None:
         """Run the command line: a subclass of ``model`` on any data, by default as a file says."""
-        super().__init__(
-            model,
-            pl.LightningDataModule,
-            subclass_mode_model=True,
-            subclass_mode_data=True,
-            parser_kwargs={"fit": {"default_config_files": [str(config)]}},
-            save_config_kwargs={"overwrite": True},
-            trainer_defaults={"precision": fast_precision()},
-            args=arguments,
-        )
+        with stoppable("stopped; fit --ckpt_path FILE goes on from a checkpoint"):
+            super().__init__(
+                model,
+                pl.LightningDataModule,
+                subclass_mode_model=True,
+                subclass_mode_data=True,
+                parser_kwargs={"fit": {"default_config_files": [str(config)]}},
+                save_config_kwargs={"overwrite": True},
+                trainer_defaults={"precision": fast_precision()},
+                args=arguments,
+            )
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Add the flags."""

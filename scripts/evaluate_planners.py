@@ -7,6 +7,11 @@ The trained path predictor comes along: there are weights for 4 moves, and for 8
 sqrt 2, with or without --corner-cutting. For other rules --weights names your own.
 """
 
+from mapdata.interrupts import exit_on_interrupt
+
+if __name__ == "__main__":
+    exit_on_interrupt()  # before the imports, which take seconds
+
 import math
 from typing import Literal
 

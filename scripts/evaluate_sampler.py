@@ -7,6 +7,11 @@ vertices in all; half of them are Halton's, but in the rows halton and uniform a
 in _alone.
 """
 
+from mapdata.interrupts import exit_on_interrupt
+
+if __name__ == "__main__":
+    exit_on_interrupt()  # before the imports, which take seconds
+
 from pathlib import Path
 
 from matplotlib.figure import Figure

@@ -32,6 +32,11 @@ Without a bank, from paths alone:
 
 from __future__ import annotations
 
+from mapdata.interrupts import exit_on_interrupt
+
+if __name__ == "__main__":
+    exit_on_interrupt()  # before the imports, which take seconds
+
 from pathlib import Path
 
 from pytorch_lightning.cli import ArgsType

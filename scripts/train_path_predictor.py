@@ -18,6 +18,11 @@ More flags after fit:
 
 from __future__ import annotations
 
+from mapdata.interrupts import exit_on_interrupt
+
+if __name__ == "__main__":
+    exit_on_interrupt()  # before the imports, which take seconds
+
 from dataclasses import astuple, replace
 from pathlib import Path
 

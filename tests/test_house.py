@@ -16,7 +16,7 @@ from helpers.pages import DOCS, ROOT, blocks
 
 import mapdata
 
-GROUND = ("_version", "arrays", "jit", "npy", "options", "rng", "spec")
+GROUND = ("_version", "arrays", "interrupts", "jit", "npy", "options", "rng", "spec")
 FOLDERS = (
     "generators",
     "search",

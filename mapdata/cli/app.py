@@ -11,6 +11,7 @@ import re
 import sys
 import time
 from contextlib import nullcontext
+from dataclasses import fields, replace
 from typing import Literal
 
 from mapdata._version import __version__
@@ -25,6 +26,7 @@ from mapdata.cli.common import (
     run,
     run_parsed,
     summary,
+    unused_name,
 )
 
 
@@ -34,6 +36,7 @@ def build_command(
     maps: int | None = None,
     seed: int | None = None,
     preset: str | None = None,
+    map_size: tuple[int, int] | None = None,
     recipe: str | None = None,
     shard_size: int = 1000,
     workers: int | None = None,
@@ -45,6 +48,8 @@ def build_command(
     Examples:
       mapdata build data/maps
       mapdata build data/dungeon --preset dungeon --maps 500 --seed 7
+      mapdata build data/large --preset cave --map-size 128x128
+      mapdata build data/halls --recipe '{"spec": {"map_size": [48, 96], "rooms": [4, 12]}}'
       mapdata build data/again --recipe recipe.json
 
     Args:
@@ -52,7 +57,8 @@ def build_command(
         maps: how many maps (default: 10000, or the recipe's)
         seed: 64-bit seed (default: 0, or the recipe's)
         preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default:
-            paper)
+            paper); 'mapdata list' describes them
+        map_size: rows and columns of a map, in place of the preset's
         recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
         shard_size: maps a shard
         workers: threads (default: all cores)
@@ -63,12 +69,17 @@ def build_command(
     from mapdata.shards import Recipe, build
     from mapdata.shards.cluster import executor_of
 
-    if preset is not None and recipe is not None:
-        raise ValueError("--preset: not allowed with --recipe, which says the spec")
+    for flag, value in (("--preset", preset), ("--map-size", map_size)):
+        if value is not None and recipe is not None:
+            raise ValueError(f"{flag}: not allowed with --recipe, which says the spec")
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
-    wanted = Recipe(Generator.preset(preset or "paper")) if recipe is None else Recipe.load(recipe)
+    if recipe is None:
+        spec = Generator.preset(preset or "paper")
+        wanted = Recipe(spec if map_size is None else replace(spec, map_size=map_size))
+    else:
+        wanted = Recipe.load(recipe)
     if maps is None:
         maps = wanted.maps
     if seed is None:
@@ -183,7 +194,7 @@ def show_command(
     root: list[str],
     *,
     index: int | None = None,
-    output: str = "map.png",
+    output: str | None = None,
     paper_colours: bool = False,
     figure: Literal["map", "gallery", "path", "matrix", "distributions"] = "map",
 ) -> None:
@@ -196,13 +207,16 @@ def show_command(
     Args:
         root: folder or URL of the dataset; several are one after another
         index: number of the map (default: 0)
-        output: picture
+        output: picture; a file of this name is replaced (default: map.png, and where that exists
+            map-2.png and so on)
         paper_colours: free black and occupied white
         figure: what to draw
     """
     from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
     from mapdata.shards.root import local_path
 
+    if output is None:
+        output = unused_name("map.png")
     path = local_path(output)  # refused before the work
     if index is not None and figure not in OF_ONE_MAP:
         raise ValueError(
@@ -218,7 +232,7 @@ def show_command(
     print(f"wrote {output}")
 
 
-def report_command(root: list[str], *, output: str = "report.html", maps: int = 500) -> None:
+def report_command(root: list[str], *, output: str | None = None, maps: int = 500) -> None:
     """Write a page to browse a dataset: maps with filters, distributions, the card.
 
     Examples:
@@ -226,20 +240,48 @@ def report_command(root: list[str], *, output: str = "report.html", maps: int = 
 
     Args:
         root: folder or URL of the dataset; several are one after another
-        output: page
+        output: page; a file of this name is replaced (default: report.html, and where that exists
+            report-2.html and so on)
         maps: how many maps to browse
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
     from mapdata.shards.root import local_path
 
+    if output is None:
+        output = unused_name("report.html")
     path = local_path(output)
     text = report(root, maps, progress=True).encode()
     write_output(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 
 
+def list_command() -> None:
+    """List the presets of 'mapdata build --preset', each with what differs from its family.
+
+    The parameters are written as in the spec of a --recipe.
+
+    Examples:
+      mapdata list
+    """
+    import json
+
+    from mapdata.generators import PRESETS, Generator
+
+    shared = {parameter.name for parameter in fields(Generator)}
+    for name, spec in PRESETS.items():
+        rows, columns = spec.map_size
+        changes = [
+            f"{parameter.name} {json.dumps(getattr(spec, parameter.name))}"
+            for parameter in fields(spec)
+            if parameter.name not in shared and getattr(spec, parameter.name) != parameter.default
+        ]
+        description = ", ".join([spec.description, *changes])
+        print(f"{name:12}{f'{rows} x {columns}':12}{description}")
+
+
 VERBS: dict[str, Command] = {
+    "list": list_command,
     "build": build_command,
     "info": info_command,
     "verify": verify_command,
@@ -272,7 +314,7 @@ def main(arguments: list[str] | None = None) -> None:
     if verb not in VERBS:
         from mapdata.spec import did_you_mean
 
-        hint = did_you_mean(verb, VERBS)
+        hint = did_you_mean(verb, VERBS) or f"; known are {', '.join(VERBS)}"
         sys.exit(complain(f"unknown verb {verb!r}{hint} (mapdata --help says more)", 2))
     run(VERBS[verb], **vars(verb_parser(verb).parse_args(given)))
 

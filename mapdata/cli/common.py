@@ -8,9 +8,12 @@ import re
 import shlex
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
+
+from mapdata.interrupts import EXIT_CODE, STOPPED, THREADS, leave, stoppable
 
 if TYPE_CHECKING:
     from mapdata.options import Option
@@ -81,27 +84,26 @@ def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
 
 
 def run(command: Command, *, modules: Sequence[str] = (), **values: object) -> None:
-    """Import ``modules``, call ``command`` and exit with 0, 1 or 2.
+    """Import ``modules``, call ``command`` and exit with 0, 1, 2 or, after Ctrl-C, 130.
 
     What a user can put right is one clear line instead of a traceback.
     """
     try:
-        for module in modules:
-            import_named(module)
-        command(**values)
-        print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
+        with stoppable(), warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            # When all tries have failed, the error says how many there were.
+            warnings.filterwarnings("ignore", r".*\. Trying again in ")
+            for module in modules:
+                import_named(module)
+            command(**values)
+            print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
         sys.exit(141)  # as a shell says it
-    except KeyboardInterrupt:
-        from mapdata.shards.workers import THREADS
-
-        code = complain("stopped; run the same command again to go on", 130)
+    except KeyboardInterrupt:  # in a process without `exit_on_interrupt`
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
-            sys.stdout.flush()
-            # A plain exit would wait for the shards under way, however long they take.
-            os._exit(code)
-        sys.exit(code)
+            leave()
+        sys.exit(complain(STOPPED, EXIT_CODE))
     except (DisagreeError, ValueError, OSError) as error:
         from mapdata.shards import ShardError  # late: the list of verbs needs nothing of it
 
@@ -185,13 +187,13 @@ def add_flag(
     kind = option.kind
     origin = get_origin(kind)
     metavar = {int: "N", float: "X"}.get(kind, name.rpartition(".")[2].upper())
-    how = {"type": kind, "metavar": metavar}
+    how = {"type": whole_number if kind is int else kind, "metavar": metavar}
     if kind is bool:
         how = {"action": "store_true"}
     elif kind == Literal[True]:  # or a text: its value may be left out
         how = {"nargs": "?", "const": True, "metavar": metavar}
     elif origin is list:
-        how = {"nargs": "+", "type": get_args(kind)[0], "metavar": "N"}
+        how = {"nargs": "+", "type": whole_number, "metavar": "N"}
     elif origin is Literal:
         choices = get_args(kind)
         how = {"type": type(choices[0]), "choices": choices}
@@ -252,6 +254,30 @@ def path_name(text: str) -> str:
     return text
 
 
+def whole_number(text: str) -> int:
+    """Return an integer, which may be written as 10000, 10_000 or 1e4."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    match = re.fullmatch(r"(\d{1,19})(?:\.(\d{1,19}))?[eE]\+?(\d{1,2})", text)
+    if match is not None:
+        whole, fraction, exponent = match[1], (match[2] or "").rstrip("0"), int(match[3])
+        if len(fraction) <= exponent:
+            return int(whole + fraction.ljust(exponent, "0"))
+    raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number such as 10000 or 1e4")
+
+
+def unused_name(name: str) -> str:
+    """Return a name of a file that does not exist: ``map.png``, else ``map-2.png`` and so on."""
+    stem, ending = os.path.splitext(name)
+    number = 2
+    while os.path.lexists(name):
+        name = f"{stem}-{number}{ending}"
+        number += 1
+    return name
+
+
 def _size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text)
     if match is None:
@@ -264,6 +290,11 @@ def run_parsed(command: Command, arguments: list[str] | None = None, **defaults:
     parser = parser_of(command, None, **defaults)
     add_import_flag(parser)
     run(command, **vars(parser.parse_args(arguments)))
+
+
+def _print_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning as one line, without the line of Python that it comes from."""
+    complain(f"warning: {message}", 0)
 
 
 def complain(error: object, code: int) -> int:

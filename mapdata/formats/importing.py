@@ -38,7 +38,7 @@ from mapdata.shards.manifest import (
     provenance_text,
     read_manifest,
 )
-from mapdata.shards.root import file_hash, folder_of
+from mapdata.shards.root import file_hash, folder_of, make_folder
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
 from mapdata.shards.workers import Advance, bar, threads
 from mapdata.spec import (
@@ -177,7 +177,7 @@ def import_maps(
                 resolution=metres,
             )
             folder = folders[size, metres]
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
             # two imports of other maps would take each other's shards away
             with locked(folder, wait=False) as is_free:
                 if not is_free:

@@ -13,7 +13,7 @@ from mapdata.formats.files import LIMITS, Limits, files_of
 from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
-from mapdata.shards.root import Places, Root, local_path
+from mapdata.shards.root import Places, Root, local_path, make_folder
 from mapdata.shards.shard import StrPath
 from mapdata.shards.temporary import sweep_temporaries, temporary_folder
 from mapdata.spec import check_choice
@@ -186,7 +186,7 @@ def export(
     is_empty = target.is_dir() and not any(target.iterdir())
     if target.exists() and not is_empty:
         raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     sweep_temporaries(target.parent)
     with temporary_folder(target) as folder:
         temporary = folder / "export"

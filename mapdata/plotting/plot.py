@@ -44,9 +44,6 @@ _LISTED = 16
 _NUMBERED = 16
 """Most rooms of a connection matrix whose costs are written into it."""
 
-_ARROW_EVERY = 16
-"""Cells from one arrow head of a path to the next."""
-
 _LANE = 1.6
 """Points between paths that are drawn side by side; a cell has about 6 in a figure of one map."""
 
@@ -230,8 +227,9 @@ def plot_cells(
         lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
             the cells; only the picture is shifted.
     """
-    from matplotlib.markers import MarkerStyle
-    from matplotlib.transforms import Affine2D, offset_copy
+    from matplotlib.transforms import offset_copy
+
+    from mapdata.plotting.arrows import ArrowHeads
 
     # Down and to the right, so that horizontal and vertical stretches part alike.
     shift = _LANE * lane
@@ -241,23 +239,7 @@ def plot_cells(
     axes.plot(
         columns, rows, color=colour, transform=aside, linestyle=style, linewidth=2.2, label=label
     )
-    # not on the first and last cells, which bear marks
-    for middle in range(_ARROW_EVERY // 2, len(path) - 2, _ARROW_EVERY):
-        down, right = path[middle + 2] - path[middle - 2]  # of stairs, their slope
-        angle = np.degrees(np.arctan2(-down, right)) - 90  # a triangle points up by itself
-        # narrow, since one with three equal sides points three ways
-        turned = Affine2D().scale(0.7, 1.1).rotate_deg(angle)
-        axes.scatter(
-            columns[middle],
-            rows[middle],
-            s=90,
-            color=colour,
-            transform=aside,
-            marker=MarkerStyle("^", transform=turned),
-            edgecolor="white",
-            linewidth=0.7,
-            zorder=3,
-        )
+    axes.add_collection(ArrowHeads(path[:, ::-1], aside, colour), autolim=False)
 
 
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:

@@ -28,7 +28,7 @@ from mapdata.shards.manifest import (
     sweep,
 )
 from mapdata.shards.reader import open_shard
-from mapdata.shards.root import file_hash, file_size, folder_of
+from mapdata.shards.root import file_hash, file_size, folder_of, make_folder
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
 from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
 from mapdata.spec import check_count, check_integers, check_seed
@@ -212,7 +212,7 @@ def _prepare(
         ValueError: it holds something else, or links to files elsewhere.
         PermissionError: it may not be written to, or a shard may not be read.
     """
-    root.mkdir(parents=True, exist_ok=True)
+    make_folder(root)
     if (root / MANIFEST).exists():
         found = read_manifest(root)
     else:

@@ -70,24 +70,25 @@ _TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
 class DatasetNotFoundError(FileNotFoundError):
     """There is no dataset; the message says where it was looked for, and what makes one."""
 
-    def __init__(self, root: object, why: str = "") -> None:
-        """Say what was looked for under ``root`` and what to do."""
+    def __init__(self, root: object, why: str = "", how: str = "") -> None:
+        """Say what was looked for under ``root``, why it is none, and what to do."""
         self.root = root
         self.why = why
+        self.how = how
         if "://" in str(root):
-            how = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
+            build = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
         else:
-            how = (
+            build = (
                 f"Make one with 'mapdata build {shlex.quote(str(root))}', with "
                 f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
                 "build='paper')"
             )
         # of a loader's worker torch gives the whole text of its error as the root
-        super().__init__(f"no dataset at {root}: {why}. {how}" if why else root)
+        super().__init__(f"no dataset at {root}: {why}. {how or build}" if why else root)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments, so that the error of a worker says the same in its parent."""
-        return DatasetNotFoundError, (self.root, self.why)
+        return DatasetNotFoundError, (self.root, self.why, self.how)
 
 
 @dataclass(frozen=True)
@@ -277,6 +278,10 @@ def read_manifest(root: Path) -> Manifest:
             raise ShardError(f"{path}: larger than {MOST_BYTES} bytes")
         return parse_manifest(path.read_bytes(), str(path))
     except (FileNotFoundError, NotADirectoryError):
+        if root.is_file():
+            is_inside = (root.parent / MANIFEST).is_file()
+            folder = f"its folder: {root.parent}" if is_inside else "the folder of a dataset"
+            raise DatasetNotFoundError(root, "it is a file", f"Give {folder}") from None
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
         raise DatasetNotFoundError(root, why) from None
 

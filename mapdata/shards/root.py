@@ -252,6 +252,18 @@ def folder_of(place: StrPath) -> Path:
     return folder
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those that it lies in, unless it is there.
+
+    Raises:
+        OSError: it cannot be made; the message names it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"{folder}: this folder cannot be made ({error.strerror})") from None
+
+
 def manifest_at(place: str) -> Manifest:
     """Return the manifest of a place, which is read or fetched anew.
 

@@ -13,14 +13,13 @@ from typing import TypeVar
 
 from tqdm.auto import tqdm
 
+from mapdata.interrupts import THREADS
+
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 """How many cores this process may use: in a batch job often fewer than the machine has."""
 
 FEW = 4 * CORES
 """Tasks that threads of this process are given: what is not begun costs nothing to cancel."""
-
-THREADS = "mapdata"
-"""What the names of our threads begin with."""
 
 Advance = Callable[[int], object]
 """Called with how much more is done."""

@@ -7,10 +7,13 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
+import socket
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -288,13 +291,56 @@ def test_show_draws_other_maps_and_colours_otherwise(
     assert len(set(pictures)) == 3
 
 
-def test_show_without_output_writes_map_png(
-    run: Command, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("verb", "name"), [("show", "map.png"), ("report", "report.html")])
+def test_without_output_no_file_is_replaced(
+    verb: str,
+    name: str,
+    run: Command,
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The default stands in the working folder."""
+    """The default stands in the working folder; where it exists a number is put behind its name."""
     monkeypatch.chdir(tmp_path)
-    assert run("show", dataset).out == "wrote map.png\n"
-    assert os.listdir(tmp_path) == ["map.png"]
+    stem, ending = name.split(".")
+    if verb == "show":
+        assert run(verb, dataset).out == f"wrote {name}\n"
+        assert os.listdir(tmp_path) == [name]
+    Path(name).write_text("mine")
+    Path(f"{stem}-2.{ending}").symlink_to("nowhere")
+    assert f"wrote {stem}-3.{ending}" in run(verb, dataset).out
+    assert Path(name).read_text() == "mine"
+    assert sorted(os.listdir(tmp_path)) == sorted(
+        [name, f"{stem}-2.{ending}", f"{stem}-3.{ending}"]
+    )
+
+
+def test_a_file_that_output_names_is_replaced(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """As by other programs: the name was given."""
+    (tmp_path / "picture").write_text("old")
+    assert run("show", dataset, "-o", tmp_path / "picture").code == 0
+    assert (tmp_path / "picture").read_bytes().startswith(PNG)
+
+
+def test_list_shows_every_preset(run: Command) -> None:
+    """Name, size, family, and its parameters as a recipe has them."""
+    lines = run("list").out.splitlines()
+    assert [line.split()[0] for line in lines] == list(PRESETS)
+    for line, spec in zip(lines, PRESETS.values(), strict=True):
+        assert f" {spec.map_size[0]} x {spec.map_size[1]} " in line
+        assert f" {spec.description}" in line
+    (dungeon,) = (line for line in lines if line.startswith("dungeon "))
+    assert "rooms [8, 16]" in dungeon
+    assert "map_size" not in dungeon
+
+
+def test_build_takes_a_map_size_and_numbers_with_an_exponent(run: Command, tmp_path: Path) -> None:
+    """The size takes the place of the preset's; 1e1 is 10."""
+    flags = ("--preset", "cave", "--map-size", "24x40", "--maps", "1e1", "--seed", "1.5E+1")
+    assert run("build", tmp_path / "maps", *flags).code == 0
+    manifest = read_manifest(tmp_path / "maps")
+    assert manifest.spec == replace(PRESETS["cave"], map_size=(24, 40))
+    assert (manifest.maps, manifest.seed) == (10, 15)
 
 
 @pytest.mark.parametrize(
@@ -312,12 +358,12 @@ def test_help_and_version(arguments: list[str], run: Command) -> None:
 def test_every_help_has_examples_that_parse(verb: str, run: Command) -> None:
     """Each line under Examples is a command whose flags the verb knows."""
     text = run(verb, "--help").out
-    examples = re.findall(rf"^  mapdata {verb} (.*?)(?: > .*)?$", text, re.MULTILINE)
+    examples = re.findall(rf"^  mapdata {verb}\b(.*?)(?: > .*)?$", text, re.MULTILINE)
     assert examples
     assert "Examples:\n" in text
     parser = cli.verb_parser(verb)
     for example in examples:
-        parser.parse_args(example.split())
+        parser.parse_args(shlex.split(example))
 
 
 def test_the_help_of_build_names_all_presets(run: Command) -> None:
@@ -344,9 +390,9 @@ def test_a_flag_before_the_verb_is_refused(run: Command) -> None:
 
 
 def test_a_misspelt_verb(run: Command) -> None:
-    """The nearest one is named."""
+    """The nearest one is named; all of them if none is near."""
     run.refused(2, "unknown verb 'biuld'; did you mean build?", "biuld", "data/maps")
-    run.refused(2, r"unknown verb 'xyzzy' \(mapdata --help", "xyzzy")
+    run.refused(2, r"unknown verb 'xyzzy'; known are list, build, .*, check-scen \(", "xyzzy")
 
 
 # --- recipes ------------------------------------------------------------------------------------
@@ -420,8 +466,15 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
     [
         ("maps: got 0", ["--maps", "0"]),
         ("maps: got -1", ["--maps", "-1"]),
-        ("--maps: invalid int value: 'many'", ["--maps", "many"]),
-        ("--maps: invalid int value: '1.5'", ["--maps", "1.5"]),
+        ("--maps: got 'many', expected a whole number such as 10000 or 1e4", ["--maps", "many"]),
+        ("--maps: got '1.5', expected a whole number", ["--maps", "1.5"]),
+        ("--maps: got '1e-4', expected a whole number", ["--maps", "1e-4"]),
+        ("--maps: got '1.25e1', expected a whole number", ["--maps", "1.25e1"]),
+        ("--maps: got '1e999', expected a whole number", ["--maps", "1e999"]),
+        ("--map-size: got '64', expected ROWSxCOLUMNS as in 64x64", ["--map-size", "64"]),
+        ("room_rows: got (14, 33), expected at most 8: rooms would be", ["--map-size", "8x8"]),
+        ("--map-size: not allowed with --recipe", ["--map-size", "9x9", "--recipe", "paper"]),
+        ("unknown flag --size; did you mean --map-size?", ["--size", "64x64"]),
         ("seed: got -1", ["--seed", "-1"]),
         ("seed: got 18446744073709551616", ["--seed", str(2**64)]),
         ("preset: got 'papers', expected one of paper, narrow", ["--preset", "papers"]),
@@ -432,7 +485,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("--preset: not allowed with --recipe", ["--preset", "narrow", "--recipe", "paper"]),
         ("--part: got '4/4', expected K/N", ["--part", "4/4"]),
         ("unknown flag --xyz (mapdata build --help says more)", ["--xyz"]),
-        ("unknown flag --map-sise", ["--map-sise", "3"]),
+        ("unknown flag --map-sise; did you mean --map-size?", ["--map-sise", "3"]),
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
         ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
@@ -624,6 +677,58 @@ def test_no_dataset(verb: str, run: Command, tmp_path: Path) -> None:
     )
     (tmp_path / "file").touch()
     run.refused(2, f"no dataset at {tmp_path / 'file'}", verb, tmp_path / "file")
+
+
+@pytest.mark.parametrize("verb", ["info", "verify", "show"])
+def test_a_file_of_a_dataset_is_no_dataset(verb: str, run: Command, dataset: Path) -> None:
+    """The message names the folder, and does not advise to build a dataset there."""
+    for name in (MANIFEST, shard_name(0, 4)):
+        says = f"no dataset at {dataset / name}: it is a file. Give its folder: {dataset}$"
+        run.refused(2, says, verb, dataset / name)
+    says = "it is a file. Give the folder of a dataset$"
+    run.refused(2, says, verb, __file__)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder that holds no others")
+def test_a_folder_that_cannot_be_made_is_named(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """By every verb that makes one."""
+    says = r"^mapdata: /proc/x: this folder cannot be made \(No such file or directory\)$"
+    run.refused(2, says, "build", "/proc/x", "--maps", 2)
+    run.refused(2, says, "export", dataset, "/proc/x/maps", "--format", "paper")
+    (tmp_path / "site.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
+    outcome = run("import", tmp_path / "site.map", "/proc/x", "--seed-points", 2)
+    assert (outcome.code, outcome.err.splitlines()[-1][: len("mapdata: /proc/x: this")]) == (
+        2,
+        "mapdata: /proc/x: this",
+    )
+
+
+def test_a_url_without_a_server_is_one_line(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tries are counted in it, and are no warnings with lines of Python."""
+    monkeypatch.setattr("mapdata.shards.root.PAUSES", (0.0, 0.0))
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))  # and nobody listens
+        url = f"http://127.0.0.1:{closed.getsockname()[1]}/maps"
+        says = f"^mapdata: {url}/manifest.json could not be read: .*3 tries"
+        with warnings.catch_warnings(record=True) as printed:
+            warnings.simplefilter("default")
+            run.refused(2, says, "info", url)
+    assert printed == []
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_warning_is_one_line(
+    run: Command, dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the place and the line of Python that it comes from."""
+
+    def with_warning(*_: object) -> str:
+        warnings.warn("the server is old.\nGoing on", stacklevel=1)
+        return "a dataset"
+
+    monkeypatch.setattr(cli, "summary", with_warning)
+    outcome = run("info", dataset)
+    assert outcome == Outcome(0, "a dataset\n", "mapdata: warning: the server is old. Going on\n")
 
 
 @pytest.mark.parametrize("index", [-1, MAPS, 10**30])

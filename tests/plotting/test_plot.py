@@ -139,6 +139,7 @@ def test_routes_lie_side_by_side_and_show_their_direction() -> None:
         path = np.array([(30 + down * k, 30 + right * k) for k in range(12)])
         axes = plot_grid(np.zeros((61, 61)))
         plot_cells(axes, path, "black", "a path")
+        figure_of(axes).draw_without_rendering()
         (arrow,) = (one for one in axes.collections if isinstance(one, PathCollection))
         points = np.asarray(arrow.get_paths()[0].vertices)[:3]
         along = points @ (right, -down)  # on the screen, where rows grow downwards

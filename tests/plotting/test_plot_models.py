@@ -116,7 +116,7 @@ def test_roadmap_shows_samples_edges_and_path() -> None:
     vertices, edges = np.array([[0.5, 1], [3, 4], [5, 7]]), np.array([[0, 1], [1, 2]])
     axes = plot_roadmap(grid, vertices, edges, path=[[0, 1], [3, 4]])
     (lines,) = [one for one in axes.collections if isinstance(one, LineCollection)]
-    (points,) = [one for one in axes.collections if isinstance(one, PathCollection)]
+    (points,) = [artist for artist in axes.collections if type(artist) is PathCollection]
     np.testing.assert_array_equal(np.array(lines.get_segments())[..., ::-1], vertices[edges])
     np.testing.assert_array_equal(np.asarray(points.get_offsets())[:, ::-1], vertices)
     assert_lines(drawn(axes, COLOURS["bfs"]), [np.array([[0, 1], [3, 4]])])

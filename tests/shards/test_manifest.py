@@ -306,15 +306,19 @@ def test_no_dataset(kind: str, tmp_path: Path) -> None:
         read_manifest(root)
     message = str(caught.value)
     assert message.startswith(f"no dataset at {root}: ")
-    assert f"'mapdata build {root}'" in message
+    assert (f"'mapdata build {root}'" in message) == (kind != "a file")
+    assert ("Give the folder of a dataset" in message) == (kind == "a file")
     assert ("no manifest.json there" in message) == (kind == "an empty folder")
     assert isinstance(caught.value, FileNotFoundError)
 
 
 def test_the_error_crosses_processes(tmp_path: Path) -> None:
     """What a worker raises says the same in its parent."""
-    error = DatasetNotFoundError(tmp_path, "it does not exist")
-    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    for error in (
+        DatasetNotFoundError(tmp_path, "it does not exist"),
+        DatasetNotFoundError(tmp_path, "it is a file", "Give its folder"),
+    ):
+        assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
 # --- merging ------------------------------------------------------------------------------------
