@@ -44,6 +44,7 @@ from mapdata import (  # noqa: E402
     generate,
     label,
 )
+from mapdata.describe import dataset_statistics  # noqa: E402
 from mapdata.evaluation import Plan, classical  # noqa: E402
 from mapdata.formats import Collection, ForeignMap, import_maps  # noqa: E402
 from mapdata.generators import PRESETS  # noqa: E402
@@ -64,7 +65,7 @@ from mapdata.plotting import (  # noqa: E402
     report,
 )
 from mapdata.problems import Problems  # noqa: E402
-from mapdata.shards import Root, dataset_statistics  # noqa: E402
+from mapdata.shards import Root  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 WEIGHTS = ROOT / "models" / "weights"

@@ -22,9 +22,10 @@ from mapdata import (
     label,
     search_batch,
 )
+from mapdata.describe import dataset_statistics
 from mapdata.evaluation import classical
 from mapdata.formats import Collection, ForeignMap
-from mapdata.shards import Recipe, Root, dataset_statistics, open_shard, read_manifest
+from mapdata.shards import Recipe, Root, open_shard, read_manifest
 
 
 @pytest.fixture(scope="module")

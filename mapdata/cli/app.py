@@ -125,8 +125,8 @@ def info_command(
         recipe: print the few lines of JSON that are the dataset
         card: write the dataset card (default: README.md in ROOT)
     """
+    from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
-    from mapdata.shards import card as card_of
     from mapdata.shards.root import folder_of, local_path
 
     if recipe and card is not None:

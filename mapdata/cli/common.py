@@ -29,7 +29,7 @@ class DisagreeError(Exception):
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     """Return the short summary of a dataset, one fact to a line."""
-    from mapdata.shards.dataset_card import counted
+    from mapdata.describe.dataset_card import counted
 
     done = manifest.done
     size = sum(entry.bytes for entry in manifest.shards)
@@ -56,7 +56,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
 
 def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
     """Return the lines of `summary` that say what no recipe of imported maps says."""
-    from mapdata.shards.dataset_card import movement_text
+    from mapdata.describe.dataset_card import movement_text
     from mapdata.shards.root import read_provenance
     from mapdata.spec import SPLITS
 

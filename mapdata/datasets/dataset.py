@@ -448,7 +448,7 @@ class MapDataset(ProblemDataset):
         """
         import pandas as pd
 
-        from mapdata.shards.table import map_rows
+        from mapdata.describe.table import map_rows
 
         rows = []
         for k, (_, first, entry) in enumerate(self.reader.shards):

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from mapdata.describe.dataset_card import Section, card
+from mapdata.describe.table import map_row
 from mapdata.formats.registry import Format
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.dataset_card import Section, card
 from mapdata.shards.root import Root
-from mapdata.shards.table import map_row
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Ints
+from mapdata.describe.statistics import count_repeats, digests_of
 from mapdata.formats.collection import ForeignMap
-from mapdata.shards.statistics import count_repeats, digests_of
 from mapdata.spec import SPLITS
 
 

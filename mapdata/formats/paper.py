@@ -50,6 +50,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from mapdata.arrays import Flags, Ints
+from mapdata.describe.table import map_row
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, walk
 from mapdata.formats.images import PICTURES, brightness, read_pixels, tell_free
@@ -58,7 +59,6 @@ from mapdata.npy import FormatError, refusing
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
-from mapdata.shards.table import map_row
 from mapdata.shards.workers import bar
 from mapdata.spec import Movement, canonical_json, check_resolution
 

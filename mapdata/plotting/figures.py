@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from mapdata.arrays import Flags, Floats
+from mapdata.describe.dataset_card import counted
+from mapdata.describe.statistics import DatasetStatistics, bin_edges, dataset_statistics
 from mapdata.plotting.plot import (
     COLOURS,
     new_axes,
@@ -19,9 +21,7 @@ from mapdata.plotting.plot import (
     same_matrices,
 )
 from mapdata.search.api import SEARCHES
-from mapdata.shards.dataset_card import counted
 from mapdata.shards.root import Places, Root
-from mapdata.shards.statistics import DatasetStatistics, bin_edges, dataset_statistics
 from mapdata.spec import check_choice
 
 if TYPE_CHECKING:

@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Floats, Ints
+from mapdata.describe.dataset_card import Section, sections, title
+from mapdata.describe.statistics import DatasetStatistics, dataset_statistics
 from mapdata.generators.maps import unpacked
 from mapdata.plotting.figures import figure_of, plot_distribution
 from mapdata.plotting.plot import new_axes
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.dataset_card import Section, sections, title
 from mapdata.shards.root import Places
-from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 from mapdata.spec import check_count
 
 MAPS = 500

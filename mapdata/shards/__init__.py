@@ -3,7 +3,6 @@
 from mapdata.shards.builder import build
 from mapdata.shards.content import content_hash
 from mapdata.shards.corruption import repair, verify
-from mapdata.shards.dataset_card import card
 from mapdata.shards.manifest import (
     MANIFEST,
     PROVENANCE,
@@ -15,21 +14,17 @@ from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import Root
 from mapdata.shards.shard import ShardError, write_file, write_output
-from mapdata.shards.statistics import DatasetStatistics, dataset_statistics
 
 __all__ = [
     "MANIFEST",
     "PROVENANCE",
     "DatasetNotFoundError",
-    "DatasetStatistics",
     "Manifest",
     "Recipe",
     "Root",
     "ShardError",
     "build",
-    "card",
     "content_hash",
-    "dataset_statistics",
     "open_shard",
     "read_manifest",
     "read_shard",

@@ -11,8 +11,8 @@ import pytest
 from helpers.wild import cli
 
 from mapdata import read_shard
+from mapdata.describe.table import joined
 from mapdata.shards import read_manifest
-from mapdata.shards.table import joined
 from mapdata.spec import SPLITS
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")

@@ -27,9 +27,10 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.describe import dataset_statistics
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
-from mapdata.shards import MANIFEST, PROVENANCE, Root, dataset_statistics, read_manifest
+from mapdata.shards import MANIFEST, PROVENANCE, Root, read_manifest
 from mapdata.spec import SPLITS, Movement
 
 Bytes = npt.NDArray[np.uint8]

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mapdata import MapSpec, build, read_shard, verify
+from mapdata.describe.table import gaps, joined
 from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
 from mapdata.formats.paper import floats, numbers, read
 from mapdata.shards import read_manifest
-from mapdata.shards.table import gaps, joined
 
 csv.field_size_limit(2**27)
 

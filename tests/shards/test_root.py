@@ -39,17 +39,10 @@ from mapdata import (
     verify,
 )
 from mapdata.cli import main
+from mapdata.describe import card, dataset_statistics
 from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
-from mapdata.shards import (
-    MANIFEST,
-    PROVENANCE,
-    Root,
-    card,
-    content_hash,
-    dataset_statistics,
-    read_manifest,
-)
+from mapdata.shards import MANIFEST, PROVENANCE, Root, content_hash, read_manifest
 from mapdata.shards import root as root_module
 from mapdata.shards.corruption import inspect, repair_found
 from mapdata.shards.root import folder_of, places

@@ -34,8 +34,9 @@ from mapdata import (
     verify,
 )
 from mapdata.cli import main
+from mapdata.describe import card
 from mapdata.generators import Generator, UnknownFamily
-from mapdata.shards import MANIFEST, Recipe, card, open_shard, read_manifest
+from mapdata.shards import MANIFEST, Recipe, open_shard, read_manifest
 from mapdata.spec import canonical_json
 
 NOT_KNOWN = re.escape(

@@ -17,8 +17,9 @@ from helpers.samples import SPEC, WIDE, build_small
 
 from mapdata import MapDataset, MapSpec, Maze, Movement, Pairs, Route, build, verify
 from mapdata.cli import main
-from mapdata.shards import MANIFEST, PROVENANCE, card, read_manifest
-from mapdata.shards.dataset_card import Section, movement_text
+from mapdata.describe import card
+from mapdata.describe.dataset_card import Section, movement_text
+from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 from mapdata.spec import SPLITS
 
 

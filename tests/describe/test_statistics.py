@@ -12,9 +12,10 @@ from helpers.samples import SPEC, WIDE, build_small
 
 from mapdata import Labels, MapDataset, MapSpec, Route, ShardError, generate
 from mapdata.arrays import Bytes
+from mapdata.describe import DatasetStatistics, dataset_statistics
+from mapdata.describe.statistics import Repeats, bin_edges
 from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.shards import DatasetStatistics, Root, dataset_statistics, read_manifest
-from mapdata.shards.statistics import Repeats, bin_edges
+from mapdata.shards import Root, read_manifest
 from mapdata.spec import SPLITS
 
 
