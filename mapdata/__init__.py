@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mapdata.generators import Maze as Maze
     from mapdata.generators import generate as generate
     from mapdata.generators import identity as identity
+    from mapdata.movement import Movement as Movement
     from mapdata.problems import Pairs as Pairs
     from mapdata.problems import Problems as Problems
     from mapdata.problems import Random as Random
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from mapdata.shards import read_shard as read_shard
     from mapdata.shards import repair as repair
     from mapdata.shards import verify as verify
-    from mapdata.spec import Movement as Movement
 
 _FACES = {
     "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
@@ -75,7 +75,7 @@ _FACES = {
         "search_batch",
     ),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
-    "spec": ("Movement",),
+    "movement": ("Movement",),
 }
 """Where each public name is imported from."""
 

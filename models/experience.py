@@ -35,9 +35,10 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from tqdm.contrib.concurrent import thread_map
 
 from mapdata.arrays import Array, Bytes, Floats, Ints
+from mapdata.checks import check_choice
 from mapdata.datasets import LateLoader, MapDataModule, Sample
+from mapdata.hashing import canonical_json
 from mapdata.shards import write_output
-from mapdata.spec import canonical_json, check_choice
 from models.roadmap import between, build_roadmap, halton, radius
 
 KINDS = ("lego", "shortest_path")

@@ -39,7 +39,7 @@ from torch import Tensor, nn
 
 from mapdata import Sample, inflate
 from mapdata.arrays import Bytes, Floats, Ints
-from mapdata.spec import check_choice, check_count, check_resolution
+from mapdata.checks import check_choice, check_count, check_resolution
 from models.common import (
     Model,
     Tensors,

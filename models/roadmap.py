@@ -30,9 +30,9 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
+from mapdata.checks import check_count
 from mapdata.jit import kernel
 from mapdata.search import STEPS
-from mapdata.spec import check_count
 
 Points = Callable[[ArrayLike, int, int], Floats]
 """A sampler that sees the map alone: from a grid (H, W), n and a seed to (n, 2) free points."""

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import classical, evaluate, to_text
+from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
-from mapdata.spec import Movement
 from models.common import WEIGHTS, load_model
 from models.learned_planners import planners
 from models.neural_astar import NeuralAstar

@@ -16,7 +16,19 @@ from helpers.pages import DOCS, ROOT, blocks
 
 import mapdata
 
-GROUND = ("_version", "arrays", "interrupts", "jit", "npy", "options", "rng", "spec")
+GROUND = (
+    "_version",
+    "arrays",
+    "checks",
+    "hashing",
+    "interrupts",
+    "jit",
+    "limits",
+    "movement",
+    "npy",
+    "options",
+    "rng",
+)
 FOLDERS = (
     "generators",
     "search",
@@ -193,6 +205,6 @@ def test_the_top_face_agrees_with_the_folders() -> None:
     assert set(mapdata.__all__) == {*seen, "__version__"}
     for name, module in seen.items():
         assert getattr(mapdata, name) is getattr(import_module(module), name)
-        assert module == "mapdata.spec" or name in import_module(module).__all__, (
+        assert module == "mapdata.movement" or name in import_module(module).__all__, (
             f"{name} is not in {module}.__all__"
         )

@@ -312,7 +312,7 @@ def main(arguments: list[str] | None = None) -> None:
         how = "the verb comes first, as in mapdata verify data/maps"
         sys.exit(complain(f"{verb}: {how} (mapdata --help says more)", 2))
     if verb not in VERBS:
-        from mapdata.spec import did_you_mean
+        from mapdata.checks import did_you_mean
 
         hint = did_you_mean(verb, VERBS) or f"; known are {', '.join(VERBS)}"
         sys.exit(complain(f"unknown verb {verb!r}{hint} (mapdata --help says more)", 2))

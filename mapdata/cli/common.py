@@ -57,8 +57,8 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
 def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
     """Return the lines of `summary` that say what no recipe of imported maps says."""
     from mapdata.describe.dataset_card import movement_text
+    from mapdata.limits import SPLITS
     from mapdata.shards.root import read_provenance
-    from mapdata.spec import SPLITS
 
     counts = {
         split: sum(entry.counts[split]["maps"] for entry in manifest.shards) for split in SPLITS
@@ -115,7 +115,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse an unknown flag by naming the nearest, before anything else is missed."""
-        from mapdata.spec import did_you_mean
+        from mapdata.checks import did_you_mean
 
         given = sys.argv[1:] if args is None else args
         for text in given:
@@ -129,7 +129,7 @@ class Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse what is not one of the choices by naming the nearest, too."""
-        from mapdata.spec import did_you_mean
+        from mapdata.checks import did_you_mean
 
         try:
             super()._check_value(action, value)

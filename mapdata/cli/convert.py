@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from mapdata.cli.common import DisagreeError, add_flag, summary
 
 if TYPE_CHECKING:
-    from mapdata.spec import Movement
+    from mapdata.movement import Movement
 
 _OF_IMPORTS = ("seed_points", "seed", "tile", "resolution", "shard_size", "drop_leaks")
 """Parameters of `import_maps` that are flags, whatever the format."""
@@ -46,10 +46,10 @@ def import_command(
         max_pixels: refuse larger pictures and maps
         **options: those of `import_maps` and of the formats
     """
+    from mapdata.checks import check_count
     from mapdata.formats import Limits, import_maps, read_any, recognise
     from mapdata.formats.registry import functions
     from mapdata.options import options_of
-    from mapdata.spec import check_count
 
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     check_count("--max-pixels", max_pixels)
@@ -92,7 +92,7 @@ def _movement(
     connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None
 ) -> Movement | None:
     """Return the movement that the flags say, None if they say nothing."""
-    from mapdata.spec import Movement
+    from mapdata.movement import Movement
 
     if connectivity is None:
         if corner_cutting or diagonal_cost is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mapdata.spec import Movement
+from mapdata.movement import Movement
 
 if TYPE_CHECKING:
     import pandas as pd

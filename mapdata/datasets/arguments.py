@@ -9,14 +9,7 @@ from typing import Any
 
 import torch
 
-from mapdata.datasets.fields import FIELDS
-from mapdata.datasets.sample import MAPS_AND_MASKS, Sample
-from mapdata.problems.sources import Source, plain_text
-from mapdata.search.api import SEARCHES
-from mapdata.search.footprint import least_squared
-from mapdata.search.lattice import rule_of
-from mapdata.spec import (
-    Movement,
+from mapdata.checks import (
     check_choice,
     check_count,
     check_flag,
@@ -25,6 +18,13 @@ from mapdata.spec import (
     did_you_mean,
     items_of,
 )
+from mapdata.datasets.fields import FIELDS
+from mapdata.datasets.sample import MAPS_AND_MASKS, Sample
+from mapdata.movement import Movement
+from mapdata.problems.sources import Source, plain_text
+from mapdata.search.api import SEARCHES
+from mapdata.search.footprint import least_squared
+from mapdata.search.lattice import rule_of
 
 FieldFunction = Callable[[Sample], Any]
 

@@ -19,8 +19,9 @@ from numba.extending import intrinsic
 from mapdata.arrays import Bytes, Flags, Float32s, Int32s, Ints, offsets_of
 from mapdata.datasets.fields import Paths, Rooms
 from mapdata.generators.maps import WORD, unpack
-from mapdata.generators.points import STEPS
 from mapdata.jit import COMPILED, Int, inlined, kernel
+from mapdata.limits import MAX_ROOMS, SPLITS
+from mapdata.movement import STEPS, Movement
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.kernels import scratch
@@ -29,7 +30,6 @@ from mapdata.search.lattice import BFS, UNIT, Rule, cells_of, lattice_of, load
 from mapdata.shards.manifest import Entry, Manifest
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import Shard, ShardError, bits_of
-from mapdata.spec import MAX_ROOMS, SPLITS, Movement
 
 ARRAYS = (
     "maps",

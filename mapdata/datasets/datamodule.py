@@ -13,6 +13,7 @@ import pytorch_lightning as pl
 import torch
 from torch.utils.data import DataLoader
 
+from mapdata.checks import check_count, items_of, known_values, plain_values
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, torch_dtype
 from mapdata.datasets.dataset import MapDataset, Transform
 from mapdata.datasets.online import OnlineMapDataset
@@ -20,12 +21,13 @@ from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.datasets.transforms import check_transform
 from mapdata.generators.generator import identity
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import is_url, places
-from mapdata.spec import SPLITS, Movement, check_count, items_of, known_values, plain_values
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule

@@ -15,17 +15,19 @@ from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_choice, check_flag
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, torch_dtype
 from mapdata.datasets.batches import BatchReader
 from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.datasets.transforms import check_transform
+from mapdata.limits import SPLITS, Size
+from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
 from mapdata.shards.root import Places
-from mapdata.spec import SPLITS, Movement, Size, check_choice, check_flag
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -24,11 +24,11 @@ from mapdata.datasets.field_kernels import (
     path_probabilities,
 )
 from mapdata.datasets.sample import rows_of_path
+from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES, solve_batch
 from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, rule_of
 from mapdata.search.lattice import hardness as hardness_of
-from mapdata.spec import Movement
 
 
 class Paths(NamedTuple):

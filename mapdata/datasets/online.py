@@ -9,18 +9,19 @@ import numpy as np
 import torch
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count, check_seed
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform, arguments_of
 from mapdata.datasets.fields import Paths
 from mapdata.generators.generator import Generator, check_spec, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
+from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import rule_of
-from mapdata.spec import Movement, check_count, check_seed
 
 
 class OnlineMapDataset(ProblemDataset):

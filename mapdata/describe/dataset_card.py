@@ -18,10 +18,11 @@ import numpy as np
 from mapdata._version import __version__
 from mapdata.describe.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.generators.generator import PRESETS, Generator, UnknownFamily
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.search.lattice import HARD
 from mapdata.shards.manifest import COUNTS, PROVENANCE, Manifest
 from mapdata.shards.root import Places, read_provenance
-from mapdata.spec import SPLITS, Movement
 
 _SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
 """Size categories of the Hugging Face Hub, parted by 10**3, 10**4, ... 10**7 rows."""

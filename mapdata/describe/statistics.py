@@ -12,11 +12,11 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps, unpacked
+from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
 from mapdata.shards.root import Places, Root
-from mapdata.spec import SPLITS
 
 _CELLS_AT_ONCE = 2**22
 """Cells that are unpacked at once, to a byte each: memory stays flat for shards of any size."""

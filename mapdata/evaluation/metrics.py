@@ -15,10 +15,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from mapdata.arrays import Bytes, Floats, Ints, summary
+from mapdata.checks import check_choice, check_count
+from mapdata.limits import Cell
 from mapdata.problems.problem_set import Problems
 from mapdata.search.api import check_path
 from mapdata.search.lattice import HARD
-from mapdata.spec import Cell, check_choice, check_count
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""

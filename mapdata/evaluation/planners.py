@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
-from mapdata.generators.points import STEPS
+from mapdata.limits import Cell
+from mapdata.movement import NEURAL_ASTAR, STEPS, Movement
 from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
-from mapdata.spec import NEURAL_ASTAR, Cell, Movement
 
 MAX_ESTIMATE = 2**20
 """Largest ``weight * (H + W)`` of `BestFirst`: f fits into 64 bits."""

@@ -9,8 +9,9 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Ints
+from mapdata.limits import Size
+from mapdata.movement import Movement
 from mapdata.search.labels import Labels
-from mapdata.spec import Movement, Size
 
 
 def _no_pairs() -> Ints:

@@ -13,10 +13,10 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes, Ints
 from mapdata.formats.collection import Collection
+from mapdata.limits import SPLITS
 from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-from mapdata.spec import SPLITS
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from mapdata.arrays import Array, Bytes, Flags
+from mapdata.checks import check_probability, check_sides
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -28,8 +29,8 @@ from mapdata.formats.files import (
     split_of,
 )
 from mapdata.formats.registry import Format
+from mapdata.limits import Size
 from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
-from mapdata.spec import Size, check_probability, check_sides
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
 ARRAYS = (".npy", ".npz")

@@ -17,11 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count, check_resolution, check_seed, check_sides
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.leaks import Separated, separate
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import check_seed_points, draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
+from mapdata.limits import MAX_ROOMS, MAX_SIDE, Size
+from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
@@ -41,16 +44,6 @@ from mapdata.shards.manifest import (
 from mapdata.shards.root import file_hash, folder_of, make_folder
 from mapdata.shards.shard import Header, StrPath, shard_image, write_file
 from mapdata.shards.workers import Advance, bar, threads
-from mapdata.spec import (
-    MAX_ROOMS,
-    MAX_SIDE,
-    Movement,
-    Size,
-    check_count,
-    check_resolution,
-    check_seed,
-    check_sides,
-)
 
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""

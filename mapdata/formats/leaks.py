@@ -9,7 +9,7 @@ import numpy as np
 from mapdata.arrays import Array, Bytes, Ints
 from mapdata.describe.statistics import count_repeats, digests_of
 from mapdata.formats.collection import ForeignMap
-from mapdata.spec import SPLITS
+from mapdata.limits import SPLITS
 
 
 class Separated(NamedTuple):

@@ -26,11 +26,12 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_of
 from mapdata.formats.registry import Format
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.npy import FormatError
 from mapdata.search.api import astar
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
-from mapdata.spec import SPLITS, Movement
 
 HEADER = "source,question,answer,rating"
 

@@ -27,9 +27,12 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
 from mapdata.formats.registry import Format
+from mapdata.limits import MAX_ROOMS, Cell, Size
+from mapdata.movement import Movement
 from mapdata.npy import FormatError
 from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch, solve_batch
@@ -37,7 +40,6 @@ from mapdata.search.lattice import ASTAR
 from mapdata.shards.root import Root, local_path
 from mapdata.shards.shard import StrPath
 from mapdata.shards.workers import bar
-from mapdata.spec import MAX_ROOMS, Cell, Movement, Size, check_count
 
 MOVEMENT = Movement(8)
 """The benchmark's rule."""

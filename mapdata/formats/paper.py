@@ -50,17 +50,19 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from mapdata.arrays import Flags, Ints
+from mapdata.checks import check_resolution
 from mapdata.describe.table import map_row
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, walk
 from mapdata.formats.images import PICTURES, brightness, read_pixels, tell_free
 from mapdata.formats.registry import Format
+from mapdata.hashing import canonical_json
+from mapdata.movement import Movement
 from mapdata.npy import FormatError, refusing
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-from mapdata.spec import Movement, canonical_json, check_resolution
 
 NEEDED = ("seed_rows", "seed_columns")
 

@@ -38,15 +38,17 @@ import numpy as np
 from numpy.lib.format import write_array_header_1_0
 
 from mapdata.arrays import Array, Bytes, Float32s, Ints
+from mapdata.checks import check_seed
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, Limits, check_grids, files_of, grids_of, several
 from mapdata.formats.registry import Format
+from mapdata.limits import SPLITS
+from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.npy import FormatError, Npz, StoredArray
 from mapdata.problems.problem_set import Problems
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
-from mapdata.spec import NEURAL_ASTAR, SPLITS, Movement, check_seed
 
 ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
 """Step (row, col) of each action."""

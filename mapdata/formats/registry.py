@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+from mapdata.checks import check_choice
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import LIMITS, Limits, files_of
 from mapdata.npy import FormatError
@@ -16,7 +17,6 @@ from mapdata.problems.problem_set import Problems
 from mapdata.shards.root import Places, Root, local_path, make_folder
 from mapdata.shards.shard import StrPath
 from mapdata.shards.temporary import sweep_temporaries, temporary_folder
-from mapdata.spec import check_choice
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ import yaml
 from PIL import Image
 
 from mapdata.arrays import Array, Bytes, Flags, Int8s
+from mapdata.checks import check_resolution
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
@@ -36,7 +37,6 @@ from mapdata.formats.registry import Format
 from mapdata.npy import FormatError, refusing
 from mapdata.shards.root import Root
 from mapdata.shards.shard import StrPath
-from mapdata.spec import check_resolution
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")

@@ -33,9 +33,9 @@ from mapdata.formats.files import (
     walk,
 )
 from mapdata.formats.registry import Format
+from mapdata.movement import Movement
 from mapdata.npy import FormatError, StoredArray, open_npy
 from mapdata.shards.workers import Advance, bar
-from mapdata.spec import Movement
 
 MOVEMENT = Movement(8, corner_cutting=True)
 """The rule of its labels."""

@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes
+from mapdata.checks import check_count, check_probability
 from mapdata.generators.points import Scattered, check_seed_points
 from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block
-from mapdata.spec import check_count, check_probability
 
 _MAJORITY = 5
 """Of a cell and its eight neighbours; cells beyond the border count as occupied."""

@@ -14,10 +14,11 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes
+from mapdata.checks import check_integers, check_number, check_range, items_of
 from mapdata.generators.points import Scattered, check_seed_points
 from mapdata.jit import kernel
+from mapdata.limits import Range
 from mapdata.rng import MAP, block, bounded
-from mapdata.spec import Range, check_integers, check_number, check_range, items_of
 
 _MOST_COVER = 0.5
 """At most half of a map is asked for: beyond it no way leads anywhere, and draws run out."""

@@ -15,23 +15,19 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from mapdata.arrays import Ints
-from mapdata.generators.maps import Maps
-from mapdata.spec import (
-    MAX_ROOMS,
-    Movement,
-    Size,
-    canonical_json,
+from mapdata.checks import (
     check_choice,
     check_fractions,
     check_resolution,
     check_seed,
     check_sides,
     did_you_mean,
-    hash_of,
     known_values,
-    least_version,
-    parsed_json,
 )
+from mapdata.generators.maps import Maps
+from mapdata.hashing import canonical_json, hash_of, parsed_json
+from mapdata.limits import MAX_ROOMS, Size, least_version
+from mapdata.movement import Movement
 
 G = TypeVar("G", bound="Generator")
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Ints, Words, offsets_of, summary
 from mapdata.jit import Int, kernel
-from mapdata.spec import Movement, Size
+from mapdata.limits import Size
+from mapdata.movement import Movement
 
 WORD = 64
 """Columns of a map in one packed word."""

@@ -10,10 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes
-from mapdata.generators.points import STEPS, Scattered, check_seed_points
+from mapdata.checks import check_count, check_probability
+from mapdata.generators.points import Scattered, check_seed_points
 from mapdata.jit import Int, kernel
+from mapdata.limits import MAX_ROOMS, Range
+from mapdata.movement import STEPS
 from mapdata.rng import MAP, block, bounded, threshold
-from mapdata.spec import MAX_ROOMS, Range, check_count, check_probability
 
 
 @dataclass(frozen=True)

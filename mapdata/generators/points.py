@@ -7,15 +7,14 @@ from abc import abstractmethod
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import Int, kernel
+from mapdata.limits import MAX_ROOMS
+from mapdata.movement import STEPS
 from mapdata.rng import POINTS, block, bounded
-from mapdata.spec import MAX_ROOMS, check_count
-
-STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
-"""(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); their numbers are their codes."""
 
 _CANDIDATES = 8
 """Cells that are drawn for each seed point, of which the one farthest from the others is taken."""

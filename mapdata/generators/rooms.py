@@ -15,12 +15,13 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.arrays import Ints, Words
+from mapdata.checks import check_integers, check_probability, check_range
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import kernel
+from mapdata.limits import MAX_ROOMS, Range
 from mapdata.rng import MAP, block, bounded, threshold
-from mapdata.spec import MAX_ROOMS, Range, check_integers, check_probability, check_range
 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 

@@ -7,10 +7,11 @@ from functools import cache
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
+from mapdata.checks import check_fractions, check_seed
 from mapdata.generators.generator import Generator
 from mapdata.jit import kernel
+from mapdata.limits import SPLITS
 from mapdata.rng import SPLIT, block, threshold
-from mapdata.spec import SPLITS, check_fractions, check_seed
 
 
 @cache

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from mapdata.arrays import Flags, Floats
+from mapdata.checks import check_choice
 from mapdata.describe.dataset_card import counted
 from mapdata.describe.statistics import DatasetStatistics, bin_edges, dataset_statistics
 from mapdata.plotting.plot import (
@@ -22,7 +23,6 @@ from mapdata.plotting.plot import (
 )
 from mapdata.search.api import SEARCHES
 from mapdata.shards.root import Places, Root
-from mapdata.spec import check_choice
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from mapdata.arrays import Floats, Ints
+from mapdata.checks import check_count
 from mapdata.describe.dataset_card import Section, sections, title
 from mapdata.describe.statistics import DatasetStatistics, dataset_statistics
 from mapdata.generators.maps import unpacked
@@ -29,7 +30,6 @@ from mapdata.plotting.plot import new_axes
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.root import Places
-from mapdata.spec import check_count
 
 MAPS = 500
 """Maps in the browser of a report."""

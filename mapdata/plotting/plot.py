@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from mapdata.search.labels import Labels
 from mapdata.arrays import Array
-from mapdata.spec import check_choice
+from mapdata.checks import check_choice
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}

@@ -15,8 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, summary
+from mapdata.checks import check_choice, check_count, check_seed
 from mapdata.generators.generator import Generator, check_spec, generate, identity
 from mapdata.generators.maps import Maps
+from mapdata.hashing import canonical_json
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
@@ -25,7 +29,6 @@ from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import HARD, hardness, rule_of
 from mapdata.shards.root import Places, Root
 from mapdata.shards.shard import StrPath, write_output
-from mapdata.spec import SPLITS, Movement, canonical_json, check_choice, check_count, check_seed
 
 _DRAWS = (0, 1000)
 """The draws that are tried on a map; a dataset goes on to another map sooner."""

@@ -8,14 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.spec import (
-    check_flag,
-    check_number,
-    did_you_mean,
-    items_of,
-    known_values,
-    parsed_json,
-)
+from mapdata.checks import check_flag, check_number, did_you_mean, items_of, known_values
+from mapdata.hashing import parsed_json
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""

@@ -3,7 +3,7 @@
 For kernels of your own: the lattice, its legal moves and its heuristic.
 """
 
-from mapdata.generators.points import STEPS
+from mapdata.movement import STEPS
 from mapdata.search.api import (
     BatchResult,
     SearchResult,

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
+from mapdata.checks import check_choice
+from mapdata.movement import Movement
 from mapdata.search.kernels import (
     first_bad_cell,
     narrow,
@@ -29,7 +31,6 @@ from mapdata.search.lattice import (
     Weights,
     rule_of,
 )
-from mapdata.spec import Movement, check_choice
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name; so begin names of stored arrays and of columns."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Float32s, Int32s
+from mapdata.checks import check_number
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.api import as_grid, values_complaint
-from mapdata.spec import check_number
 
 
 def clearance(grid: ArrayLike) -> Float32s:

@@ -31,8 +31,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
-from mapdata.generators.points import STEPS
 from mapdata.jit import Int, inlined, kernel
+from mapdata.movement import STEPS
 from mapdata.search.lattice import (
     ASTAR,
     BFS,

@@ -9,9 +9,10 @@ from functools import cache, cached_property
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints, offsets_of, summary
+from mapdata.checks import check_choice
 from mapdata.generators.maps import Maps, unpacked
-from mapdata.generators.points import STEPS
 from mapdata.jit import Int, kernel
+from mapdata.movement import STEPS
 from mapdata.search.api import SEARCHES
 from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_search
@@ -42,7 +43,6 @@ from mapdata.search.lattice import (
     parts,
     rule_of,
 )
-from mapdata.spec import check_choice
 
 _MANY = 3
 """From so many remaining rooms on, one search of the whole map costs less than an A* to each."""

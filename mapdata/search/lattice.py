@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Floats, Ints
-from mapdata.generators.points import STEPS
 from mapdata.jit import Int, inlined, kernel
-from mapdata.spec import Movement
+from mapdata.movement import STEPS, Movement
 
 MAX_CELLS = 2**24
 """Largest number of cells of a grid: 4096 x 4096."""

@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from mapdata.checks import check_count, check_integers, check_seed
 from mapdata.generators.generator import Generator as MapGenerator
 from mapdata.generators.generator import check_spec, generate
 from mapdata.search.labels import label
@@ -31,7 +32,6 @@ from mapdata.shards.reader import open_shard
 from mapdata.shards.root import file_hash, file_size, folder_of, make_folder
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
 from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
-from mapdata.spec import check_count, check_integers, check_seed
 
 _MERGE_EVERY = 2.0
 """Least seconds between two writes of the manifest while shards are made."""

@@ -21,7 +21,11 @@ import numpy as np
 if sys.platform != "win32":
     import fcntl
 
+from mapdata.checks import check_count, check_integers, check_number, check_seed
 from mapdata.generators.generator import UnknownFamily, stored_generator
+from mapdata.hashing import hash_of, sha256_of
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
 from mapdata.shards.reader import UNSOUND, is_hash, open_shard, sound_labels
@@ -35,16 +39,6 @@ from mapdata.shards.shard import (
     write_file,
 )
 from mapdata.shards.temporary import remove_if_left, take_lock
-from mapdata.spec import (
-    SPLITS,
-    Movement,
-    check_count,
-    check_integers,
-    check_number,
-    check_seed,
-    hash_of,
-    sha256_of,
-)
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"

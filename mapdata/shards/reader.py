@@ -22,8 +22,11 @@ from weakref import finalize
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
+from mapdata.checks import check_integers
 from mapdata.generators.generator import stored_generator
 from mapdata.generators.maps import WORD
+from mapdata.hashing import sha256_of
+from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
@@ -37,7 +40,6 @@ from mapdata.shards.shard import (
     decode,
     read_image,
 )
-from mapdata.spec import Movement, check_integers, sha256_of
 
 
 def read_shard(path: StrPath) -> Labels:

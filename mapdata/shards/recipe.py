@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
 from mapdata.generators.generator import PRESETS, Generator, identity
+from mapdata.hashing import parsed_json
 from mapdata.shards.shard import check_version
-from mapdata.spec import check_choice, check_count, check_seed, did_you_mean, parsed_json
 
 MAX_BYTES = 2**20
 """Largest file that is read as a recipe: one has some 600 bytes."""

@@ -16,7 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from mapdata.hashing import hash_of, parsed_json, sha256_of
 from mapdata.jit import cache_home
+from mapdata.limits import Size
+from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.manifest import (
     MANIFEST,
@@ -33,7 +36,6 @@ from mapdata.shards.reader import has_hash, open_shard
 from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.temporary import sweep_temporaries
 from mapdata.shards.workers import bar
-from mapdata.spec import Movement, Size, hash_of, parsed_json, sha256_of
 
 MOST_SILENCE = 20.0
 """Seconds without a byte after which a try to read from a URL is given up."""

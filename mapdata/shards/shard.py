@@ -20,12 +20,14 @@ from mapdata._version import __version__
 from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.generators.generator import Generator, identity
 from mapdata.generators.maps import Maps
+from mapdata.hashing import canonical_json
+from mapdata.limits import FORMAT_VERSIONS, Size, least_version
+from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
 from mapdata.shards.hdf5 import read_dataset, read_root
 from mapdata.shards.temporary import sweep_temporaries, take_lock, temporary_path
-from mapdata.spec import FORMAT_VERSIONS, Movement, Size, canonical_json, least_version
 
 StrPath = str | os.PathLike[str]
 

@@ -19,8 +19,8 @@ from mapdata import MapDataset, MapSpec, Maze, Movement, Pairs, Route, build, ve
 from mapdata.cli import main
 from mapdata.describe import card
 from mapdata.describe.dataset_card import Section, movement_text
+from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
-from mapdata.spec import SPLITS
 
 
 def block(text: str, language: str) -> str:

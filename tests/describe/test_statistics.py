@@ -15,8 +15,8 @@ from mapdata.arrays import Bytes
 from mapdata.describe import DatasetStatistics, dataset_statistics
 from mapdata.describe.statistics import Repeats, bin_edges
 from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.limits import SPLITS
 from mapdata.shards import Root, read_manifest
-from mapdata.spec import SPLITS
 
 
 def all_labels(root: str) -> list[Labels]:

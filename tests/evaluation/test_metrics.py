@@ -19,8 +19,8 @@ from helpers.reference import Cell
 
 from mapdata import MapSpec, Plan, Problems, astar, build, evaluate
 from mapdata.evaluation import METRICS, Planner, classical, to_text
+from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
-from mapdata.spec import Movement
 
 DUNGEON = MapSpec.preset("dungeon")
 Grid = npt.NDArray[np.uint8]

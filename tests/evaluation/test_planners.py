@@ -17,7 +17,7 @@ from helpers.reference import Cell
 
 from mapdata import MapSpec, Maze, Plan, Problems, astar, bfs, check_path, evaluate
 from mapdata.evaluation import BatchPlanner, BestFirst, Limit, Search, classical
-from mapdata.spec import Movement
+from mapdata.movement import Movement
 
 MOVEMENTS = [
     Movement(),

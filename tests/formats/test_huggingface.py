@@ -12,8 +12,8 @@ from helpers.wild import cli
 
 from mapdata import read_shard
 from mapdata.describe.table import joined
+from mapdata.limits import SPLITS
 from mapdata.shards import read_manifest
-from mapdata.spec import SPLITS
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")

@@ -30,8 +30,9 @@ from mapdata import (
 from mapdata.describe import dataset_statistics
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import largest_component
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, PROVENANCE, Root, read_manifest
-from mapdata.spec import SPLITS, Movement
 
 Bytes = npt.NDArray[np.uint8]
 SPLIT = 2

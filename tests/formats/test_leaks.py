@@ -12,8 +12,8 @@ from helpers.wild import cli
 from mapdata import read_shard, verify
 from mapdata.arrays import Bytes
 from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.limits import SPLITS
 from mapdata.shards import PROVENANCE, read_manifest
-from mapdata.spec import SPLITS
 
 TRAIN, VAL, TEST = range(3)
 

@@ -25,8 +25,8 @@ from mapdata.formats.movingai import (
     read_terrain,
     world,
 )
+from mapdata.movement import Movement
 from mapdata.shards import read_manifest
-from mapdata.spec import Movement
 
 MAP = "type octile\nheight 4\nwidth 6\nmap\n..G@WW\n.S.OWW\n.T..WW\n......\n"
 LAND = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0]]

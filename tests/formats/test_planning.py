@@ -18,8 +18,8 @@ from mapdata import MapDataModule, MapDataset, Problems, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
 from mapdata.formats.planning import hops, policy, read, starts_of
+from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.shards import read_manifest
-from mapdata.spec import NEURAL_ASTAR, Movement
 
 Floats = npt.NDArray[np.float32]
 MOVES = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))

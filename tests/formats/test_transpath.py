@@ -12,8 +12,9 @@ from mapdata import read_shard
 from mapdata.arrays import Array, Bytes
 from mapdata.formats import FormatError, Limits, read_any, recognise
 from mapdata.formats.transpath import read
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
 from mapdata.shards import read_manifest
-from mapdata.spec import SPLITS, Movement
 
 SAMPLES = {"train": 7, "val": 3, "test": 4}
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from mapdata import Maps, MapSpec, generate
-from mapdata.spec import Movement
+from mapdata.movement import Movement
 
 SETTINGS = settings(max_examples=300)
 PRESETS = ["paper", "narrow", "dungeon", "dungeon128"]

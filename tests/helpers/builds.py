@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from mapdata import MapSpec, Movement, build
+from mapdata.hashing import canonical_json
 from mapdata.shards import MANIFEST, Manifest, read_manifest
-from mapdata.spec import canonical_json
 
 SPEC = MapSpec((16, 70), (2, 4), (2, 6), (3, 12), passage_width=(1, 2), skip_probability=0.3)
 SEED = 5

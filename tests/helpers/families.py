@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from mapdata.generators import Generator, register, with_seed_points
-from mapdata.spec import check_integers
+from mapdata.checks import check_integers
 
 
 @dataclass(frozen=True)

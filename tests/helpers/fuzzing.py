@@ -30,9 +30,9 @@ from mapdata import MapDataset, MapSpec, ShardError, build
 from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.movingai import check_scen
 from mapdata.generators import register
+from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, open_shard, read_manifest
 from mapdata.shards.shard import decode
-from mapdata.spec import Movement
 
 SPEC = MapSpec(
     (12, 20),

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from mapdata import Generator, MapSpec
-    from mapdata.spec import Movement
+    from mapdata.movement import Movement
 
 Cell: TypeAlias = tuple[int, int]
 Grid: TypeAlias = Sequence[Sequence[int]]

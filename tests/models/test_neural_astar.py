@@ -25,8 +25,9 @@ from mapdata import (
 )
 from mapdata.arrays import Bytes
 from mapdata.evaluation import classical
+from mapdata.limits import Cell
+from mapdata.movement import NEURAL_ASTAR
 from mapdata.search import STEPS
-from mapdata.spec import NEURAL_ASTAR, Cell
 from models import neural_astar
 from models.common import load_model
 from models.neural_astar import FIELDS, NeuralAstar

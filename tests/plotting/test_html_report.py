@@ -22,10 +22,10 @@ from helpers.samples import SPEC, WIDE, build_small
 from mapdata import Labels, MapSpec, build
 from mapdata.cli import main
 from mapdata.describe import dataset_statistics
+from mapdata.limits import SPLITS
 from mapdata.plotting import report
 from mapdata.plotting.html_report import _pack
 from mapdata.shards import Root, read_manifest
-from mapdata.spec import SPLITS
 
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")
 

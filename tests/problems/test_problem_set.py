@@ -19,8 +19,8 @@ from helpers.pages import DOCS
 
 from mapdata import MapSpec, Problems, Random, astar, build
 from mapdata.generators import Generator
+from mapdata.movement import Movement
 from mapdata.problems import HARD
-from mapdata.spec import Movement
 
 DUNGEON = MapSpec.preset("dungeon")
 CUTTING = Movement(8, corner_cutting=True)

@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 
 from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.evaluation import BestFirst
+from mapdata.movement import Movement
 from mapdata.search import api, search_batch
-from mapdata.spec import Movement
 
 OCTILE = Movement(8)
 CUTTING = Movement(8, corner_cutting=True)

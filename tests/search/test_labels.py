@@ -15,11 +15,11 @@ from helpers.specs import movements
 from scipy import ndimage
 
 from mapdata import Labels, Maps, MapSpec, generate, label
+from mapdata.movement import Movement
 from mapdata.search import cell_at, lattice_of, load, rule_of
 from mapdata.search.kernels import scratch
 from mapdata.search.labels import _fill_costs
 from mapdata.search.lattice import ASTAR
-from mapdata.spec import Movement
 
 SEARCHES: dict[str, reference.Search] = {
     "bfs": reference.reference_bfs,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import reference
 
+from mapdata.movement import Movement
 from mapdata.search import (
     STEPS,
     WALL,
@@ -25,7 +26,6 @@ from mapdata.search import (
     rule_of,
 )
 from mapdata.search.lattice import DIAGONAL, LONGEST, UNIT
-from mapdata.spec import Movement
 
 MOVEMENTS = [
     pytest.param(Movement(), id="4"),

@@ -46,10 +46,10 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, Manifest, Recipe, content_hash, read_manifest
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.manifest import merge
-from mapdata.spec import Movement
 
 OTHER = replace(SPEC, skip_probability=0.2)
 KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}

@@ -18,9 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, generate, label
+from mapdata.movement import Movement
 from mapdata.shards import content_hash
 from mapdata.shards.content import combine
-from mapdata.spec import Movement
 
 SETTINGS = settings(max_examples=40)
 NUMBERS = st.integers(0, 1000) | st.integers(0, 2**63 - 1)

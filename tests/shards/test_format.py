@@ -22,7 +22,7 @@ import pytest
 from helpers import reference
 
 from mapdata import Labels, MapSpec, build, generate, label
-from mapdata.spec import Movement
+from mapdata.movement import Movement
 
 Array: TypeAlias = npt.NDArray[Any]
 Row: TypeAlias = list[str]

@@ -23,8 +23,8 @@ from helpers.builds import SOUND_SEED, SOUND_SPEC
 from torch import nn
 
 from mapdata import build
+from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, read_manifest
-from mapdata.spec import SPLITS
 from models.common import load_model
 from models.path_predictor import PathPredictor
 

@@ -16,8 +16,9 @@ from h5py import h5a
 
 import mapdata
 from mapdata import Generator, MapDataset, MapSpec, ShardError, build, read_shard, verify
+from mapdata.hashing import canonical_json
+from mapdata.limits import FORMAT_VERSIONS
 from mapdata.shards import MANIFEST, content_hash, open_shard, read_manifest
-from mapdata.spec import FORMAT_VERSIONS, canonical_json
 
 KEPT = Path(__file__).parents[1] / "data"
 FIELDS = ("map", "start", "goal", "path", "length", "iterations", "problem")

@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 
 import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
+from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, Manifest, Recipe, read_manifest, write_file
 from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
@@ -36,7 +37,6 @@ from mapdata.shards.manifest import (
     sweep,
     union,
 )
-from mapdata.spec import SPLITS
 
 SETTINGS = settings(max_examples=60)
 HASH = "0123456789abcdef" * 4

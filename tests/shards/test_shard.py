@@ -27,6 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
+from mapdata.movement import Movement
 from mapdata.shards import content_hash, open_shard, write_file
 from mapdata.shards.shard import (
     FIELDS,
@@ -37,7 +38,6 @@ from mapdata.shards.shard import (
     shard_image,
     unpack_moves,
 )
-from mapdata.spec import Movement
 
 SETTINGS = settings(max_examples=60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")

@@ -36,8 +36,8 @@ from mapdata import (
 from mapdata.cli import main
 from mapdata.describe import card
 from mapdata.generators import Generator, UnknownFamily
+from mapdata.hashing import canonical_json
 from mapdata.shards import MANIFEST, Recipe, open_shard, read_manifest
-from mapdata.spec import canonical_json
 
 NOT_KNOWN = re.escape(
     "the family 'pillars' is not known here; import its module (--import MODULE in a command, "

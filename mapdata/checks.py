@@ -1,111 +1,15 @@
-"""`Movement`, how one moves on a map, and the checks of plain values that all specs share."""
+"""Checks of arguments and of plain values, as JSON and configurations hold them."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from operator import index
 from typing import Any, TypeGuard
 
-FORMAT_VERSIONS = (1, 2)
-"""Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
-
-Version 2 says what version 1 cannot: maps of another generator than Algorithm 1, and sides over
-1,024. All else stays version 1.
-"""
-
-MAX_SIDE = 4096
-"""Largest number of rows or columns of a map."""
-
-MAX_ROOMS = 255
-"""Largest number of rooms of a map."""
-
-SPLITS = ("train", "val", "test")
-"""Names of the splits, in the order of their codes 0, 1, 2."""
-
-Range = tuple[int, int]
-"""(lowest, highest), both included."""
-
-Cell = tuple[int, int]
-"""(row, col), origin upper left."""
-
-Size = tuple[int, int]
-"""(rows, columns) of a map."""
-
-
-@dataclass(frozen=True)
-class Movement:
-    """How one moves on a grid.
-
-    Attributes:
-        connectivity: 4 (north, east, south, west) or 8 (diagonals too); the paper names neither.
-        corner_cutting: True lets a diagonal step pass between or beside occupied cells; False
-            demands that both orthogonal neighbours are free. Only with 8.
-        diagonal_cost: sqrt(2), or 1 to reproduce data that count moves. Only with 8.
-
-    Raises:
-        ValueError: a value that is not one of these, or one that would do nothing.
-    """
-
-    connectivity: int = 4
-    corner_cutting: bool = False
-    diagonal_cost: float = math.sqrt(2)
-
-    def __post_init__(self) -> None:
-        """Check the values and bring ``diagonal_cost`` to exactly 1.0 or sqrt(2)."""
-        if self.connectivity not in (4, 8):
-            raise ValueError(f"connectivity: got {self.connectivity!r}, expected 4 or 8")
-        check_flag("corner_cutting", self.corner_cutting)
-        cost = check_number("diagonal_cost", self.diagonal_cost)
-        near = [exact for exact in (1.0, math.sqrt(2)) if math.isclose(cost, exact, rel_tol=1e-6)]
-        if not near:
-            raise ValueError(f"diagonal_cost: got {cost!r}, expected 1 or sqrt(2) = {math.sqrt(2)}")
-        cost = near[0]
-        object.__setattr__(self, "diagonal_cost", cost)
-        object.__setattr__(self, "connectivity", int(self.connectivity))  # not 4.0, which equals 4
-        if self.connectivity == 4 and (self.corner_cutting or cost == 1):
-            raise ValueError(
-                "connectivity 4 has no diagonal moves: corner_cutting and diagonal_cost would do "
-                "nothing"
-            )
-
-
-def least_version(map_size: Size) -> int:
-    """Return the least version of the format that can say a map size."""
-    return 1 if max(map_size) <= 1024 else 2
-
-
-def canonical_json(values: object) -> str:
-    """Return the one JSON text of ``values``, to hash: sorted keys, no white space, ASCII."""
-    return json.dumps(
-        values, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
-    )
-
-
-def parsed_json(name: str, text: str | bytes) -> Any:
-    """Return the value of a JSON text.
-
-    Raises:
-        ValueError: it is none.
-    """
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:  # or no UTF-8
-        raise ValueError(f"{name}: not JSON ({error})") from None
-
-
-def hash_of(values: object) -> str:
-    """Return the SHA-256 of the canonical JSON of ``values``, as hex."""
-    return sha256_of(canonical_json(values).encode())
-
-
-def sha256_of(data: bytes | memoryview) -> str:
-    """Return the SHA-256 of ``data``, as hex."""
-    return hashlib.sha256(data).hexdigest()
+from mapdata.limits import MAX_SIDE, SPLITS, Range, Size
 
 
 def check_seed(seed: int, name: str = "seed") -> int:
@@ -277,7 +181,3 @@ def check_range(name: str, limits: Range, lowest: int, highest: int, why: str = 
         raise ValueError(f"{name}: got {limits}, expected at least {lowest}")
     if high > highest:
         raise ValueError(f"{name}: got {limits}, expected at most {highest}{why}")
-
-
-NEURAL_ASTAR = Movement(8, corner_cutting=True, diagonal_cost=1)
-"""How Neural A* moves: eight neighbours, corners may be cut, and every move costs 1."""

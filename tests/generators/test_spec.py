@@ -17,7 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapdata import MapSpec, identity
-from mapdata.spec import MAX_ROOMS, MAX_SIDE, Movement, items_of, plain_values
+from mapdata.checks import items_of, plain_values
+from mapdata.limits import MAX_ROOMS, MAX_SIDE
+from mapdata.movement import Movement
 
 SETTINGS = settings(max_examples=200)
 
