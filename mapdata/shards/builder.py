@@ -57,8 +57,8 @@ def build(
 ) -> Manifest:
     """Build maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``.
 
-    A build that stopped goes on, and a dataset with fewer maps is extended. The bytes do not depend
-    on workers, order or interruptions.
+    A build that stopped goes on, and a dataset with fewer maps is extended. The content does not
+    depend on workers, order or interruptions; the bytes of the files depend on the version of h5py.
 
     Args:
         root: folder, made if missing.

@@ -14,8 +14,10 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 from helpers import hostile, run_helper, wild
@@ -179,11 +181,11 @@ def problem_cases(folder: Path, _: Path) -> Iterator[Case]:
     """Write sets that unpack to much, or whose headers do not fit together."""
     about = '{"movement": {"connectivity": 8}, "description": "a bomb"}'
     ends = np.zeros((2, 2), np.int64)
-    zeros = {
+    bombs: dict[str, npt.NDArray[Any]] = {
         "many": np.zeros((2**15, 64, 64), np.uint8),  # 128 MiB in 130 kB
         "words": np.zeros((1, 2**12, 2**12), np.int64),
     }
-    for name, grids in zeros.items():
+    for name, grids in bombs.items():
         starts = np.zeros((len(grids), 2), np.int64)
         np.savez_compressed(
             folder / name, about=about, grids=grids, starts=starts, goals=starts + 1
