@@ -62,6 +62,7 @@ TESTED_IN = {
         "search/test_lattice.py",
         "search/test_labels.py",
         "search/test_bitboard.py",
+        "search/test_api.py",
         "problems/test_sampling.py",
     ),
     "mapdata/shards/builder.py": (
