@@ -59,13 +59,13 @@ def stoppable(message: str = STOPPED) -> Iterator[None]:
     if signal.getsignal(signal.SIGINT) is not _leave_now:
         yield
         return
+    handler = _RaiseOnce()
     try:
-        signal.signal(signal.SIGINT, _raise_once)
+        signal.signal(signal.SIGINT, handler)
         yield
     except BaseException as error:
         # An import may have made another error of the interrupt, and Lightning makes it SystemExit.
-        pressed = signal.getsignal(signal.SIGINT) is not _raise_once
-        if pressed or isinstance(error, KeyboardInterrupt):
+        if handler.pressed or isinstance(error, KeyboardInterrupt):
             leave(message)
         raise
     finally:
@@ -91,10 +91,19 @@ def _leave_now(number: int, frame: FrameType | None) -> NoReturn:
     leave()
 
 
-def _raise_once(number: int, frame: FrameType | None) -> NoReturn:
-    """Handle SIGINT while a command works."""
-    signal.signal(signal.SIGINT, _leave_now)
-    raise KeyboardInterrupt
+class _RaiseOnce:
+    """Handles SIGINT while a command works."""
+
+    def __init__(self) -> None:
+        """Begin with no SIGINT."""
+        self.pressed = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> NoReturn:
+        """Raise KeyboardInterrupt; the second time, end the process."""
+        if self.pressed:
+            leave()
+        self.pressed = True
+        raise KeyboardInterrupt
 
 
 def _report_error(

@@ -133,13 +133,16 @@ with stoppable("stopped; go on"):
     try:
         signal.raise_signal(signal.SIGINT)
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGINT, before)
         sys.exit(1)
 """
 
 
 def test_an_exit_that_ctrl_c_caused_is_one_of_ctrl_c(tmp_path: Path) -> None:
-    """Lightning catches Ctrl-C, shuts down and exits with code 1: the line and 130 all the same."""
+    """Lightning catches Ctrl-C, ignores it meanwhile, and exits with code 1: the line and 130 all
+    the same.
+    """
     site = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
     assert_stopped(pressed(tmp_path, site, ["-c", AS_LIGHTNING_DOES], []), "stopped; go on")
 

@@ -17,7 +17,8 @@ from helpers.reference import Cell
 
 from mapdata import MapSpec, Maze, Plan, Problems, astar, bfs, check_path, evaluate
 from mapdata.evaluation import BatchPlanner, BestFirst, Limit, Search, classical
-from mapdata.movement import Movement
+from mapdata.evaluation.planners import VanillaAstar
+from mapdata.movement import NEURAL_ASTAR, Movement
 
 MOVEMENTS = [
     Movement(),
@@ -261,3 +262,24 @@ def test_the_astar_of_neural_astar() -> None:
     ends = ends_of(drawn)
     plans = [planner.plan(grid, *ends[k]) for k, grid in enumerate(drawn.grids)]
     assert [plan.expansions for plan in plans] == counted
+
+
+def test_the_astar_of_neural_astar_pushes_no_cell_again_for_an_equal_cost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the open a cell has many shortest paths; one push for each of them would take for ever."""
+    (planner,) = (row for row in classical(NEURAL_ASTAR) if row.name == "A* of Neural A*")
+    assert isinstance(planner, VanillaAstar)
+    pushed: list[tuple[float, Cell]] = []
+
+    def push(heap: list[tuple[float, Cell]], entry: tuple[float, Cell]) -> None:
+        pushed.append(entry)
+        heap.append(entry)
+        heap.sort()
+
+    monkeypatch.setattr("mapdata.evaluation.planners.heapq.heappush", push)
+    grid = np.zeros((9, 9), np.uint8)
+    grid[4, :8] = 1
+    plan = planner.plan(grid, (0, 0), (8, 0))
+    assert len(plan.path) == 17
+    assert len(pushed) == len(set(pushed))

@@ -156,6 +156,16 @@ def test_maps_keep_their_numbers() -> None:
     assert maps.index.tolist() == [0, 1, 2]
 
 
+def test_indices_are_any_integers_that_can_be_gone_through() -> None:
+    """Also those of a generator, which can be gone through only once, or of a set."""
+    for indices in ((k for k in (4, 2)), {4: "d", 2: "b"}.keys(), np.array([4, 2], np.uint8)):
+        assert generate(Stripes(), 0, indices).index.tolist() == [4, 2]
+    assert len(generate(Stripes(), 0, [])) == 0
+    for wrong in (3, np.array(3), [[1, 2]], [0.5], np.array([1.0])):
+        with pytest.raises(ValueError, match=r"indices: got .* expected integers from 0 to 2"):
+            generate(Stripes(), 0, wrong)  # type: ignore[arg-type]
+
+
 # --- families that are not known ----------------------------------------------------------------
 
 

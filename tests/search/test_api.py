@@ -24,6 +24,8 @@ from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.evaluation import BestFirst
 from mapdata.movement import Movement
 from mapdata.search import api, search_batch
+from mapdata.search.kernels import scratch
+from mapdata.search.lattice import ASTAR, lattice_of, rule_of
 
 OCTILE = Movement(8)
 CUTTING = Movement(8, corner_cutting=True)
@@ -365,6 +367,19 @@ def test_scratch_memory_is_kept_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(api, "KEPT_BYTES", 10**8)
     astar(large, (0, 0), (9, 9), OCTILE)
     assert len(kept) < len(api._kept.memory) <= 10**8
+
+
+@movements
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (9, 1), (5, 8)])
+def test_scratch_memory_holds_the_most_that_a_search_can_push(
+    shape: tuple[int, int], movement: Movement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is kept for calls from Python is as large as what kernels take for themselves."""
+    monkeypatch.setattr(api, "_kept", api._Kept())
+    rule = rule_of(movement)
+    memory = api._scratch_memory(np.zeros(shape, np.uint8), rule)
+    taken = scratch(ASTAR, lattice_of(shape, rule))
+    assert len(memory) == sum(part.nbytes for part in taken)
 
 
 # --- the path check -----------------------------------------------------------------------------

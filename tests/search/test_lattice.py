@@ -36,6 +36,12 @@ MOVEMENTS = [
 ]
 
 
+def test_a_movement_of_another_type_is_refused() -> None:
+    """Such as the number of its neighbours."""
+    with pytest.raises(ValueError, match="movement: got 8, expected a Movement"):
+        rule_of(8)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_legal_moves_equal_the_reference(movement: Movement) -> None:
     """From every free cell exactly the moves to its neighbours are legal; from an occupied one none
