@@ -375,7 +375,7 @@ def test_the_script_takes_files_of_problems(
     assert json.loads((tmp_path / "out.json").read_text())[0]["n"] == 1
     run(str(saved))
     lines = capsys.readouterr().out.splitlines()
-    headings = [line for line in lines if line.startswith("1 problems of")]
+    headings = [line for line in lines if line.startswith("1 of 2 problems of")]
     assert len(headings) == 2
     assert headings[0] == headings[1]
     for flags in (["--maps", "1"], ["--seed", "1"], ["--connectivity", "4"]):

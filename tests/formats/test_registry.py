@@ -157,8 +157,8 @@ def test_recognising(square: Path, tmp_path: Path) -> None:
         read_any(tmp_path / "text", "ros")
     with pytest.raises(ValueError, match="format: got 'zarr'"):
         read_any(tmp_path / "text", "zarr")
-    with pytest.raises(ValueError, match="unknown: does nothing for format images"):
-        read_any(tmp_path / "stack.npy", unknown="free")
+    with pytest.raises(ValueError, match="scen: does nothing for format images"):
+        read_any(tmp_path / "stack.npy", scen=True)
 
 
 def test_tables_that_are_no_files(square: Path, tmp_path: Path) -> None:

@@ -114,6 +114,19 @@ def zeros(path: Path, *, size: int, stated: int, claimed: int) -> None:
         archive.infolist()[0].file_size = stated
 
 
+def large_before_bad(path: Path) -> None:
+    """Write an .npz of planning-datasets: 256 MiB of sound maps, then goals of another shape."""
+    maps = 2**16
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open("arr_0.npy", "w", force_zip64=True) as member:
+            member.write(wild.npy((maps, 64, 64), b""))
+            for _ in range(16):
+                member.write(bytes(2**24))
+        for name, shape in (("arr_1", (1, 1, 1, 1)), ("arr_2", (maps, 8, 1, 64, 64))):
+            archive.writestr(f"{name}.npy", wild.npy(shape, b"\1"))
+        archive.writestr("arr_3.npy", wild.npy((1, 1, 1, 1), b"\0"))
+
+
 def text_chunk(size: int) -> bytes:
     """Return a PNG with a compressed text of ``size`` zeros."""
     good = wild.png(3, 4, depth=8)
@@ -172,6 +185,8 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
     ):
         zeros(folder / name, size=size, stated=stated, claimed=claimed)
         yield "format", folder / name, "FormatError"
+    large_before_bad(folder / "t.npz")
+    yield "format", folder / "t.npz", "FormatError"
 
 
 # --- saved problems ----------------------------------------------------------------------------
