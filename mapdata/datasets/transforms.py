@@ -73,12 +73,12 @@ def _geometric_names(transform: object) -> Iterator[str]:
     """
     ancestors = type(transform).__mro__
     for definition in (transform, *ancestors):  # a function, or an object of such a class
-        name = getattr(definition, "__name__", None)
-        if name is not None and _is_geometric(definition.__module__, name):
+        name = getattr(definition, "__name__", "")
+        if name and _is_geometric(definition, name):
             yield name
             return
     children: list[object] = []
-    if any(_is_of_torchvision(ancestor.__module__) for ancestor in ancestors):
+    if any(_module_in_torchvision(ancestor) for ancestor in ancestors):
         children += getattr(transform, "transforms", ())  # of Compose, RandomApply and their like
         children.append(getattr(transform, "lambd", None))  # of Lambda
     elif isinstance(transform, torch.nn.Sequential):
@@ -89,12 +89,13 @@ def _geometric_names(transform: object) -> Iterator[str]:
         yield from _geometric_names(child)
 
 
-def _is_geometric(module: str, name: str) -> bool:
-    """Return whether the class or function ``name`` of a module is one that moves pixels."""
-    if not _is_of_torchvision(module):
-        return False
-    return module.rpartition(".")[2] in GEOMETRIC_MODULES or name in GEOMETRIC_NAMES
+def _is_geometric(definition: object, name: str) -> bool:
+    """Return whether a class or function of this name is one of torchvision that moves pixels."""
+    module = _module_in_torchvision(definition)
+    return module in GEOMETRIC_MODULES or (module != "" and name in GEOMETRIC_NAMES)
 
 
-def _is_of_torchvision(module: str) -> bool:
-    return module.partition(".")[0] == "torchvision"
+def _module_in_torchvision(definition: object) -> str:
+    """Return the last name of the module that defines it, nothing if it is not torchvision's."""
+    module = str(getattr(definition, "__module__", None))  # functions written in C may have none
+    return module.rpartition(".")[2] if module.startswith("torchvision.") else ""

@@ -995,27 +995,16 @@ def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
 def test_cli_takes_a_dtype_and_a_transform(
     root: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The type by its name, the function by its import path; a wrong name is answered clearly."""
+    """The type by its name, the function by its import path."""
     (tmp_path / "own_transforms.py").write_text("def swap(sample):\n    return sample[::-1]\n")
     monkeypatch.syspath_prepend(tmp_path)
-    flags = [f"--data.root={root}", "--data.batch_size=8", "--data.fields=[map,start,goal,problem]"]
-    cli = run_cli(["fit", *QUIET, *flags, "--data.dtype=float64"])
-    assert isinstance(cli.datamodule, MapDataModule)
-    assert cli.datamodule.dtype == torch.float64
-    assert isinstance(cli.model, Model)
-    assert {batch.dtype for batch in cli.model.seen} == {torch.float32}
-    flags += [*QUIET, "--data.transform=own_transforms.swap"]
+    flags = [f"--data.root={root}", "--data.batch_size=8", "--data.fields=[map,start,problem]"]
+    flags += ["--data.dtype=float64", "--data.transform=own_transforms.swap"]
     cli = LightningCLI(
-        Model,
-        MapDataModule,
-        args=[*flags, "--data.dtype=float64"],
-        run=False,
-        seed_everything_default=0,
+        Model, MapDataModule, args=[*QUIET, *flags], run=False, seed_everything_default=0
     )
-    problem, _, _, map_ = next(iter(cli.datamodule.train_dataloader()))
+    problem, _, map_ = next(iter(cli.datamodule.train_dataloader()))
     assert (problem.dtype, map_.dtype) == (torch.int64, torch.float64)
-    with pytest.raises(ValueError, match="dtype: got 'flaot32', expected one of torch"):
-        run_cli(["fit", *flags, "--data.dtype=flaot32"])
 
 
 def test_cli_takes_several_roots(root: str, tmp_path: Path) -> None:
