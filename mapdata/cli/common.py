@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO, get_args, get_origin
 
 from mapdata.interrupts import EXIT_CODE, STOPPED, THREADS, leave, stoppable
 
@@ -187,7 +187,7 @@ def add_flag(
     kind = option.kind
     origin = get_origin(kind)
     metavar = {int: "N", float: "X"}.get(kind, name.rpartition(".")[2].upper())
-    how = {"type": whole_number if kind is int else kind, "metavar": metavar}
+    how: dict[str, Any] = {"type": whole_number if kind is int else kind, "metavar": metavar}
     if kind is bool:
         how = {"action": "store_true"}
     elif kind == Literal[True]:  # or a text: its value may be left out
@@ -292,7 +292,14 @@ def run_parsed(command: Command, arguments: list[str] | None = None, **defaults:
     run(command, **vars(parser.parse_args(arguments)))
 
 
-def _print_warning(message: Warning | str, *_: object) -> None:
+def _print_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     """Print a warning as one line, without the line of Python that it comes from."""
     complain(f"warning: {message}", 0)
 
