@@ -398,10 +398,10 @@ def _refusal(error: Exception, why: str) -> str | None:
     status = status if isinstance(status, int) else 0  # of HTTP
     if isinstance(error, PermissionError) or status in (401, 403, 407):
         return f"access is denied ({why}); mapdata has no login: copy the dataset to a folder"
-    # An answer below 400 is an error only where redirects lead on and on. Those to another protocol
-    # have no status.
-    if 300 <= status < 400 or "Redirect" in type(error).__name__:
-        return f"its server redirects in a circle or to no web address ({why}); check the URL"
+    # aiohttp's errors of redirects; one that leads on and on is an error of HTTP with a status
+    if "Redirect" in type(error).__name__:
+        where = "in a circle" if hasattr(error, "status") else f"to {why}, no address of the web"
+        return f"its server redirects {where}; check the URL"
     if 400 <= status < 500 and status not in _PASSING:
         return f"its server refuses the request ({why})"
     return None

@@ -477,7 +477,7 @@ def write_file(path: Path, data: bytes) -> None:
         write_file(path, data)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename is None:
+        if isinstance(error, OSError) and error.errno and error.filename is None:
             # what fails while bytes are written, as on a full disk, does not say where
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise

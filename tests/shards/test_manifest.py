@@ -571,7 +571,7 @@ def test_load_shard_gives_the_entry(built: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path"]
+    "damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path", "bit in a text"]
 )
 def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
     """A shard that is not there, not whole, or does not hash to what it says gives None."""
@@ -582,6 +582,8 @@ def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Pat
         places = {
             "bit in a map": file["maps"].id.get_offset(),
             "bit in a path": file["bfs_moves"].id.get_offset(),
+            # an attribute that only other programs read
+            "bit in a text": image.index(b"occupancy"),
         }
     if damage in places:
         image[places[damage]] ^= 2
