@@ -267,14 +267,15 @@ def checksum_of(data: bytes | memoryview) -> int:
     if not len(data):
         return c
     # Zeros at the end add nothing, and the length is counted above.
-    *blocks, last = struct.iter_unpack("<3I", bytes(data) + bytes(-len(data) % 12))
-    for x, y, z in blocks:
+    padded = bytes(data) + bytes(-len(data) % 12)
+    blocks: list[tuple[int, int, int]] = list(struct.iter_unpack("<3I", padded))
+    for x, y, z in blocks[:-1]:
         a, b, c = a + x & _WORD, b + y & _WORD, c + z & _WORD
         for bits in (4, 6, 8, 16, 19, 4):
             a = (a - c ^ _rotated(c, bits)) & _WORD
             c = c + b & _WORD
             a, b, c = b, c, a
-    x, y, z = last
+    x, y, z = blocks[-1]
     a, b, c = a + x & _WORD, b + y & _WORD, c + z & _WORD
     for bits in (14, 11, 25, 16, 4, 14, 24):
         c = ((c ^ b) - _rotated(b, bits)) & _WORD
@@ -362,7 +363,7 @@ def _check_heap(file: memoryview, heap: int) -> None:
         block = bytearray(file[address : address + min(size, _MAX_STRUCTURE)])
         stated = int.from_bytes(block[begin : begin + _CHECKSUM], "little")
         block[begin : begin + _CHECKSUM] = bytes(_CHECKSUM)
-        if checksum_of(block) != stated:
+        if checksum_of(bytes(block)) != stated:
             raise ChecksumError(f"its metadata at {address} are damaged: {_DOES_NOT_FIT}")
 
 

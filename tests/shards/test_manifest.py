@@ -29,13 +29,13 @@ from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
     LOCK,
     Entry,
-    is_shard_name,
     load_shard,
     merge,
     parse_manifest,
     sweep,
     union,
 )
+from mapdata.shards.shard import is_shard_name
 from mapdata.spec import SPLITS
 
 SETTINGS = settings(max_examples=60)
