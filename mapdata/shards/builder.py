@@ -27,8 +27,9 @@ from mapdata.shards.manifest import (
     path_in,
     read_manifest,
     sweep,
+    union,
 )
-from mapdata.shards.reader import open_shard
+from mapdata.shards.reader import map_shard
 from mapdata.shards.root import file_hash, file_size, folder_of, make_folder
 from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
 from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
@@ -108,7 +109,9 @@ def build(
     elif todo:
         raise PermissionError(f"root: no permission to write in {root}")
     if not todo:
-        return present  # nothing to write, so a root that may only be read will do
+        # a root that may only be read will do where there is nothing to write
+        is_done = present.complete or not os.access(root, os.W_OK)
+        return present if is_done else _list_finished(root, present)
     if executor is not None:
         # kernels are compiled here, once, rather than in each process of the executor at once
         shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
@@ -151,7 +154,29 @@ def build(
                 raise
             finally:
                 manifest = merge(root, replace(wanted, shards=tuple(shards)), wait=wait)
-    return manifest
+    return _list_finished(root, manifest)
+
+
+def _list_finished(root: Path, manifest: Manifest) -> Manifest:
+    """List what other builders finished, once all shards are there; return the manifest.
+
+    Where there are no locks, two merges at once lose the entries of one of them. So whoever sees
+    that all shards are there stays until the manifest on disk lists them. No merge follows that of
+    the last builder to see it, so when all builders have ended, the manifest is complete.
+    """
+    known = {entry.name: entry for entry in manifest.shards}
+    while True:
+        listed = read_manifest(root)
+        names = {entry.name for entry in listed.shards}
+        missing = [header for header in headers(listed) if header.file_name not in names]
+        if not missing or not all((root / header.file_name).exists() for header in missing):
+            return union(manifest, listed)
+        for header in missing:
+            entry = known.get(header.file_name) or load_shard(root, header)
+            if entry is None:  # damaged: the next build makes it again
+                return union(manifest, listed)
+            known[entry.name] = entry
+        manifest = merge(root, replace(listed, shards=tuple(known.values())))
 
 
 def headers(manifest: Manifest) -> list[Header]:
@@ -247,7 +272,7 @@ def _check_unlisted(root: Path, wanted: Manifest) -> None:
     largest = 0
     for path in sorted(root.glob("maps-*.h5")):
         try:
-            header = open_shard(path_in(root, path.name)).header
+            header = map_shard(path_in(root, path.name)).shard.header
         except ShardError:
             continue  # a corrupt shard is made again
         largest = max(largest, header.maps)  # the last shard may have fewer

@@ -6,16 +6,17 @@ A shard that is damaged or missing is made again from the recipe, a manifest fro
 from __future__ import annotations
 
 import json
+import os
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from mapdata.generators.generator import UnknownFamily, why_unknown
+from mapdata.generators.generator import Generator, UnknownFamily, why_unknown
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.content import content_hash
 from mapdata.shards.manifest import (
@@ -25,9 +26,10 @@ from mapdata.shards.manifest import (
     DatasetNotFoundError,
     Entry,
     Manifest,
+    checked_entry,
     counts_of,
+    entry_of,
     is_known,
-    is_shard_name,
     limits_of,
     load_shard,
     merge,
@@ -35,7 +37,7 @@ from mapdata.shards.manifest import (
     provenance_text,
     union,
 )
-from mapdata.shards.reader import UNSOUND, open_shard
+from mapdata.shards.reader import UNSOUND, map_shard, sound_labels
 from mapdata.shards.root import (
     Places,
     file_hash,
@@ -46,10 +48,28 @@ from mapdata.shards.root import (
     places,
     read_file,
 )
-from mapdata.shards.shard import Header, ShardError, Span, StrPath, decode, write_file
+from mapdata.shards.shard import (
+    REPAIRS,
+    Header,
+    ShardError,
+    Span,
+    StrPath,
+    decode,
+    is_shard_name,
+    shard_image,
+    write_file,
+)
 from mapdata.shards.workers import bar, finished, threads
 
 _STRANGE = "no file of this dataset: keep it elsewhere"
+
+_REPLACED = "replaced by a shard of more maps: the next build removes it"
+
+
+def _unlisted(spec: Generator | None) -> str:
+    """Return what is said of a sound shard that a build or import left before it was listed."""
+    command = "import" if spec is None else "build"
+    return f"finished, not listed yet: {command} again"
 
 
 @dataclass(frozen=True)
@@ -197,29 +217,31 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
         why = "no sound shard says what it was: delete it and run the same build again"
         return [replace(fault, what=f"{fault.what}; {why}") for fault in findings.faults]
     left = []
-    again = []
+    again = {}  # faults of shards by header
     relisted = False
     for fault in findings.faults:
         spec = None if fault.header is None else fault.header.spec
         if isinstance(spec, UnknownFamily):
             what = f"{fault.what}; it cannot be made again: {why_unknown(spec.name)}"
             left.append(replace(fault, what=what))
-        elif fault.header is not None and spec is not None:
-            again.append(fault.header)
+        elif fault.header is not None:
+            again[fault.header] = fault
         elif fault.path.endswith(MANIFEST):
             relisted = True
-        elif fault.what == _STRANGE:
-            left.append(fault)
+        elif fault.path.endswith(PROVENANCE):
+            left.append(_import_again(fault))
         else:
-            what = f"{fault.what}; it cannot be made again"
-            if manifest.spec is None:
-                what += ", imported maps have no recipe: delete it and import again"
-            left.append(replace(fault, what=what))
+            left.append(fault)
     stated = {entry.name: entry.content_hash for entry in manifest.shards}
+    unlisted = _unlisted(manifest.spec)
+    damaged = {header.limits for header, fault in again.items() if fault.what != unlisted}
     made = []
     with bar(progress, sum(header.maps for header in again)) as advance, threads() as pool:
-        make = partial(make_shard, root, damaged={header.limits for header in again})
+        make = partial(_make_again, root, stated, damaged)
         for header, entry in finished(pool, make, again):
+            if entry is None:
+                left.append(_import_again(again[header]))
+                continue
             before = stated.get(entry.name, entry.content_hash)
             if entry.content_hash != before:
                 what = (
@@ -238,10 +260,49 @@ def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corrup
     return left
 
 
+def _make_again(
+    root: Path, stated: Mapping[str, str], damaged: Set[Span], header: Header
+) -> Entry | None:
+    """Make a shard from its recipe, or write imported maps anew where the file still holds them.
+
+    Args:
+        root: folder of the dataset.
+        stated: content hash of the shards that the manifest lists, by name.
+        damaged: (start, stop) of the shards that may not be kept as they are.
+        header: of the shard.
+
+    Returns:
+        The entry of the new shard; None if imported maps are lost.
+    """
+    if header.spec is not None:
+        return make_shard(root, header, damaged=damaged)
+    if header.limits not in damaged:
+        return load_shard(root, header)
+    try:
+        path = path_in(root, header.file_name)
+        shard = map_shard(path).shard
+        labels = sound_labels(shard)
+    except (OSError, ShardError):
+        return None
+    expected = stated.get(header.file_name, shard.content_hash)
+    if (shard.header, shard.content_hash) != (header, expected):
+        return None
+    image, content = shard_image(labels, header)
+    write_file(path, image)
+    return entry_of(header, content, labels, image)
+
+
+def _import_again(fault: Corruption) -> Corruption:
+    """Return the fault of a file of imported maps that is left after a repair."""
+    what = fault.what.removesuffix(f"; {REPAIRS}")
+    why = "it cannot be made again, imported maps have no recipe: delete it and import again"
+    return replace(fault, what=f"{what}; {why}")
+
+
 def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
     """Check the shards that a manifest lists, name those that it should list, check an import.
 
-    Without ``listed`` the manifest was gathered from the sound shards: the others are damaged.
+    Without ``listed`` the manifest was gathered from the sound shards.
     """
     faults = _check_provenance(place) if manifest.spec is None else []
     with bar(progress, manifest.done) as advance, threads() as pool:
@@ -257,9 +318,9 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
         name = header.file_name
         if name not in names:
             names.add(name)
-            what = "missing (the build did not finish)"
-            if not listed:
-                what = "damaged" if (Path(place) / name).exists() else "missing"
+            what = "missing (the build did not finish)" if listed else "missing"
+            if not is_url(place) and os.path.lexists(Path(place) / name):
+                what = _why_unlisted(Path(place), header)
             faults.append(Corruption(f"{place}/{name}", what, header))
     if not is_url(place):
         # what hides is other programs'; folders may be other datasets
@@ -268,8 +329,29 @@ def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -
             is_hidden = name.startswith(".") and not name.endswith(".tmp")
             is_listed = name in names or (is_known(name) and not is_shard_name(name))
             if not (is_hidden or is_listed or path.is_dir()):
-                faults.append(Corruption(str(path), _STRANGE))
+                faults.append(Corruption(str(path), _why_strange(manifest, path)))
     return faults
+
+
+def _why_unlisted(root: Path, header: Header) -> str:
+    """Return why the shard of ``header``, whose file is there, is not listed."""
+    try:
+        checked_entry(root, header)
+    except (OSError, ShardError) as error:
+        return str(error)
+    return _unlisted(header.spec)
+
+
+def _why_strange(manifest: Manifest, path: Path) -> str:
+    """Return what is said of a file that the plan of a dataset does not name."""
+    if is_shard_name(path.name):
+        start, stop = limits_of(path)
+        fits = start % manifest.shard_size == 0 and 0 < stop - start <= manifest.shard_size
+        # A build that makes the dataset larger lists its shards after it has made some.
+        if fits and load_shard(path.parent, manifest.header(start, stop)) is not None:
+            longer = any(entry.start == start and stop < entry.stop for entry in manifest.shards)
+            return _REPLACED if longer else _unlisted(manifest.spec)
+    return _STRANGE
 
 
 def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | None:
@@ -278,7 +360,7 @@ def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | No
     with bar(progress, len(shards), unit=" shards") as advance:
         for path in shards:
             with suppress(OSError, ShardError):
-                header = open_shard(path_in(root, path.name)).header
+                header = map_shard(path_in(root, path.name)).shard.header
                 found[header] = load_shard(root, header)
             advance(1)
     if not found:
@@ -335,7 +417,7 @@ def _fault(place: str, manifest: Manifest, entry: Entry) -> str | None:
     """Return what is wrong with one shard file, or None."""
     try:
         path = local_file(place, entry)
-        shard = open_shard(path, entry.bytes)
+        shard = map_shard(path, entry.bytes).shard
         if file_hash(path) != entry.sha256:
             return "damaged (its file hash does not fit)"
     except DatasetNotFoundError as error:

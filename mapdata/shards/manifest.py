@@ -36,6 +36,7 @@ from mapdata.shards.shard import (
     ShardError,
     Span,
     check_version,
+    is_shard_name,
     write_file,
 )
 from mapdata.shards.temporary import remove_if_left, take_lock
@@ -220,11 +221,6 @@ def path_in(root: Path, name: str) -> Path:
             f"{path}: a link out of its folder, a pipe or a folder, expected a plain file"
         )
     return path
-
-
-def is_shard_name(name: str) -> bool:
-    """Return whether shards have such names; a manifest's other names are never opened."""
-    return re.fullmatch(r"maps-\d{12,}-\d{12,}\.h5", name) is not None
 
 
 def is_known(name: str) -> bool:
@@ -423,13 +419,27 @@ def limits_of(path: Path) -> Span:
 def load_shard(root: Path, header: Header) -> Entry | None:
     """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
     try:
-        path = path_in(root, header.file_name)
-        shard = open_shard(path)
-        labels = sound_labels(shard)
+        return checked_entry(root, header)
     except (OSError, ShardError):  # gone, not to be read, or damaged
         return None
+
+
+def checked_entry(root: Path, header: Header) -> Entry:
+    """Return the entry of the shard of ``header``, whose file no manifest lists.
+
+    All that any HDF5 library reads of it is compared: the metadata with their checksums, the maps
+    and labels with the content hash.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        OSError: it may not be read.
+        ShardError: it is damaged, or holds other maps.
+    """
+    path = path_in(root, header.file_name)
+    shard = open_shard(path)
+    labels = sound_labels(shard)
     if shard.header != header:
-        return None
+        raise ShardError(f"{path}: holds maps of another dataset")
     return entry_of(header, shard.content_hash, labels, path.read_bytes())
 
 

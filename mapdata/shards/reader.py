@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import finalize
 
 import numpy as np
@@ -30,7 +30,9 @@ from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.content import content_hash
+from mapdata.shards.hdf5 import check_metadata
 from mapdata.shards.shard import (
+    REPAIRS,
     Header,
     Shard,
     ShardError,
@@ -38,6 +40,10 @@ from mapdata.shards.shard import (
     bits_of,
     check_version,
     decode,
+    foreign,
+    is_as_written,
+    is_shard_name,
+    is_undamaged,
     read_image,
 )
 
@@ -47,8 +53,8 @@ def read_shard(path: StrPath) -> Labels:
 
     Raises:
         FileNotFoundError: no such file.
-        ShardError: a file that is not a sound shard, or whose content does not have the hash that
-            it states.
+        ShardError: a file that is not a sound shard, or has the name of another one, or whose
+            content does not have the hash that it states.
     """
     return sound_labels(open_shard(path))
 
@@ -57,10 +63,11 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
     """Check a shard file and map it.
 
     Args:
-        path: the file.
+        path: the file. If it has the name of a shard, it must hold the maps of that shard.
         size: how many bytes the manifest says it has.
         sha256: its file hash as the manifest says it, compared once a process. A file with another
-            hash is read if its content is what it states: the same maps, written anew.
+            hash is read if its content is what it states: the same maps, written anew. Without
+            ``sha256`` the checksums of all metadata are compared instead, but no maps and labels.
 
     Raises:
         FileNotFoundError: no such file.
@@ -68,19 +75,56 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
             links to.
         OSError: too many files are open or mapped.
     """
+    mapped = map_shard(path, size)
+    shard = mapped.shard
+    name = shard.path.name
+    if is_shard_name(name) and name != shard.header.file_name:
+        raise ShardError(
+            f"{shard.path}: holds other maps than its name says, those of {shard.header.file_name}"
+        )
+    if sha256 is None:
+        try:
+            check_metadata(mapped.image.data, shard.arrays)
+        except ValueError as error:
+            raise ShardError(f"{shard.path}: not a sound shard ({error}); {REPAIRS}") from None
+    elif not has_hash(mapped.image, mapped.status, sha256):
+        sound_labels(shard)
+    return shard
+
+
+class MappedShard(NamedTuple):
+    """A shard whose header and arrays can be read, but whose bytes may be damaged.
+
+    Attributes:
+        shard: header and arrays.
+        image: all bytes of the file.
+        status: what the system said of the file when it was opened.
+    """
+
+    shard: Shard
+    image: Bytes
+    status: os.stat_result
+
+
+def map_shard(path: StrPath, size: int | None = None) -> MappedShard:
+    """Map a shard file under any name, and check what can be checked without reading all of it.
+
+    Args and errors are those of `open_shard`; no hash and no checksum is compared.
+    """
     path = Path(path)
     # before it is opened, since opening a pipe waits for its writer
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise ShardError(f"{path}: not a file")
     with open(path, "rb", buffering=0) as file:
         status = os.fstat(file.fileno())
-        if size is not None and status.st_size != size:
-            raise ShardError(f"{path}: has {status.st_size} bytes, the manifest says {size}")
         if status.st_size == 0:
-            raise ShardError(f"{path}: empty file")
-        mapping = map_file(file.fileno(), status.st_size)
+            raise ShardError(f"{path}: empty file; {REPAIRS}")
+        image = map_file(file.fileno(), status.st_size)
+    if size is not None and status.st_size != size:
+        why = f"has {status.st_size} bytes, the manifest says {size}"
+        raise ShardError(f"{path}: {_other_size(image.data, why)}")
     try:
-        attributes, arrays = read_image(mapping.data)
+        attributes, arrays = read_image(image.data)
         header, content = _read_header(attributes)
         _check_arrays(arrays, header)
     except ShardError as error:
@@ -90,10 +134,16 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
         raise ShardError(f"{path}: {why}") from None
     except UNSOUND as error:
         raise ShardError(f"{path}: not a sound shard ({error})") from error
-    shard = Shard(path, header, content, arrays)
-    if sha256 is not None and not has_hash(mapping, status, sha256):
-        sound_labels(shard)
-    return shard
+    return MappedShard(Shard(path, header, content, arrays), image, status)
+
+
+def _other_size(image: memoryview, why: str) -> str:
+    """Return what is said of a file that has another size than the manifest says, as ``why``."""
+    if not is_undamaged(image):
+        return f"{why}: damaged; {REPAIRS}"
+    if not is_as_written(image):
+        return foreign(image, why)
+    return f"{why}: not the shard that the manifest lists; {REPAIRS}"
 
 
 UNSOUND = (
@@ -131,10 +181,7 @@ def sound_labels(shard: Shard) -> Labels:
         labels = decode(shard)
         if content_hash(labels) == shard.content_hash:
             return labels
-    raise ShardError(
-        f"{shard.path}: damaged (its content hash does not fit); 'mapdata verify' with --repair "
-        "makes it again where there is a recipe"
-    )
+    raise ShardError(f"{shard.path}: damaged (its content hash does not fit); {REPAIRS}")
 
 
 @lru_cache(maxsize=1)

@@ -6,6 +6,7 @@ What lies at a URL is fetched to a local cache, shards once, and checked against
 from __future__ import annotations
 
 import os
+import re
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,7 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.reader import has_hash, open_shard
-from mapdata.shards.shard import Shard, ShardError, StrPath, decode, write_file
+from mapdata.shards.shard import REPAIRS, Shard, ShardError, StrPath, decode, write_file
 from mapdata.shards.temporary import sweep_temporaries
 from mapdata.shards.workers import bar
 
@@ -167,7 +168,7 @@ class Root:
             ) from None
         expected = (self.manifests[number].header(*entry.limits), entry.content_hash)
         if (shard.header, shard.content_hash) != expected:
-            raise ShardError(f"{path}: holds other maps than the manifest says")
+            raise ShardError(f"{path}: holds other maps than the manifest says; {REPAIRS}")
         return shard
 
     def shard_labels(self, k: int) -> Labels:
@@ -392,6 +393,8 @@ def _fetch(place: str, name: str, most: int, least: int = 0) -> bytes:
             if len(data) >= least:
                 return data
             why = f"{place}/{name}: {len(data)} of {least} bytes came"
+        except _RefusedError:
+            raise
         except ConnectionError as error:
             why = str(error)
         warnings.warn(f"{why}. Trying again in {pause:g} s", stacklevel=3)
@@ -420,17 +423,62 @@ def _fetch_once(place: str, name: str, most: int) -> bytes:
         # A timeout of fsspec says nothing. That of the package below it does, unless it is the
         # one in all, which has a name at least.
         why = " ".join((str(error) or str(error.__cause__) or repr(error)).split())
+        refusal = _refusal(error, why)
     else:
         # Before it is joined or parsed, which takes some times as much memory.
         if length > most:
             raise ShardError(f"{url}: what was fetched is damaged (it has more than {most} bytes)")
-        return b"".join(pieces)
+        return _checked_body(url, b"".join(pieces))
     # Not from within the handler: the error of HTTP holds what cannot be pickled, and Dask pickles
     # an error with its causes.
+    if refusal is not None:
+        raise _RefusedError(f"{url} could not be read: {refusal}")
     raise ConnectionError(
         f"{url} could not be read: {why} ({len(PAUSES) + 1} tries, each given up after "
         f"{MOST_SILENCE:g} s without a byte or {MOST_SECONDS:g} s in all)"
     )
+
+
+class _RefusedError(ConnectionError):
+    """A server answers, but not with the file: asking it again would not help."""
+
+
+_PASSING = (408, 425, 429)
+"""Statuses of HTTP that blame the client and pass all the same: timeout, too early, too many."""
+
+
+def _refusal(error: Exception, why: str) -> str | None:
+    """Return what is said of an error that stays however often one asks; None if it may pass."""
+    status = getattr(error, "status", None)
+    status = status if isinstance(status, int) else 0  # of HTTP
+    if isinstance(error, PermissionError) or status in (401, 403, 407):
+        return f"access is denied ({why}); mapdata has no login: copy the dataset to a folder"
+    # aiohttp's errors of redirects; one that leads on and on is an error of HTTP with a status
+    if "Redirect" in type(error).__name__:
+        where = "in a circle" if hasattr(error, "status") else f"to {why}, no address of the web"
+        return f"its server redirects {where}; check the URL"
+    if 400 <= status < 500 and status not in _PASSING:
+        return f"its server refuses the request ({why})"
+    return None
+
+
+def _checked_body(url: str, data: bytes) -> bytes:
+    """Return what a server sent, unless its first bytes tell that it is no file of a dataset.
+
+    Raises:
+        ConnectionError: it is a page, or packed.
+    """
+    if re.match(rb"(\xef\xbb\xbf)?\s*<", data[:1000]):
+        raise _RefusedError(
+            f"{url} could not be read: its server sent a page of HTML or XML, expected the file; "
+            "check the URL, and whether the server asks for a login"
+        )
+    if data.startswith(b"\x1f\x8b"):
+        raise _RefusedError(
+            f"{url} could not be read: its server packs it with gzip, unasked; serve it as it is, "
+            "without Content-Encoding"
+        )
+    return data
 
 
 def _open_url(url: str) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -26,7 +27,13 @@ from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, SearchLabels
 from mapdata.shards.content import content_hash
-from mapdata.shards.hdf5 import read_dataset, read_root
+from mapdata.shards.hdf5 import (
+    ChecksumError,
+    check_metadata,
+    member_counts,
+    read_dataset,
+    read_root,
+)
 from mapdata.shards.temporary import sweep_temporaries, take_lock, temporary_path
 
 StrPath = str | os.PathLike[str]
@@ -40,6 +47,9 @@ TESTED_H5PY = ("3.15", "3.16")
 
 _MAX_TEXT = 4070
 """Largest text attribute, in bytes: with its header it has 4,096, the most that the heap takes."""
+
+REPAIRS = "'mapdata verify' with --repair makes it again where there is a recipe"
+"""The end of messages about a shard that is not what it should be: what to do."""
 
 
 class ShardError(ValueError):
@@ -111,6 +121,23 @@ FIELDS = (
 """All datasets of a shard, in the order of the file. Under BFS "straight" counts all moves."""
 
 
+ATTRIBUTES = (
+    "format",
+    "format_version",
+    "library_version",
+    "identity",
+    "content_hash",
+    "spec",
+    "seed",
+    "start",
+    "stop",
+    "map_size",
+    "movement",
+    "resolution",
+)
+"""All attributes of the root group of a shard; `Origin.stated` gives their values."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """What all shards of a dataset say.
@@ -163,6 +190,14 @@ class Origin:
     def origin(self) -> dict[str, Any]:
         """Return these values by name, without those that a subclass adds."""
         return {field.name: getattr(self, field.name) for field in fields(Origin)}
+
+
+_SHARD_NAME = re.compile(r"maps-\d{12,}-\d{12,}\.h5")
+
+
+def is_shard_name(name: str) -> bool:
+    """Return whether shards have such names; a manifest's other names are never opened."""
+    return _SHARD_NAME.fullmatch(name) is not None
 
 
 class MapRange:
@@ -294,10 +329,15 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the root attributes and the arrays in the bytes of a shard file.
 
     Raises:
-        ShardError: a dataset is missing or not plain.
+        ShardError: a dataset is missing or not plain, or another HDF5 program wrote the file.
         ValueError: the bytes are not those of a shard.
     """
-    attributes, addresses = read_root(image)
+    try:
+        attributes, addresses = read_root(image)
+    except ValueError as error:
+        if is_undamaged(image):
+            raise ShardError(foreign(image, error)) from None
+        raise
     arrays = {}
     for field in FIELDS:
         if field.name not in addresses:
@@ -305,11 +345,48 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
         try:
             arrays[field.name] = read_dataset(image, addresses[field.name], field.dtype, field.rank)
         except ValueError as error:
-            raise ShardError(
+            why: object = (
                 f"dataset {field.name!r} is not plain contiguous data of type {field.dtype} and "
                 f"rank {field.rank} inside the file ({error})"
-            ) from None
+            )
+            if is_undamaged(image):
+                why = foreign(image, why)
+            raise ShardError(why) from None
     return attributes, arrays
+
+
+def foreign(image: memoryview, why: object) -> str:
+    """Return what is said of a sound HDF5 file that mapdata did not write, which ``why`` tells."""
+    # the superblock has a mark for this; h5py does not read such a file either
+    if bytes(image[:9]).endswith(b"\n\x03") and image[11]:
+        return f"another HDF5 program has it open for writing, or did not close it; {REPAIRS}"
+    return (
+        f"written by another HDF5 program ({why}); mapdata reads only shards that it wrote; h5py "
+        f"can still read this file; {REPAIRS}"
+    )
+
+
+def is_undamaged(image: memoryview) -> bool:
+    """Return whether no checksum in the bytes of an HDF5 file tells damage.
+
+    Only the structures of a shard are known: of the file of another program the first few tell.
+    """
+    try:
+        check_metadata(image, [field.name for field in FIELDS])
+    except ChecksumError:
+        return False
+    except ValueError:  # sound until it differs from a shard
+        return True
+    return True
+
+
+def is_as_written(image: memoryview) -> bool:
+    """Return whether a file has the datasets and attributes of a shard, and no others."""
+    try:
+        read_image(image)
+        return member_counts(image) == (len(ATTRIBUTES), len(FIELDS))
+    except ValueError:
+        return False
 
 
 def encode(labels: Labels) -> dict[str, Array]:
@@ -431,8 +508,11 @@ def write_file(path: Path, data: bytes) -> None:
             raise
         # it was swept while it had no lock: just made, just closed, or where there are no locks
         write_file(path, data)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            # what fails while bytes are written, as on a full disk, does not say where
+            raise OSError(error.errno, error.strerror, str(path)) from None
         raise
     sync_folder(path.parent)
 

@@ -47,7 +47,7 @@ from mapdata import (
     verify,
 )
 from mapdata.movement import Movement
-from mapdata.shards import MANIFEST, Manifest, Recipe, content_hash, read_manifest
+from mapdata.shards import MANIFEST, Manifest, Recipe, builder, content_hash, read_manifest
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.manifest import merge
 
@@ -378,6 +378,20 @@ def test_a_shard_that_is_alone_and_not_the_first_is_whole(tmp_path: Path) -> Non
         (root / name).unlink()
     repair(root)
     assert build(root, MapSpec(), maps=6, shard_size=2) == whole
+    assert verify(root) == []
+
+
+def test_a_build_without_a_manifest_keeps_no_shard_that_h5py_cannot_read(root: Path) -> None:
+    """Its maps and labels are right, and yet it is made again."""
+    make(root)
+    path = root / shard_name(4, 8)
+    sound = path.read_bytes()
+    image = bytearray(sound)
+    image[image.index(b"occupancy")] ^= 1  # the description of an array
+    path.write_bytes(image)
+    (root / MANIFEST).unlink()
+    make(root)
+    assert path.read_bytes() == sound
     assert verify(root) == []
 
 
@@ -724,6 +738,33 @@ def test_a_builder_does_not_lose_what_another_one_finished(root: Path) -> None:
     before = stamps(root)
     assert make(root) == whole
     assert stamps(root) == before
+
+
+def test_the_last_builder_lists_what_merges_at_once_lost(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without locks another builder may overwrite the manifest by one that lacks our shards.
+
+    And so may it the manifest that puts them back. All shards are there, so they are listed.
+    """
+    build(root, SPEC, maps=MAPS, seed=SEED, shard_size=SIZE, part=(0, 2))
+    theirs = read_manifest(root)
+    overwritten = [theirs, replace(theirs, shards=())]
+
+    def merge_at_once(folder: Path, mine: Manifest, **options: Any) -> Manifest:
+        merged = merge(folder, mine, **options)
+        if overwritten:
+            (folder / MANIFEST).write_text(overwritten.pop().to_json(), encoding="utf-8")
+        return merged
+
+    monkeypatch.setattr(builder, "merge", merge_at_once)
+    before = stamps(root)
+    manifest = build(root, SPEC, maps=MAPS, seed=SEED, shard_size=SIZE, part=(1, 2))
+    assert overwritten == []
+    assert manifest.complete
+    assert read_manifest(root) == manifest
+    assert verify(root) == []
+    assert {name: stamp for name, stamp in stamps(root).items() if name in before} == before
 
 
 def test_without_progress_there_is_no_tqdm(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

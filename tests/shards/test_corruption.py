@@ -111,15 +111,17 @@ def test_verify_finds_a_shard_that_a_fitting_manifest_swaps(copied: Path) -> Non
 
 
 def test_verify_finds_a_missing_shard(copied: Path) -> None:
-    """A shard that is gone is named, and so is one that was never made."""
+    """A shard that is gone is named, and so are those that no manifest lists."""
     (copied / shard_name(4, 8)).unlink()
     assert verify(copied) == [f"{copied / shard_name(4, 8)}: missing"]
     manifest = read_manifest(copied)
     (copied / MANIFEST).write_text(
         replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
     )
-    assert list(named(copied)) == [shard_name(4, 8), shard_name(8, 11)]
-    assert all("did not finish" in fault for fault in verify(copied))
+    assert verify(copied) == [
+        f"{copied / shard_name(4, 8)}: missing (the build did not finish)",
+        f"{copied / shard_name(8, 11)}: finished, not listed yet: build again",
+    ]
 
 
 def test_verify_names_strange_files(copied: Path, tmp_path: Path) -> None:
@@ -227,6 +229,52 @@ def test_verify_checks_the_shards_of_a_damaged_manifest(copied: Path) -> None:
     (copied / shard_name(0, 4)).write_bytes(flipped(copied / shard_name(0, 4), "astar_moves"))
     (copied / shard_name(4, 8)).unlink()
     assert list(named(copied)) == [MANIFEST, shard_name(0, 4), shard_name(4, 8)]
+
+
+def described_otherwise(path: Path) -> bytes:
+    """Return a shard file with a bit flipped that only other programs read, in a description."""
+    image = bytearray(path.read_bytes())
+    image[image.index(b"occupancy")] ^= 1
+    return bytes(image)
+
+
+def test_damage_that_only_h5py_reads_is_named_without_a_manifest(
+    finished: Path, copied: Path
+) -> None:
+    """The shards that no manifest lists are whole for every HDF5 program, or made again."""
+    path = copied / shard_name(4, 8)
+    path.write_bytes(described_otherwise(path))
+    before = stamps(copied)
+    (copied / MANIFEST).unlink()
+    assert list(named(copied)) == [MANIFEST, path.name]
+    assert "checksum does not fit" in verify(copied)[1]
+    assert repair(copied) == []
+    assert images(copied) == images(finished)
+    assert [name for name, stamp in stamps(copied).items() if stamp != before[name]] == [path.name]
+
+
+def test_finished_shards_of_a_killed_extension_are_no_strange_files(
+    copied: Path, tmp_path: Path
+) -> None:
+    """The build that goes on lists them as they are, and removes the partial shard."""
+    make(tmp_path / "larger", maps=18)
+    partial = (copied / shard_name(8, 11)).read_bytes()
+    more = [shard_name(8, 12), shard_name(12, 16), shard_name(16, 18)]
+    for name in more:
+        shutil.copy(tmp_path / "larger" / name, copied)
+    lines = [f"{copied / name}: finished, not listed yet: build again" for name in more]
+    assert verify(copied) == lines
+    assert repair(copied) == lines
+    before = stamps(copied)
+    make(copied, maps=18)
+    assert {name: before[name] for name in more} == {name: stamps(copied)[name] for name in more}
+    assert verify(copied) == []
+    (copied / shard_name(8, 11)).write_bytes(partial)
+    assert verify(copied) == [
+        f"{copied / shard_name(8, 11)}: replaced by a shard of more maps: the next build removes it"
+    ]
+    make(copied, maps=18)
+    assert verify(copied) == []
 
 
 # --- repair -------------------------------------------------------------------------------------
@@ -391,8 +439,8 @@ def test_imported_maps_cannot_be_made_again(
         main(["verify", str(imported), "--repair"])
     printed = capsys.readouterr()
     assert (
-        f"not repaired: {path}: damaged; it cannot be made again, imported maps have no recipe"
-        in printed.out
+        f"not repaired: {path}: damaged (its content hash does not fit); it cannot be made again, "
+        "imported maps have no recipe: delete it and import again" in printed.out
     )
     assert printed.err.splitlines()[-1] == "mapdata: 1 of 2 not repaired"
     assert [entry.start for entry in read_manifest(imported).shards] == [0, 6]
@@ -400,6 +448,61 @@ def test_imported_maps_cannot_be_made_again(
     import_maps(imported, collection(*random_grids(7)), seed_points=3, shard_size=3)
     assert (path.read_bytes(), (imported / MANIFEST).read_bytes()) == (image, text)
     assert verify(imported) == []
+
+
+@pytest.mark.parametrize("is_listed", [True, False])
+def test_imported_maps_in_damaged_metadata_are_written_anew(
+    is_listed: bool, imported: Path
+) -> None:
+    """They need no recipe: the file still holds them, though h5py cannot read it."""
+    before = images(imported)
+    path = imported / shard_name(3, 6)
+    path.write_bytes(described_otherwise(path))
+    if not is_listed:
+        (imported / MANIFEST).unlink()
+    assert list(named(imported)) == [MANIFEST] * (not is_listed) + [path.name]
+    assert repair(imported) == []
+    assert images(imported) == before
+
+
+def test_imported_maps_with_an_attribute_more_are_written_anew(imported: Path) -> None:
+    """Another program changed the file, and its maps and labels are still there."""
+    before = images(imported)
+    path = imported / shard_name(3, 6)
+    with h5py.File(path, "r+") as file:
+        file.attrs["by"] = "somebody"
+    (line,) = verify(imported)
+    assert line.startswith(f"{path}: written by another HDF5 program (has ")
+    assert repair(imported) == []
+    assert images(imported) == before
+
+
+def test_imported_maps_of_another_program_must_be_imported_again(imported: Path) -> None:
+    """Neither with a manifest nor without can they be read; the line says what to do instead."""
+    path = imported / shard_name(3, 6)
+    with h5py.File(path, "r+") as file:
+        file["maps"].attrs["by"] = "somebody"
+    for _ in range(2):
+        (line,) = repair(imported)
+        assert line.startswith(f"{path}: written by another HDF5 program (")
+        assert line.endswith(
+            "h5py can still read this file; it cannot be made again, imported maps have no recipe: "
+            "delete it and import again"
+        )
+        (imported / MANIFEST).unlink()
+
+
+def test_other_imported_maps_are_not_taken_for_a_repair(imported: Path, tmp_path: Path) -> None:
+    """A sound shard of the same numbers whose content is not what the manifest states."""
+    (other,) = import_maps(
+        tmp_path / "other", collection(*random_grids(8)[1:]), seed_points=3, shard_size=3
+    )
+    path = imported / shard_name(3, 6)
+    image = (other.root / path.name).read_bytes()
+    path.write_bytes(image)
+    (line,) = repair(imported)
+    assert "it cannot be made again" in line
+    assert path.read_bytes() == image
 
 
 def test_the_command_repairs(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +31,20 @@ from mapdata import (
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import PRESETS
 from mapdata.shards import content_hash, open_shard
-from mapdata.shards.hdf5 import read_dataset, read_root
-from mapdata.shards.shard import FIELDS, TESTED_H5PY, Header, shard_image
+from mapdata.shards.hdf5 import ChecksumError, check_metadata, checksum_of, read_dataset, read_root
+from mapdata.shards.shard import ATTRIBUTES, FIELDS, TESTED_H5PY, Header, shard_image
 
 DATA = Path(__file__).parents[1] / "data"
 KEPT = sorted(DATA.glob("*/maps-*.h5"))
 
 
+NAMES = [field.name for field in FIELDS]
+
+
 def assert_reads_as_h5py(path: Path) -> None:
     """Every attribute of the root and every dataset: names, types, shapes, values."""
     image = memoryview(path.read_bytes())
+    check_metadata(image, NAMES)
     attributes, addresses = read_root(image)
     with h5py.File(path, "r") as file:
         assert set(attributes) == set(file.attrs)
@@ -205,14 +211,9 @@ def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -
     image = sound.read_bytes()
     header = open_shard(sound).header
     content = content_hash(read_shard(sound))
-    is_data = np.zeros(len(image), np.bool_)
-    with h5py.File(sound, "r") as file:
-        for dataset in file.values():
-            begin = dataset.id.get_offset() or 0
-            is_data[begin : begin + dataset.nbytes] = True
     path = tmp_path / "shard.h5"
     refused = 0
-    for place in np.flatnonzero(~is_data).tolist()[::7]:
+    for place in places_of_metadata(image)[::23]:
         damaged = bytearray(image)
         damaged[place] ^= 1 << place % 8
         path.write_bytes(damaged)
@@ -224,3 +225,176 @@ def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -
         assert open_shard(path).header == header
         assert content_hash(labels) == content
     assert refused > 200
+
+
+# --- checksums ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "checksum"),
+    [(b"", 0xDEADBEEF), (b"Four score and seven years ago", 0x17770551)],
+)
+def test_checksums_are_those_that_their_author_published(text: bytes, checksum: int) -> None:
+    """The two answers with a seed of zero in the self-test of lookup3.c."""
+    assert checksum_of(text) == checksum
+
+
+def contents(image: bytes) -> dict[str, Any]:
+    """Return all that h5py reads of a shard: attributes and values."""
+    read: dict[str, Any] = {}
+    with h5py.File(BytesIO(image), "r") as file:
+        for name, owner in {"/": file, **{name: file[name] for name in file}}.items():
+            read[name] = {key: np.asarray(value).tolist() for key, value in owner.attrs.items()}
+        for name in file:
+            read[f"{name} values"] = (file[name].dtype, file[name][()].tolist())
+    return read
+
+
+def places_of_metadata(image: bytes) -> list[int]:
+    """Return the numbers of all bytes outside the arrays."""
+    is_metadata = np.ones(len(image), np.bool_)
+    with h5py.File(BytesIO(image), "r") as file:
+        for dataset in file.values():
+            begin = dataset.id.get_offset() or 0
+            is_metadata[begin : begin + dataset.nbytes] = False
+    return np.flatnonzero(is_metadata).tolist()
+
+
+def test_metadata_that_pass_are_read_by_h5py(sound: Path) -> None:
+    """A flipped bit that `check_metadata` does not name changes nothing that h5py reads."""
+    image = sound.read_bytes()
+    expected = contents(image)
+    passed = 0
+    refused = 0
+    for place in places_of_metadata(image)[::61]:
+        damaged = bytearray(image)
+        damaged[place] ^= 1 << place % 8
+        try:
+            check_metadata(memoryview(damaged), NAMES)
+        except ChecksumError:
+            refused += 1
+            continue
+        assert contents(bytes(damaged)) == expected
+        passed += 1
+    assert refused > 100
+    assert passed > 10  # such as bytes of no structure
+
+
+def test_damage_that_h5py_names_is_refused(sound: Path) -> None:
+    """Bytes that only h5py reads: the text that describes an array."""
+    image = bytearray(sound.read_bytes())
+    image[image.index(b"occupancy")] ^= 1
+    with pytest.raises(KeyError, match="incorrect metadata checksum"):
+        contents(bytes(image))
+    sound.write_bytes(image)
+    with pytest.raises(
+        ShardError, match=r"checksum does not fit\); 'mapdata verify' with --repair"
+    ):
+        open_shard(sound)
+
+
+# --- other programs -----------------------------------------------------------------------------
+
+
+def test_a_shard_has_these_attributes(sound: Path) -> None:
+    """By their number, files are told to which another program added some."""
+    with h5py.File(sound) as file:
+        assert set(file.attrs) == set(ATTRIBUTES)
+
+
+def change(act: Callable[[h5py.File], object]) -> Callable[[Path], None]:
+    """Return a change of a file in place."""
+
+    def change_in_place(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            act(file)
+
+    return change_in_place
+
+
+def copy(**options: Any) -> Callable[[Path], None]:
+    """Return a change that copies all objects into a new file, as h5copy and h5repack do."""
+
+    def rewrite(path: Path) -> None:
+        old = BytesIO(path.read_bytes())
+        with h5py.File(old, "r") as source, h5py.File(path, "w", **options) as target:
+            for name, value in source.attrs.items():
+                target.attrs[name] = value
+            for name in source:
+                source.copy(name, target)
+
+    return rewrite
+
+
+def compress(path: Path) -> None:
+    """Store the maps compressed, all else as it was."""
+    contents = hostile.read_contents(path)
+
+    def member(file: h5py.File, name: str, array: hostile.Array, _: Path) -> None:
+        file.create_dataset(name, data=array, compression="gzip")
+
+    hostile.write(path, contents, path, {"maps": member})
+
+
+REWRITTEN: dict[str, Callable[[Path], None]] = {
+    "attribute of a dataset": change(lambda file: file["maps"].attrs.update(by="somebody")),
+    "copied": copy(),
+    "copied, earliest": copy(libver="earliest"),
+    "copied, latest": copy(libver="latest"),
+    "user block": copy(userblock_size=512),
+    "compressed": compress,
+}
+
+
+@pytest.mark.parametrize("how", REWRITTEN)
+def test_files_of_other_programs_are_named_as_such(how: str, sound: Path) -> None:
+    """One cause, one message, with what to do; h5py does read them, as the message says."""
+    REWRITTEN[how](sound)
+    assert "maps" in contents(sound.read_bytes())
+    for size in (None, 1):  # without a manifest, and with one
+        with pytest.raises(ShardError) as caught:
+            open_shard(sound, size)
+        assert str(caught.value).startswith(f"{sound}: written by another HDF5 program (")
+        assert str(caught.value).endswith(
+            "); mapdata reads only shards that it wrote; h5py can still read this file; "
+            "'mapdata verify' with --repair makes it again where there is a recipe"
+        )
+
+
+def test_an_attribute_of_the_root_is_named_by_the_size(sound: Path) -> None:
+    """Readers ignore it, but the file is not the one of the manifest any more."""
+    size = len(sound.read_bytes())
+    change(lambda file: file.attrs.update(by="somebody"))(sound)
+    open_shard(sound)
+    with pytest.raises(
+        ShardError, match=r"another HDF5 program \(has \d+ bytes, the manifest says"
+    ):
+        open_shard(sound, size)
+
+
+def test_a_file_that_was_not_closed_is_named(sound: Path) -> None:
+    """HDF5 marks files that are written to; h5py does not read them either."""
+    image = bytearray(sound.read_bytes())
+    image[11] = 5  # open for writing, by many readers and one writer
+    image[44:48] = checksum_of(bytes(image[:44])).to_bytes(4, "little")
+    sound.write_bytes(image)
+    with pytest.raises(OSError, match="already open"):
+        h5py.File(sound, "r")
+    with pytest.raises(ShardError, match="another HDF5 program has it open for writing, or did"):
+        open_shard(sound)
+
+
+def test_damage_is_not_blamed_on_other_programs(sound: Path) -> None:
+    """A flipped bit that makes a shard unreadable is damage."""
+    image = sound.read_bytes()
+    messages = []
+    for place in places_of_metadata(image)[::61]:
+        damaged = bytearray(image)
+        damaged[place] ^= 1 << place % 8
+        sound.write_bytes(damaged)
+        try:
+            open_shard(sound)
+        except ShardError as error:
+            messages.append(str(error))
+    assert len(messages) > 100
+    assert not any("another HDF5 program" in message for message in messages)

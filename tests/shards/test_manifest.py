@@ -30,13 +30,13 @@ from mapdata.shards.builder import headers
 from mapdata.shards.manifest import (
     LOCK,
     Entry,
-    is_shard_name,
     load_shard,
     merge,
     parse_manifest,
     sweep,
     union,
 )
+from mapdata.shards.shard import is_shard_name
 
 SETTINGS = settings(max_examples=60)
 HASH = "0123456789abcdef" * 4
@@ -578,7 +578,7 @@ def test_load_shard_gives_the_entry(built: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path"]
+    "damage", ["missing", "empty", "truncated", "bit in a map", "bit in a path", "bit in a text"]
 )
 def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
     """A shard that is not there, not whole, or does not hash to what it says gives None."""
@@ -589,6 +589,8 @@ def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Pat
         places = {
             "bit in a map": file["maps"].id.get_offset(),
             "bit in a path": file["bfs_moves"].id.get_offset(),
+            # an attribute that only other programs read
+            "bit in a text": image.index(b"occupancy"),
         }
     if damage in places:
         image[places[damage]] ^= 2

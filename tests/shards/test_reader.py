@@ -5,14 +5,17 @@ from __future__ import annotations
 import hashlib
 import os
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 import torch
 
 from mapdata import MapDataset, MapSpec, Movement, ShardError, build, read_shard
 from mapdata.datasets import FIELDS
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.shards import Root, open_shard
 from mapdata.shards.reader import map_file
 
@@ -118,3 +121,64 @@ def test_a_file_is_hashed_once_a_process(tmp_path: Path, monkeypatch: pytest.Mon
     os.utime(tmp_path / entry.name, ns=(1, 1))
     Root.open(tmp_path).open_shard(0)
     assert hashed.count(entry.bytes) == 2
+
+
+def test_a_shard_under_the_name_of_another_is_refused(tmp_path: Path) -> None:
+    """There is no manifest to compare with, but the name says which maps are asked for."""
+    manifest = build(tmp_path, SPEC, maps=6, seed=3, shard_size=3)
+    first, second = (tmp_path / entry.name for entry in manifest.shards)
+    image = first.read_bytes()
+    second.write_bytes(image)
+    for opened in (open_shard, read_shard):
+        with pytest.raises(ShardError, match=f"other maps than its name says.* {first.name}"):
+            opened(second)
+    copy = tmp_path / "copy.h5"  # a name that says nothing
+    copy.write_bytes(image)
+    assert read_shard(copy).maps.index.tolist() == [0, 1, 2]
+
+
+def test_a_header_of_imported_maps_is_not_read_from_damaged_bytes(tmp_path: Path) -> None:
+    """Neither a spec nor the content hash covers their resolution, but a checksum does."""
+    (made,) = import_maps(
+        tmp_path, Collection([ForeignMap("free", np.zeros((5, 7), np.uint8))]), resolution=0.25
+    )
+    path = tmp_path / made.manifest.shards[0].name
+    image = path.read_bytes()
+    text = np.float64(0.25).tobytes()
+    assert image.count(text) == 1
+    path.write_bytes(image.replace(text, np.float64(0.5).tobytes()))
+    with pytest.raises(ShardError, match="checksum does not fit"):
+        open_shard(path)
+
+
+def test_a_shard_of_another_size_names_the_remedy(tmp_path: Path) -> None:
+    """A dataset whose shard was cut short or rebuilt says what to do."""
+    manifest = build(tmp_path, SPEC, maps=6, seed=3)
+    path = tmp_path / manifest.shards[0].name
+    image = path.read_bytes()
+    build(tmp_path / "other", replace(SPEC, map_size=(70, 24)), maps=6, seed=3)
+    other = (tmp_path / "other" / path.name).read_bytes()
+    for changed, why in ((image[:-1], "damaged"), (other, "not the shard that the manifest lists")):
+        path.write_bytes(changed)
+        with pytest.raises(ShardError) as caught:
+            MapDataset(tmp_path)[0]
+        assert str(caught.value) == (
+            f"{path}: has {len(changed)} bytes, the manifest says {len(image)}: {why}; "
+            "'mapdata verify' with --repair makes it again where there is a recipe"
+        )
+
+
+def test_what_changes_in_place_is_found_when_it_is_opened_again(tmp_path: Path) -> None:
+    """Who has the file open reads the changed bytes; whoever opens it next is told."""
+    manifest = build(tmp_path, SPEC, maps=6, seed=3)
+    path = tmp_path / manifest.shards[0].name
+    shard = Root.open(tmp_path).open_shard(0)
+    with h5py.File(path, "r") as file:
+        place = file["maps"].id.get_offset()
+    before = int(shard.arrays["maps"][0, 0, 0])
+    with open(path, "r+b") as file:
+        file.seek(place)
+        file.write(bytes([before ^ 1]))
+    assert shard.arrays["maps"][0, 0, 0] == before ^ 1  # docs/promises.md: not promised otherwise
+    with pytest.raises(ShardError, match="content hash does not fit"):
+        Root.open(tmp_path).open_shard(0)

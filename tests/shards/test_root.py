@@ -81,10 +81,20 @@ class Handler(SimpleHTTPRequestHandler):
         if fault.isdigit():
             self.send_error(int(fault))
             return
+        if fault in ("loop", "away"):
+            if fault == "loop":
+                self.faults.append("loop")
+            self.send_response(302)
+            self.send_header("Location", self.path if fault == "loop" else "file:///etc/hostname")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
         if fault in ("endless", "drip"):
             self.send_without_end(2**16 if fault == "endless" else 1)
             return
-        if fault != "stall":
+        if fault == "page":
+            data = b"\n<!DOCTYPE html><html><body>Please log in</body></html>"
+        elif fault != "stall":
             data = Path(self.translate_path(self.path)).read_bytes()
         self.send_response(200)
         if fault in ("bomb", "gzip"):
@@ -427,18 +437,43 @@ def test_a_bomb_takes_no_memory(server: Server) -> None:
     server.faults[:] = ["bomb"]
     Path("/proc/self/clear_refs").write_text("5")  # resets VmHWM
     before = memory("VmRSS")
-    with pytest.raises(ShardError, match=f"{server.url}/manifest.json: damaged"):
+    with pytest.warns(UserWarning, match=f"{server.url}/manifest.json .*packs it with gzip"):
         MapDataset(server.url)
     assert memory("VmHWM") - before < 100 << 20
 
 
-@pytest.mark.filterwarnings("ignore:.*Trying again")
-def test_a_packed_shard_is_refused(server: Server) -> None:
-    """As other bytes than the manifest says."""
+REFUSALS = {
+    "401": "access is denied (401",
+    "403": "access is denied (403",
+    "410": "its server refuses the request (410",
+    "loop": "its server redirects in a circle; check the URL",
+    "away": "its server redirects to file:///etc/hostname, no address of the web",
+    "page": "its server sent a page of HTML or XML, expected the file",
+    "gzip": "its server packs it with gzip, unasked",
+}
+"""Answers that stay, and what must be said of each."""
+
+
+@pytest.mark.parametrize("fault", REFUSALS)
+def test_an_answer_that_stays_is_named_and_not_asked_for_again(fault: str, server: Server) -> None:
+    """For a shard and for a manifest: neither damage nor a missing dataset, and one try."""
     dataset = MapDataset(server.url)
-    server.faults[:] = ["gzip"] * 3
-    with pytest.raises(ShardError, match="what was fetched is damaged"):
+    name = read_manifest(server.folder).shards[0].name
+    server.faults[:] = [fault]
+    with pytest.raises(ConnectionError) as caught:
         dataset[0]
+    assert str(caught.value).startswith(f"{server.url}/{name} could not be read: ")
+    assert REFUSALS[fault] in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert type(pickle.loads(pickle.dumps(caught.value))) is type(caught.value)
+    if fault != "loop":
+        assert server.fetched[1:] == [f"/maps/{name}"]
+    server.faults[:] = []
+    samples.assert_same(dataset[0], MapDataset(server.folder)[0])  # it may be asked later
+    server.faults[:] = [fault]
+    with pytest.warns(UserWarning, match="Going on with what was fetched before") as said:
+        MapDataset(server.url)
+    assert REFUSALS[fault] in str(said[0].message)
 
 
 def test_a_stream_comes_in_pieces(server: Server) -> None:

@@ -247,7 +247,7 @@ def test_a_failed_write_leaves_nothing(
 
     write_file(tmp_path / "name", b"old")
     monkeypatch.setattr(os, step, fail)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match=f"No space left on device: '{tmp_path / 'name'}'"):
         write_file(tmp_path / "name", b"new")
     assert os.listdir(tmp_path) == ["name"]
     assert (tmp_path / "name").read_bytes() == b"old"
