@@ -894,7 +894,7 @@ REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
     "movement": (lambda: MapDataModule("a", movement=(6, False, 1.0)), "connectivity: got 6"),
     "movement-name": (
         lambda: MapDataModule("a", movement={"conectivity": 8}),
-        "movement: unknown conectivity; .* did you mean connectivity",
+        "movement: unknown key: conectivity; .* did you mean connectivity",
     ),
     "dtype": (
         lambda: MapDataModule("a", dtype="flaot32"),

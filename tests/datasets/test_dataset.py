@@ -43,6 +43,7 @@ from mapdata import (
     generate,
     label,
 )
+from mapdata.datasets.arguments import FieldFunction
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.shards import MANIFEST, Manifest, read_manifest
 
@@ -905,7 +906,7 @@ def twice_the_start(sample: Sample) -> torch.Tensor:
 @pytest.mark.parametrize("kind", ["route", "random", "filtered", "online", "online-split"])
 def test_datasets_pickle_as_their_arguments(root: str, kind: str) -> None:
     """Under 10 kB after use, however large; what comes back gives equal data."""
-    fields = (*samples.ALL_FIELDS, twice_the_start)
+    fields: tuple[str | FieldFunction, ...] = (*samples.ALL_FIELDS, twice_the_start)
     dataset: MapDataset | OnlineMapDataset
     if kind.startswith("online"):
         split = "train" if kind == "online-split" else None
@@ -1014,7 +1015,7 @@ def test_dtype_is_that_of_maps_and_masks_alone(root: str, dtype: torch.dtype) ->
         occupied: torch.Tensor = sample.map.sum(dim=(1, 2, 3))
         return occupied
 
-    fields = (*samples.ALL_FIELDS, seen)
+    fields: tuple[str | FieldFunction, ...] = (*samples.ALL_FIELDS, seen)
     online = OnlineMapDataset(samples.SPEC, 3, 50, fields=fields, dtype=dtype)
     for dataset, plain in (
         (MapDataset(root, "train", fields, dtype=dtype), MapDataset(root, "train", fields)),

@@ -164,7 +164,8 @@ def test_an_unfinished_dataset_says_so(tmp_path: Path) -> None:
     recipe = json.loads(block(text, "sh").split("END'\n")[1].split("\nEND")[0])
     assert (recipe["maps"], "content_hash" in recipe) == (60, False)
     (root / MANIFEST).write_text(replace(manifest, shards=()).to_json())
-    assert "0 grid maps" in card(root)
+    with pytest.raises(ValueError, match="holds none of its 60 maps yet"):
+        card(root)
 
 
 def test_command_writes_the_card_beside_the_data(

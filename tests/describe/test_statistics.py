@@ -12,7 +12,7 @@ from helpers.samples import SPEC, WIDE, build_small
 
 from mapdata import Labels, MapDataset, MapSpec, Route, ShardError, generate
 from mapdata.arrays import Bytes
-from mapdata.describe import DatasetStatistics, dataset_statistics
+from mapdata.describe import dataset_statistics
 from mapdata.describe.statistics import Repeats, bin_edges
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
@@ -201,11 +201,10 @@ def test_histogram_counts_every_value(values: list[float]) -> None:
     assert (np.diff(edges) > 0).all()
 
 
-def test_a_dataset_without_shards_has_statistics(tmp_path: Path) -> None:
-    """All arrays are empty, and there are no repeats."""
+def test_a_dataset_without_shards_has_no_statistics(tmp_path: Path) -> None:
+    """The error says that no map is there yet."""
     root = Path(build_small(tmp_path / "d", maps=3))
     manifest = read_manifest(root)
     (root / "manifest.json").write_text(replace(manifest, shards=()).to_json())
-    of: DatasetStatistics = dataset_statistics(root, repeats=True)
-    assert len(of) == 0
-    assert of.repeats[1].inside == dict.fromkeys(SPLITS, 0)
+    with pytest.raises(ValueError, match="holds none of its 3 maps yet"):
+        dataset_statistics(root, repeats=True)

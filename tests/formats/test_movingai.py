@@ -7,6 +7,7 @@ import re
 import tempfile
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -324,7 +325,7 @@ def test_all_problems_of_one_map_share_its_grid(
     ],
 )
 def test_problems_that_are_refused(
-    scen: str, options: dict[str, object], says: str, tmp_path: Path
+    scen: str, options: dict[str, Any], says: str, tmp_path: Path
 ) -> None:
     """A length that is not ours, an end in a wall, no problem, options of others."""
     with pytest.raises(ValueError, match=says):

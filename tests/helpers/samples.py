@@ -36,7 +36,7 @@ WIDE = MapSpec(
 )
 """More columns than a machine word, stored with diagonals."""
 
-ALL_FIELDS = tuple(FIELDS)
+ALL_FIELDS: tuple[str, ...] = tuple(FIELDS)
 """The names of all fields."""
 
 
