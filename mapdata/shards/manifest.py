@@ -340,8 +340,8 @@ def _entry(values: dict[str, Any], path: str) -> Entry:
 def locked(root: Path, wait: bool) -> Iterator[bool]:
     """Hold the lock of a root and yield True; without ``wait``, yield False if another holds it.
 
-    Where there are no locks it yields True: two merges at once may then lose entries, never shards,
-    and the next build adopts those.
+    Where there are no locks it yields True: two merges at once may then lose entries, never shards.
+    The last builder lists those again, or, if it is killed, the next build does.
 
     Raises:
         ShardError: what has the name of the lock is not a plain file.
