@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -71,10 +72,19 @@ COMMAND = ["-m", "mapdata"]
 BUILD = ["build", "maps", "--maps", "1"]
 
 
+def console_script() -> list[str]:
+    """Return the program that an installation makes of the entry point."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    entry = re.search(r'^mapdata = "([\w.]+):(\w+)"$', text, re.MULTILINE)
+    assert entry is not None
+    return ["-c", f"from {entry[1]} import {entry[2]}; {entry[2]}()"]
+
+
 @pytest.mark.parametrize(
     ("module", "program", "arguments"),
     [
         ("argparse", COMMAND, BUILD),
+        ("argparse", console_script(), BUILD),
         ("numba.core.config", COMMAND, BUILD),
         ("argparse", ["scripts/build_shards.py"], []),
         ("matplotlib", ["scripts/evaluate_planners.py"], []),

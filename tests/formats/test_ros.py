@@ -237,6 +237,7 @@ FIELDS = {
     "huge": ({"resolution": "1" + "0" * 400}, "expected a finite number"),
     "text": ({"free_thresh": "low"}, "free_thresh is 'low'"),
     "order": ({"free_thresh": "0.7"}, "expected 0 <= free <= occupied <= 1"),
+    "above one": ({"occupied_thresh": "1.5"}, "expected 0 <= free <= occupied <= 1"),
     "percent": ({"occupied_thresh": "65"}, "expected 0 <= free <= occupied <= 1"),
     "origin": ({"origin": "[0, 0]"}, "expected \\[x, y, yaw\\]"),
     "origin nan": ({"origin": "[0, .nan, 0]"}, "origin is 'nan'"),
