@@ -27,9 +27,10 @@ from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.kernels import scratch
 from mapdata.search.labels import connected_components, pairs_of
 from mapdata.search.lattice import BFS, UNIT, Rule, cells_of, lattice_of, load
+from mapdata.shards.arrays import Shard, bits_of
+from mapdata.shards.errors import ShardError
 from mapdata.shards.manifest import Entry, Manifest
 from mapdata.shards.root import Places, Root
-from mapdata.shards.shard import Shard, ShardError, bits_of
 
 ARRAYS = (
     "maps",

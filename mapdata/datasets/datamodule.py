@@ -27,7 +27,8 @@ from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
-from mapdata.shards.root import is_url, places
+from mapdata.shards.remote import is_url
+from mapdata.shards.root import places
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule

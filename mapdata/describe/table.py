@@ -10,7 +10,7 @@ from mapdata.arrays import Ints
 from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.shard import Shard, decode
+from mapdata.shards.arrays import Shard, decode
 
 
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:

@@ -29,20 +29,20 @@ from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
 from mapdata.shards.builder import headers
+from mapdata.shards.files import StrPath, make_folder, write_file
+from mapdata.shards.header import Header
+from mapdata.shards.image import shard_image
 from mapdata.shards.manifest import (
     MANIFEST,
     PROVENANCE,
     Manifest,
-    check_names,
     entry_of,
-    locked,
-    merge_locked,
     path_in,
     provenance_text,
     read_manifest,
 )
-from mapdata.shards.root import file_hash, folder_of, make_folder
-from mapdata.shards.shard import Header, StrPath, shard_image, write_file
+from mapdata.shards.merging import check_names, locked, merge_locked
+from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.workers import Advance, bar, threads
 
 RESOLUTION = 0.1

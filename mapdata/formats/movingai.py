@@ -37,8 +37,8 @@ from mapdata.npy import FormatError
 from mapdata.problems.problem_set import Problems
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
+from mapdata.shards.files import StrPath
 from mapdata.shards.root import Root, local_path
-from mapdata.shards.shard import StrPath
 from mapdata.shards.workers import bar
 
 MOVEMENT = Movement(8)

@@ -14,9 +14,8 @@ from mapdata.formats.files import LIMITS, Limits, files_of
 from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import Problems
-from mapdata.shards.root import Places, Root, local_path, make_folder
-from mapdata.shards.shard import StrPath
-from mapdata.shards.temporary import sweep_temporaries, temporary_folder
+from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
+from mapdata.shards.root import Places, Root, local_path
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text
 from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.npy import FormatError, refusing
+from mapdata.shards.files import StrPath
 from mapdata.shards.root import Root
-from mapdata.shards.shard import StrPath
 
 ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")

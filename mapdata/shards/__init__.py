@@ -3,17 +3,12 @@
 from mapdata.shards.builder import build
 from mapdata.shards.content import content_hash
 from mapdata.shards.corruption import repair, verify
-from mapdata.shards.manifest import (
-    MANIFEST,
-    PROVENANCE,
-    DatasetNotFoundError,
-    Manifest,
-    read_manifest,
-)
+from mapdata.shards.errors import DatasetNotFoundError, ShardError
+from mapdata.shards.files import write_file, write_output
+from mapdata.shards.manifest import MANIFEST, PROVENANCE, Manifest, read_manifest
 from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import Root
-from mapdata.shards.shard import ShardError, write_file, write_output
 
 __all__ = [
     "MANIFEST",

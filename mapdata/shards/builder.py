@@ -16,22 +16,14 @@ from mapdata.checks import check_count, check_integers, check_seed
 from mapdata.generators.generator import Generator as MapGenerator
 from mapdata.generators.generator import check_spec, generate
 from mapdata.search.labels import label
-from mapdata.shards.manifest import (
-    MANIFEST,
-    Entry,
-    Manifest,
-    check_names,
-    entry_of,
-    load_shard,
-    merge,
-    path_in,
-    read_manifest,
-    sweep,
-    union,
-)
+from mapdata.shards.errors import ShardError
+from mapdata.shards.files import StrPath, file_size, make_folder, write_file
+from mapdata.shards.header import Header, Span
+from mapdata.shards.image import shard_image
+from mapdata.shards.manifest import MANIFEST, Entry, Manifest, entry_of, path_in, read_manifest
+from mapdata.shards.merging import check_names, load_shard, merge, sweep, union
 from mapdata.shards.reader import map_shard
-from mapdata.shards.root import file_hash, file_size, folder_of, make_folder
-from mapdata.shards.shard import Header, ShardError, Span, StrPath, shard_image, write_file
+from mapdata.shards.root import file_hash, folder_of
 from mapdata.shards.workers import FEW, Advance, bar, finished, no_bar, threads
 
 _MERGE_EVERY = 2.0

@@ -17,47 +17,35 @@ from functools import partial
 from pathlib import Path
 
 from mapdata.generators.generator import Generator, UnknownFamily, why_unknown
+from mapdata.shards.arrays import decode
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.content import content_hash
+from mapdata.shards.errors import REPAIRS, DatasetNotFoundError, ShardError
+from mapdata.shards.files import StrPath, write_file
+from mapdata.shards.header import Header, Span, is_shard_name, limits_of
+from mapdata.shards.image import shard_image
 from mapdata.shards.manifest import (
     MANIFEST,
     MOST_SHARDS,
     PROVENANCE,
-    DatasetNotFoundError,
     Entry,
     Manifest,
-    checked_entry,
     counts_of,
     entry_of,
-    is_known,
-    limits_of,
-    load_shard,
-    merge,
     path_in,
     provenance_text,
-    union,
 )
+from mapdata.shards.merging import checked_entry, is_known, load_shard, merge, union
 from mapdata.shards.reader import UNSOUND, map_shard, sound_labels
+from mapdata.shards.remote import is_url
 from mapdata.shards.root import (
     Places,
     file_hash,
     folder_of,
-    is_url,
     local_file,
     manifest_at,
     places,
     read_file,
-)
-from mapdata.shards.shard import (
-    REPAIRS,
-    Header,
-    ShardError,
-    Span,
-    StrPath,
-    decode,
-    is_shard_name,
-    shard_image,
-    write_file,
 )
 from mapdata.shards.workers import bar, finished, threads
 

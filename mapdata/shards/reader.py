@@ -29,23 +29,13 @@ from mapdata.hashing import sha256_of
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
+from mapdata.shards.arrays import Shard, bits_of, decode
 from mapdata.shards.content import content_hash
+from mapdata.shards.errors import REPAIRS, ShardError
+from mapdata.shards.files import StrPath
 from mapdata.shards.hdf5 import check_metadata
-from mapdata.shards.shard import (
-    REPAIRS,
-    Header,
-    Shard,
-    ShardError,
-    StrPath,
-    bits_of,
-    check_version,
-    decode,
-    foreign,
-    is_as_written,
-    is_shard_name,
-    is_undamaged,
-    read_image,
-)
+from mapdata.shards.header import Header, check_version, is_shard_name
+from mapdata.shards.image import foreign, is_as_written, is_undamaged, read_image
 
 
 def read_shard(path: StrPath) -> Labels:

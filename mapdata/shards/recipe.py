@@ -10,7 +10,7 @@ from typing import Any
 from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
 from mapdata.generators.generator import PRESETS, Generator, identity
 from mapdata.hashing import parsed_json
-from mapdata.shards.shard import check_version
+from mapdata.shards.header import check_version
 
 MAX_BYTES = 2**20
 """Largest file that is read as a recipe: one has some 600 bytes."""

@@ -705,7 +705,7 @@ def test_a_folder_that_cannot_be_made_is_named(run: Command, dataset: Path, tmp_
 
 def test_a_url_without_a_server_is_one_line(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """The tries are counted in it, and are no warnings with lines of Python."""
-    monkeypatch.setattr("mapdata.shards.root.PAUSES", (0.0, 0.0))
+    monkeypatch.setattr("mapdata.shards.remote.PAUSES", (0.0, 0.0))
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))  # and nobody listens
         url = f"http://127.0.0.1:{closed.getsockname()[1]}/maps"

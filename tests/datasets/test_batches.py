@@ -32,7 +32,7 @@ from mapdata._version import __version__
 from mapdata.datasets.batches import ARRAYS, BatchReader
 from mapdata.formats import import_maps
 from mapdata.shards import MANIFEST, Root, open_shard, read_manifest, write_file
-from mapdata.shards.shard import Shard
+from mapdata.shards.arrays import Shard
 
 FIELDS = ("map", "start", "goal", "length", "iterations", "connection_matrix")
 TINY = MapSpec((8, 8), (2, 4), (2, 5), (2, 5), passage_width=(1, 2), skip_probability=0.3)
@@ -209,7 +209,7 @@ def test_shards_replaced_by_the_same_maps_disturb_nobody(tmp_path: Path) -> None
     with (
         pytest.MonkeyPatch.context() as patch
     ):  # a version as long as ours: the shards keep their size
-        patch.setattr("mapdata.shards.shard.__version__", "9" * len(__version__))
+        patch.setattr("mapdata.shards.header.__version__", "9" * len(__version__))
         other = build(second, TINY, maps=40, seed=3, shard_size=8)
     assert {entry.sha256 for entry in other.shards}.isdisjoint(
         entry.sha256 for entry in read_manifest(first).shards

@@ -32,7 +32,7 @@ from mapdata.formats.movingai import check_scen
 from mapdata.generators import register
 from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, open_shard, read_manifest
-from mapdata.shards.shard import decode
+from mapdata.shards.arrays import decode
 
 SPEC = MapSpec(
     (12, 20),

@@ -49,7 +49,7 @@ from mapdata import (
 from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, Manifest, Recipe, builder, content_hash, read_manifest
 from mapdata.shards.builder import headers, make_shard
-from mapdata.shards.manifest import merge
+from mapdata.shards.merging import merge
 
 OTHER = replace(SPEC, skip_probability=0.2)
 KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}

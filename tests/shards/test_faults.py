@@ -34,8 +34,8 @@ from pathlib import Path
 from mapdata import MapSpec, build, generate, label, verify
 from mapdata.shards import Manifest, read_manifest
 from mapdata.shards.builder import headers
-from mapdata.shards.manifest import load_shard
-from mapdata.shards.shard import shard_image
+from mapdata.shards.merging import load_shard
+from mapdata.shards.image import shard_image
 
 spec, root = MapSpec.from_json({SPEC.to_json()!r}), Path(sys.argv[1])
 maps, size = 30, 2
@@ -307,7 +307,7 @@ SWEEPER = """
 import sys
 from pathlib import Path
 from mapdata.shards import read_manifest
-from mapdata.shards.manifest import sweep
+from mapdata.shards.merging import sweep
 sweep(Path(sys.argv[1]), read_manifest(Path(sys.argv[1])))
 """
 

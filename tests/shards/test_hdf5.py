@@ -31,14 +31,16 @@ from mapdata import (
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import PRESETS
 from mapdata.shards import content_hash, open_shard
+from mapdata.shards.arrays import DATASETS
 from mapdata.shards.hdf5 import ChecksumError, check_metadata, checksum_of, read_dataset, read_root
-from mapdata.shards.shard import ATTRIBUTES, FIELDS, TESTED_H5PY, Header, shard_image
+from mapdata.shards.header import ATTRIBUTES, Header
+from mapdata.shards.image import TESTED_H5PY, shard_image
 
 DATA = Path(__file__).parents[1] / "data"
 KEPT = sorted(DATA.glob("*/maps-*.h5"))
 
 
-NAMES = [field.name for field in FIELDS]
+NAMES = [field.name for field in DATASETS]
 
 
 def assert_reads_as_h5py(path: Path) -> None:
@@ -54,7 +56,7 @@ def assert_reads_as_h5py(path: Path) -> None:
             assert type(attributes[name]) is type(expected)
             assert attributes[name] == expected
         assert set(addresses) == set(file)
-        for field in FIELDS:
+        for field in DATASETS:
             array = read_dataset(image, addresses[field.name], field.dtype, field.rank)
             np.testing.assert_array_equal(array, file[field.name][()], strict=True)
 

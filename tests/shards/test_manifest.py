@@ -27,16 +27,9 @@ from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, Manifest, Recipe, read_manifest, write_file
 from mapdata.shards.builder import headers
-from mapdata.shards.manifest import (
-    LOCK,
-    Entry,
-    load_shard,
-    merge,
-    parse_manifest,
-    sweep,
-    union,
-)
-from mapdata.shards.shard import is_shard_name
+from mapdata.shards.header import is_shard_name
+from mapdata.shards.manifest import Entry, parse_manifest
+from mapdata.shards.merging import LOCK, load_shard, merge, sweep, union
 
 SETTINGS = settings(max_examples=60)
 HASH = "0123456789abcdef" * 4
@@ -395,7 +388,7 @@ def test_merge_waits_for_the_lock_unless_told(
         asked.append(wait)
         return True
 
-    monkeypatch.setattr("mapdata.shards.manifest.take_lock", ask)
+    monkeypatch.setattr("mapdata.shards.merging.take_lock", ask)
     merge(tmp_path, manifest_of(SPEC, 1, 10, 4))
     merge(tmp_path, manifest_of(SPEC, 1, 10, 4), wait=False)
     assert asked == [True, False]

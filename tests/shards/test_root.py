@@ -42,12 +42,11 @@ from mapdata.cli import main
 from mapdata.describe import card, dataset_statistics
 from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
-from mapdata.shards import MANIFEST, PROVENANCE, Root, content_hash, read_manifest
-from mapdata.shards import root as root_module
+from mapdata.shards import MANIFEST, PROVENANCE, Root, content_hash, read_manifest, remote
 from mapdata.shards.corruption import inspect, repair_found
 from mapdata.shards.root import folder_of, places
 
-TRIES = (root_module.PAUSES, root_module.MOST_SILENCE, root_module.MOST_SECONDS)
+TRIES = (remote.PAUSES, remote.MOST_SILENCE, remote.MOST_SECONDS)
 """What users have; tests wait for less."""
 
 
@@ -156,7 +155,7 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     faults: list[str] = []
     sent: list[int] = []
     over = threading.Event()
-    monkeypatch.setattr(root_module, "PAUSES", (0.01, 0.02))
+    monkeypatch.setattr(remote, "PAUSES", (0.01, 0.02))
     handler = partial(
         Handler, directory=str(folder), fetched=fetched, faults=faults, sent=sent, over=over
     )
@@ -311,7 +310,7 @@ def test_what_passes_is_tried_again(
     fault: str, server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A manifest and a shard that come at the second or third try; each try that fails is said."""
-    monkeypatch.setattr(root_module, "MOST_SILENCE", 0.2)
+    monkeypatch.setattr(remote, "MOST_SILENCE", 0.2)
     server.faults[:] = [fault]
     with pytest.warns(UserWarning, match=f"manifest.json could not be read.*{FAULTS[fault]}"):
         dataset = MapDataset(server.url)
@@ -338,7 +337,7 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
 
     On one line, and not as a dataset that is missing.
     """
-    monkeypatch.setattr(root_module, "MOST_SILENCE", 0.2)
+    monkeypatch.setattr(remote, "MOST_SILENCE", 0.2)
     dataset = MapDataset(server.url)
     server.faults[:] = [fault] * 3
     with pytest.raises(ConnectionError) as caught:
@@ -372,7 +371,7 @@ def test_a_server_that_drips_bytes_is_given_up(
 ) -> None:
     """It is never silent, so that only the limit of a whole try ends it."""
     dataset = MapDataset(server.url)
-    monkeypatch.setattr(root_module, "MOST_SECONDS", 0.3)
+    monkeypatch.setattr(remote, "MOST_SECONDS", 0.3)
     server.faults[:] = ["drip"] * 3
     with pytest.raises(ConnectionError, match=r"could not be read: .*Timeout.* or 0.3 s in all\)"):
         dataset[0]
@@ -405,7 +404,7 @@ def test_a_full_cache_needs_no_server(
     url = server.url.replace("/maps", "/imported")
     text = card(url)
     assert verify(url) == []
-    monkeypatch.setattr(root_module, "_open_url", broken)
+    monkeypatch.setattr(remote, "_open_url", broken)
     with pytest.warns(UserWarning, match="Going on with what was fetched before"):
         dataset = MapDataset(server.url)
     samples.assert_same(dataset[:], truth)

@@ -29,15 +29,9 @@ from hypothesis import strategies as st
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
 from mapdata.movement import Movement
 from mapdata.shards import content_hash, open_shard, write_file
-from mapdata.shards.shard import (
-    FIELDS,
-    Header,
-    bits_of,
-    decode,
-    pack_moves,
-    shard_image,
-    unpack_moves,
-)
+from mapdata.shards.arrays import DATASETS, bits_of, decode, pack_moves, unpack_moves
+from mapdata.shards.header import Header
+from mapdata.shards.image import shard_image
 
 SETTINGS = settings(max_examples=60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")
@@ -165,12 +159,12 @@ def test_the_image_is_deterministic(sound: Sound, monkeypatch: pytest.MonkeyPatc
 
 
 def test_every_dataset_explains_itself(sound: Sound) -> None:
-    """A shard holds the datasets of FIELDS and no other, each with its description, units and
+    """A shard holds the datasets of DATASETS and no other, each with its description, units and
     encoding.
     """
     with h5py.File(sound.path, "r") as file:
-        assert sorted(file) == sorted(field.name for field in FIELDS)
-        for field in FIELDS:
+        assert sorted(file) == sorted(field.name for field in DATASETS)
+        for field in DATASETS:
             stated = {name: getattr(field, name) for name in ("description", "units", "encoding")}
             attributes = file[field.name].attrs.items()
             assert {
@@ -181,7 +175,7 @@ def test_every_dataset_explains_itself(sound: Sound) -> None:
 def test_arrays_are_aligned_read_only_views(sound: Sound) -> None:
     """Each array lies at a multiple of 64 bytes in one mapping that nobody can write to."""
     arrays = open_shard(sound.path).arrays
-    assert list(arrays) == [field.name for field in FIELDS]
+    assert list(arrays) == [field.name for field in DATASETS]
     places = [array.ctypes.data for array in arrays.values()]
     assert all(place % 64 == 0 for place in places)
     assert max(places) - min(places) < len(sound.contents.image)

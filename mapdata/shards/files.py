@@ -1,4 +1,4 @@
-"""Temporary files and folders: their names, the locks of their writers, and sweeping what is left.
+"""Writing files whole or not at all: temporary names, locks, and what dead writers left.
 
 What is being written has a hidden name beside its target's, and gets the target's name when it is
 complete. The hidden name says whose it is: ``.maps.npz.0123456789abcdef.mapdata.tmp``. Its writer
@@ -21,6 +21,87 @@ from uuid import uuid4
 
 if sys.platform != "win32":
     import fcntl
+
+StrPath = str | os.PathLike[str]
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
+
+    Whatever else the name stood for, such as a link, is replaced.
+
+    Raises:
+        OSError: the disk is full or not writable; nothing is left behind under any name.
+    """
+    temporary = temporary_path(path)
+    try:
+        with open(temporary, "xb") as file:
+            take_lock(file)  # it tells those who sweep that the writer lives
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except FileNotFoundError:
+        if not path.parent.is_dir():
+            raise
+        # it was swept while it had no lock: just made, just closed, or where there are no locks
+        write_file(path, data)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            # what fails while bytes are written, as on a full disk, does not say where
+            raise OSError(error.errno, error.strerror, str(path)) from None
+        raise
+    sync_folder(path.parent)
+
+
+def write_output(path: StrPath, data: bytes) -> None:
+    """Write ``data`` to what a user names: a file at once, a link followed, a device or pipe as is.
+
+    What writers left beside the file that were killed is removed.
+
+    Raises:
+        OSError: as `write_file`.
+    """
+    target = Path(path)
+    if target.exists() and not target.is_file():
+        target.write_bytes(data)
+    else:
+        target = Path(os.path.realpath(path))
+        sweep_temporaries(target.parent)
+        write_file(target, data)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames in ``folder`` durable: without this, a power cut may undo them."""
+    if os.name == "nt":
+        return  # Windows cannot open a folder, and needs no such call
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those that it lies in, unless it is there.
+
+    Raises:
+        OSError: it cannot be made; the message names it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"{folder}: this folder cannot be made ({error.strerror})") from None
+
+
+def file_size(path: Path) -> int | None:
+    """Return the size of a file in bytes, None if there is none."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return None
+
 
 _ENDING = ".mapdata.tmp"
 

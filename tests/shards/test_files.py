@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from mapdata.shards import write_output
-from mapdata.shards.temporary import sweep_temporaries, temporary_folder, temporary_path
+from mapdata.shards.files import sweep_temporaries, temporary_folder, temporary_path
 
 TARGET = "maps.npz"
 
