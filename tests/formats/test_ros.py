@@ -318,19 +318,18 @@ def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
 
 PGMS = {
     "empty": (b"", "not a PNG, JPEG"),
-    "magic only": (b"P5", "header is damaged"),
-    "letters": (b"P5 a b c\n", "header is damaged"),
-    "colour": (b"P6 1 1 255\n\0\0\0", "not a PNG, JPEG"),
-    "short": (P5[:-1], "has 5 bytes of pixels, its header says 2 x 3"),
-    "lie": (P5.replace(b"3 2", b"4000 4000"), "its header says 4000 x 4000"),
-    "bomb": (b"P5 99999 99999 255\n", "has 99999 x 99999 pixels, expected at most"),
-    "no pixels": (b"P5 0 5 255\n", "has 5 x 0 pixels"),
-    "maximum": (b"P5 1 1 70000\n\0", "maximum of 70000"),
-    "no maximum": (b"P5 1 1 0\n\0", "maximum of 0"),
-    "above": (b"P5 1 1 100\n\xff", "holds the value 255, its header says at most 100"),
-    "few words": (P2[:-10], "has [0-9] values, its header says 6"),
-    "words": (P2.replace(b"205", b"xyz"), "has 5 values"),
-    "short 16": (P5_16[:-1], "bytes of pixels"),
+    "magic only": (b"P5", "damaged picture"),
+    "letters": (b"P5 a b c\n", "damaged picture"),
+    "short": (P5[:-1], "damaged picture"),
+    "lie": (P5.replace(b"3 2", b"4000 4000"), "damaged picture"),
+    "large": (b"P5 9400 9400 255\n", "has 9400 x 9400 pixels, expected at most"),
+    "bomb": (b"P5 99999 99999 255\n", "exceeds limit"),
+    "no pixels": (b"P5 0 5 255\n", "not a PNG, JPEG"),
+    "maximum": (b"P5 1 1 70000\n\0", "maxval must be"),
+    "no maximum": (b"P5 1 1 0\n\0", "maxval must be"),
+    "few words": (P2[:-10], "not enough image data"),
+    "words": (P2.replace(b"205", b"xyz"), "damaged picture"),
+    "short 16": (P5_16[:-1], "damaged picture"),
 }
 
 
