@@ -42,6 +42,7 @@ _FREE = 254
 _PHOTOMETRIC = 262
 """The tag of a TIFF that says what its numbers mean: 0 is white where it is 0."""
 
+
 class Pixels(NamedTuple):
     """A decoded picture.
 
