@@ -3,7 +3,8 @@
 Each check of the reader has a fault here, and as a rule only one. Nothing here imports mapdata,
 since a hostile file comes from elsewhere. The fault is in a dataset, in a root attribute, or in the
 bytes of the file. Each is a function, or a line, that is named after what is wrong; all of a kind
-are in one dict, by these names: `ELSEWHERE`, `DATASETS`, `ATTRIBUTES`, `BYTES`. The sound shard is 8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells.
+are in one dict, by these names: `ELSEWHERE`, `DATASETS`, `ATTRIBUTES`, `BYTES`. The sound shard is
+8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells.
 """
 
 from __future__ import annotations
