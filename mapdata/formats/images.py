@@ -1,12 +1,10 @@
 """Pictures read without trust, and a folder of them (or a stack of arrays) as maps.
 
-Pixels are counted before anything is decoded. PGM is read here rather than by Pillow, whose support
-of P2, comments and 16 bits depends on its version.
+Pixels are counted before anything is decoded.
 """
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Iterator
 from io import BytesIO
@@ -44,14 +42,6 @@ _FREE = 254
 _PHOTOMETRIC = 262
 """The tag of a TIFF that says what its numbers mean: 0 is white where it is 0."""
 
-_HEADER = re.compile(
-    rb"P([25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s"
-)
-"""P2 or P5, columns, rows and the value of white, with white space or comments between them.
-
-Exactly one white space stands between them and the pixels.
-"""
-
 
 class Pixels(NamedTuple):
     """A decoded picture.
@@ -68,12 +58,13 @@ class Pixels(NamedTuple):
 def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
     """Return the pixels of a PNG, JPEG, BMP, PGM, WebP, TIFF or GIF file: of its first picture.
 
+    Pillow scales a PGM whose white is neither 255 nor 65535 to one of them, and takes what is above
+    its white for white.
+
     Raises:
         FormatError: missing, no such picture, damaged, or more than ``limits.pixels`` pixels.
     """
     data = read_bytes(path, limits)
-    if data[:2] in (b"P2", b"P5"):
-        return _pgm(path, data, limits)
     with refusing(f"{path}: damaged picture"):
         with warnings.catch_warnings():
             # of decompression bombs: our own limit follows, before anything is decoded
@@ -81,7 +72,7 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
             try:
                 # by a path Pillow would map the file, and turn some TIFF files wrongly
                 image = Image.open(
-                    BytesIO(data), formats=("PNG", "JPEG", "BMP", "WEBP", "TIFF", "GIF")
+                    BytesIO(data), formats=("PNG", "JPEG", "BMP", "PPM", "WEBP", "TIFF", "GIF")
                 )
             except UnidentifiedImageError:
                 raise FormatError(
@@ -89,7 +80,11 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
                 ) from None
         with image:
             columns, rows = image.size
-            _check_size(path, rows, columns, limits)
+            if not 1 <= rows * columns <= limits.pixels:
+                raise FormatError(
+                    f"{path}: has {rows} x {columns} pixels, "
+                    f"expected at most {limits.pixels} in all"
+                )
             image.load()
             return _decoded(image)
 
@@ -109,48 +104,6 @@ def _decoded(image: Image.Image) -> Pixels:
         image = image.convert("RGBA" if clear else "RGB")
     values = np.asarray(image)
     return Pixels(values.reshape(*values.shape[:2], -1), 255)
-
-
-def _check_size(path: Path, rows: int, columns: int, limits: Limits) -> None:
-    if not 1 <= rows * columns <= limits.pixels:
-        raise FormatError(
-            f"{path}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all"
-        )
-
-
-def _pgm(path: Path, data: bytes, limits: Limits) -> Pixels:
-    """Return the pixels of a PGM: P2 (text) or P5 (bytes), comments in the header, 8 or 16 bits.
-
-    Source: https://netpbm.sourceforge.net/doc/pgm.html.
-    """
-    match = _HEADER.match(data)
-    if match is None:
-        raise FormatError(f"{path}: its PGM header is damaged")
-    columns, rows, maximum = map(int, match.groups()[1:])
-    _check_size(path, rows, columns, limits)
-    if not 1 <= maximum <= 65535:
-        raise FormatError(f"{path}: says a maximum of {maximum}, expected 1 to 65535")
-    dtype = np.dtype("u1" if maximum < 256 else ">u2")
-    count = rows * columns
-    body = data[match.end() :]
-    if match[1] == b"2":
-        words = re.sub(rb"#[^\n]*", b"", body).split(None, count)
-        digits = [word for word in words[:count] if word.isdigit() and len(word) <= 5]
-        if len(digits) != count:
-            raise FormatError(f"{path}: has {len(digits)} values, its header says {count}")
-        values = np.array(digits, np.bytes_).astype(np.int64)
-    else:
-        if len(body) < count * dtype.itemsize:
-            raise FormatError(
-                f"{path}: has {len(body)} bytes of pixels, its header says {rows} x {columns}"
-            )
-        values = np.frombuffer(body, dtype, count)
-    if values.max() > maximum:
-        raise FormatError(
-            f"{path}: holds the value {values.max()}, its header says at most {maximum}"
-        )
-    kept = values.astype(dtype.newbyteorder("="))
-    return Pixels(kept.reshape(rows, columns, 1), maximum)
 
 
 def brightness(pixels: Pixels) -> Bytes:

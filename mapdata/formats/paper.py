@@ -3,13 +3,10 @@
 Source: Flores-Aquino et al., arXiv 2110.13242, sections 3 and 4: 10,000 maps as images plus one
 CSV. Its repository, https://github.com/gbriel21/map2D_dataSet, says no more; a script of its
 authors reads ``maps_parameters.csv`` and ``map0.png``, ``map1.png``, ... beside it. Nobody here has
-seen the headers of that file. The reader takes ours and the words of the paper ("Passages size",
-"Row path for A*"), whatever their case and what stands between the words; commas, semicolons or
-tabs between columns; lists as JSON, as numpy prints them, or with any separators; and pictures of
-any kind that `mapdata.formats.images` reads.
+seen the headers of that file, so the reader takes the columns that are written here, and no others.
 
 Pictures are black where free and white where occupied, as in the paper's Figure 2; 1 bit a pixel.
-Lists are written as JSON.
+They lie in the folder ``images`` beside the CSV. Lists are written as JSON.
 
 | column | a cell of it |
 |---|---|
@@ -23,38 +20,39 @@ Lists are written as JSON.
 | size_rows, size_columns | one number per room |
 | direction_for_passages | two a passage, its legs: 1 horizontal, 0 vertical, -1 none |
 | connected | one a passage: whether it was drawn |
-| reachable | one a segment: whether it has a path (ours; path_exists in files of mapdata 0.1) |
+| reachable | one a segment: whether it has a path (ours) |
 | all_connected | whether paths join all rooms (ours) |
 | bfs_row_path, bfs_column_path | the cells of the route in one line, joints once |
 | astar_row_path, astar_column_path | likewise |
 | bfs_path_gaps, astar_path_gaps | for each segment without a path, the cells before it (ours) |
-| bfs_iterations, astar_iterations | those of the whole route (one a segment in mapdata 0.1) |
+| bfs_iterations, astar_iterations | those of the whole route |
 | bfs_segment_iterations, astar_segment_iterations | one a segment (ours) |
 | bfs_connection_matrix, astar_connection_matrix | n lists of n costs, -1 no connection |
-| movement | how paths move, as JSON (ours; 4-connected if missing) |
+| movement | how paths move, as JSON (ours) |
+
+Columns from connected on, but for movement, are labels: they may be missing, and are compared with
+ours where they stand.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-import re
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from mapdata.arrays import Flags, Ints
+from mapdata.arrays import Array, Flags, Ints
 from mapdata.checks import check_resolution
 from mapdata.describe.table import map_row
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, walk
-from mapdata.formats.images import PICTURES, brightness, read_pixels, tell_free
+from mapdata.formats.images import brightness, read_pixels, tell_free
 from mapdata.formats.registry import Format
 from mapdata.hashing import canonical_json
 from mapdata.movement import Movement
@@ -64,9 +62,22 @@ from mapdata.search.labels import Labels
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
-NEEDED = ("seed_rows", "seed_columns")
+PARAMETERS = (
+    "item",
+    "label",
+    "split",
+    "resolution",
+    "passage_size",
+    "seed_rows",
+    "seed_columns",
+    "size_rows",
+    "size_columns",
+    "direction_for_passages",
+    "movement",
+)
+"""Columns that a table must have to be read."""
 
-_FOUND = (
+_SEARCH_LABELS = (
     "row_path",
     "column_path",
     "path_gaps",
@@ -79,17 +90,9 @@ LABELS = (
     "connected",
     "reachable",
     "all_connected",
-    *(f"{search}_{name}" for search in SEARCHES for name in _FOUND),
+    *(f"{search}_{name}" for search in SEARCHES for name in _SEARCH_LABELS),
 )
 """Columns that a search of ours can check."""
-
-_OTHER_NAMES = {
-    "passages_size": "passage_size",
-    "path_exists": "reachable",
-    **{f"{name}_for_breadth_first_search": f"bfs_{name}" for name in _FOUND},
-    **{f"{name}_for_a*": f"astar_{name}" for name in _FOUND},
-}
-"""Our names of columns that the paper, or an earlier mapdata, calls otherwise."""
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -119,116 +122,86 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 
 
 def is_release(path: Path) -> bool:
-    """Return whether a CSV has columns of seed points, or lies beside ``map0.png``."""
+    """Return whether a CSV has our columns, or lies beside ``map0.png`` as that of the authors."""
     try:
-        header = _header(path)
+        # a line of a hostile file may be as long as the file
+        with open(path, encoding="utf-8-sig", errors="replace") as file:
+            columns = file.readline(100_000).strip().split(",")
     except OSError:
         return False
-    columns = {_column(name) for name in header.split(_separator(header))}
-    return columns.issuperset(NEEDED) or (path.parent / "map0.png").exists()
+    return set(columns).issuperset(PARAMETERS) or (path.parent / "map0.png").exists()
 
 
 def _csv(source: Path) -> Path:
     """Return the CSV that ``source`` is, or the only one in its folder."""
     inside = source.iterdir() if source.is_dir() else [source]
-    found = [path for path in inside if path.is_file() and path.suffix.lower() == ".csv"]
-    if len(found) != 1:
-        raise FormatError(f"{source}: holds {len(found)} .csv files, expected a folder with one")
-    return found[0]
-
-
-def _header(path: Path) -> str:
-    """Return the first line of a CSV, however long the file's lines are."""
-    with open(path, encoding="utf-8-sig", errors="replace") as file:
-        return file.readline(100_000).strip()
-
-
-def _separator(header: str) -> str:
-    """Return what separates columns: commas, tabs, or semicolons where numbers have commas."""
-    return max(",;\t", key=header.count)
-
-
-def _column(header: str) -> str:
-    """Return our name of the column with this header."""
-    plain = re.sub(r"[^a-z0-9*]+", "_", header.lower()).strip("_")
-    return _OTHER_NAMES.get(plain, plain)
+    paths = [path for path in inside if path.is_file() and path.suffix.lower() == ".csv"]
+    if len(paths) != 1:
+        raise FormatError(f"{source}: holds {len(paths)} .csv files, expected a folder with one")
+    return paths[0]
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
-    """Read a release: a folder with one CSV and its pictures anywhere below, or the CSV itself.
+    """Read a release as `write` writes it: its folder, or the CSV in it.
 
     Raises:
         FormatError: no CSV, or one that cannot be read. A map whose picture or rooms are damaged is
             left out.
     """
     path = _csv(source)
-    found = Collection()
-    files = walk(path.parent, PICTURES, limits, found)
-    pictures = {picture.stem.lower(): picture for picture in files}
-    for picture in files:
-        place = picture.relative_to(path.parent).with_suffix("")
-        pictures[place.as_posix().lower()] = picture
+    collection = Collection()
+    files = walk(path.parent / "images", (".png",), limits, collection)
+    pictures = {picture.stem: picture for picture in files}
     movements = set()
     items = set()
     with bar(limits.progress, len(files)) as advance:
         for row in _rows(path, limits):
             movements.add(row["movement"])
-            # a label may be the path of a picture, separated by / or by \
-            label = PureWindowsPath(row["label"])
-            name = label.name or f"map{row['item']}"
-            stem = Path(name).stem if name.lower().endswith(PICTURES) else name
-            with found.leaving_out(stem):
-                parts = (*label.parts[:-1], stem)
-                ends = ["/".join(parts[k:]).lower() for k in range(len(parts))]
-                known = [end for end in (*ends, row["item"].lower()) if end in pictures]
-                if not known:
-                    raise FormatError(f"its picture {stem}{PICTURES[0]} is missing")
-                picture = pictures[known[0]]  # of the longest end
-                occupied = brightness(read_pixels(picture, limits)) >= 128
-                one = _map_of(row, stem, occupied)
-                if one.number in items:
-                    raise FormatError(f"item {one.number} stands there twice")
-                if one.number is not None:
-                    items.add(one.number)
-                found.maps.append(one)
+            label = row["label"]
+            with collection.leaving_out(label):
+                if label not in pictures:
+                    raise FormatError(f"its picture images/{label}.png is missing")
+                occupied = brightness(read_pixels(pictures[label], limits)) >= 128
+                foreign_map = _map_of(row, occupied)
+                if foreign_map.number in items:
+                    raise FormatError(f"item {foreign_map.number} stands there twice")
+                items.add(foreign_map.number)
+                collection.maps.append(foreign_map)
             advance(1)
-    found.movement = _movement(path, movements - {""})
-    tell_free(found, "dark pixels (in the paper white is occupied)", "--format images")
-    return found
+    collection.movement = _movement(path, movements)
+    tell_free(collection, "dark pixels (in the paper white is occupied)", "--format images")
+    return collection
 
 
 def _rows(path: Path, limits: Limits) -> Iterator[dict[str, str]]:
-    """Yield the lines of a CSV by our names of its columns; what it does not state is empty.
+    """Yield the lines of a CSV by the names of its columns.
 
     Raises:
-        FormatError: too large, a column is missing, or it is no CSV.
+        FormatError: too large, columns are missing, or it is no CSV.
     """
     check_file(path, limits)
     csv.field_size_limit(limits.unpacked)  # a route may have more than 131,072 letters
-    separator = _separator(_header(path))
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
-            lines = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
-            headers = next(lines, [])
-            columns = [_column(header) for header in headers]
-            missing = [name for name in NEEDED if name not in columns]
-            if {"label", "item"}.isdisjoint(columns):
-                missing.append("label")
+            lines = csv.reader(file, strict=True)
+            columns = next(lines, [])
+            missing = [name for name in PARAMETERS if name not in columns]
             if missing:
-                what = f"no column {missing[0]!r} among {', '.join(headers)}"
-                raise FormatError(f"{path}: {what}; --format images reads the pictures alone")
+                raise FormatError(
+                    f"{path}: has no columns {', '.join(missing)}, expected those that mapdata "
+                    "export writes; --format images reads the pictures alone"
+                )
             for line in filter(None, lines):  # all but empty ones
                 if len(line) != len(columns):
                     what = f"{len(line)} fields, expected {len(columns)}"
                     raise csv.Error(f"line {lines.line_num} has {what}")
-                cells = map(str.strip, line)
-                yield defaultdict(str, zip(columns, cells, strict=True))
+                yield dict(zip(columns, line, strict=True))
     except (csv.Error, UnicodeError) as error:
         raise FormatError(f"{path}: not a sound CSV ({error})") from None
 
 
 def _movement(path: Path, texts: set[str]) -> Movement:
-    """Return the movement that all lines state, 4-connected if none states one."""
+    """Return the movement that all lines state; the default one of a table without lines."""
     if len(texts) > 1:
         raise FormatError(f"{path}: holds maps of {len(texts)} movements, expected one")
     text = "".join(texts)
@@ -236,32 +209,28 @@ def _movement(path: Path, texts: set[str]) -> Movement:
         return Movement(**json.loads(text or "{}"))
 
 
-def _map_of(row: dict[str, str], name: str, cells: Flags) -> ForeignMap:
+def _map_of(row: dict[str, str], cells: Flags) -> ForeignMap:
     """Return the map of a line of the CSV."""
-    item = row["item"]
     seed_points = _pairs(row, "seed")
     sizes = _pairs(row, "size")
-    directions = np.array(numbers(row["direction_for_passages"]), np.int64)
+    directions = numbers(row["direction_for_passages"])
     rooms = len(seed_points)
-    if rooms == 0 or len(sizes) not in (0, rooms) or len(directions) not in (0, 2 * (rooms - 1)):
+    if rooms == 0 or len(sizes) != rooms or len(directions) != 2 * (rooms - 1):
         raise FormatError(
             f"{rooms} seed points, {len(sizes)} sizes and {len(directions)} directions do not fit"
         )
-    width, *_ = numbers(row["passage_size"]) or [-1]
+    width = _number(row, "passage_size")
     lengths = (width, *sizes.ravel())
     are_lengths = min(lengths) >= -1 and max(lengths) < 2**15
     if not are_lengths or not np.isin(directions, (-1, 0, 1)).all():
         raise FormatError("its passage size, sizes or directions are out of range")
-    metres = row["resolution"]
-    resolution = check_resolution("resolution", float(metres)) if metres else None
-    number = int(item) if item.isdecimal() and len(item) < 18 else None  # else too long for int64
-    stated = {name: row[name] for name in LABELS if row[name]}
+    stated = {name: row[name] for name in LABELS if name in row}
     return ForeignMap(
-        name=name,
+        name=row["label"],
         cells=cells,
-        split=SPLIT_NAMES.get(row["split"].lower()),
-        resolution=resolution,
-        number=number,
+        split=SPLIT_NAMES.get(row["split"]),
+        resolution=check_resolution("resolution", float(row["resolution"])),
+        number=_number(row, "item"),
         seed_points=seed_points,
         rooms_known=True,
         sizes=sizes,
@@ -271,63 +240,66 @@ def _map_of(row: dict[str, str], name: str, cells: Flags) -> ForeignMap:
     )
 
 
-def _pairs(row: dict[str, str], what: str) -> Ints:
+def _number(row: dict[str, str], name: str) -> int:
+    """Return the whole number of a line in the column ``name``."""
+    values = numbers(row[name])
+    if len(values) != 1:
+        raise FormatError(f"the cell {row[name][:40]!r} holds {len(values)} numbers, expected one")
+    return int(values[0])
+
+
+def _pairs(row: dict[str, str], name: str) -> Ints:
     """Return two lists of the CSV, rows and columns of each room, as (n, 2)."""
-    rows = numbers(row[f"{what}_rows"])
-    columns = numbers(row[f"{what}_columns"])
+    rows = numbers(row[f"{name}_rows"])
+    columns = numbers(row[f"{name}_columns"])
     if len(rows) != len(columns):
-        raise FormatError(f"{len(rows)} {what}_rows and {len(columns)} {what}_columns do not fit")
-    return np.array([rows, columns], np.int64).T
+        raise FormatError(f"{len(rows)} {name}_rows and {len(columns)} {name}_columns do not fit")
+    return np.stack([rows, columns], axis=1)
 
 
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
-
-
-def floats(text: str) -> list[float]:
-    """Return the numbers of a cell of the CSV, whatever stands between them.
+def numbers(text: str) -> Ints:
+    """Return the whole numbers of a cell of the CSV, which holds one or a flat list of them.
 
     Raises:
-        FormatError: words in it.
+        FormatError: anything else in it.
     """
-    if re.search(r"[A-Za-z]", _NUMBER.sub("", text)):
-        raise FormatError(f"the cell {text[:40]!r} is not a list of numbers")
-    return [float(number) for number in _NUMBER.findall(text)]
+    values = _array(text)
+    if values.size == 0:
+        values = values.astype(np.int64)  # numpy takes the empty list for floats
+    if values.ndim != 1 or values.dtype != np.int64:
+        raise FormatError(f"the cell {text[:40]!r} holds other than a list of whole numbers")
+    return values
 
 
-def numbers(text: str) -> list[int]:
-    """Return the whole numbers of a cell of the CSV.
+def _array(text: str) -> Array:
+    """Return the number or the lists of numbers of a cell of the CSV, with at least one axis.
 
     Raises:
-        FormatError: others in it.
+        FormatError: it is not JSON, or lists of several lengths.
     """
-    values = floats(text)
-    if not all(value.is_integer() and abs(value) < 2**53 for value in values):
-        raise FormatError(f"the cell {text[:40]!r} holds other than whole numbers")
-    return [int(value) for value in values]
+    with refusing(f"the cell {text[:40]!r} is not a list of numbers"):
+        return np.array(json.loads(text), ndmin=1)
 
 
 def _differing(stated: dict[str, str], labels: Labels, k: int) -> list[str]:
     """Return the names of the columns that disagree with our labels of map k."""
     ours = map_row(labels, k, resolution=0.0)
-    for search in SEARCHES:
-        name = f"{search}_iterations"
-        # files of mapdata 0.1 have one number a segment where the paper has one a map
-        if len(_NUMBER.findall(stated.get(name, ""))) > 1:
-            ours[name] = ours[f"{search}_segment_iterations"]
     return [name for name, text in stated.items() if not _same(text, ours[name])]
 
 
 def _same(text: str, ours: ArrayLike) -> bool:
-    """Return whether a cell of the CSV holds our numbers, whatever the shape of its lists."""
-    text = re.sub(r"(?i)\bfalse\b", "0", text)
-    text = re.sub(r"(?i)\btrue\b", "1", text)
+    """Return whether a cell of the CSV holds our numbers."""
     try:
-        stated = floats(text)
+        stated = _array(text)
     except FormatError:
         return False
-    expected = np.ravel(ours)
-    # printed numbers are rounded
-    return len(stated) == len(expected) and np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
+    expected = np.array(ours, ndmin=1)
+    return (
+        stated.dtype.kind in "bif"
+        and stated.shape == expected.shape
+        # other programs may round the numbers that they print
+        and np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
+    )
 
 
-FORMAT = Format("paper", (".csv",), read, write, is_mine=is_release, beside=PICTURES)
+FORMAT = Format("paper", (".csv",), read, write, is_mine=is_release, beside=(".png",))

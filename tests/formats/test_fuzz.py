@@ -45,8 +45,9 @@ def seed_points() -> dict[str, dict[str, bytes]]:
     text = b"type octile\nheight 3\nwidth 4\nmap\n..@@\n.S@W\n...G\n"
     scen = b"version 1\n0\ta.map\t4\t3\t0\t0\t3\t2\t4.41421356\n"
     table = (
-        b"item,label,passage_size,seed_rows,seed_columns,size_rows,size_columns,direction_for_passages,bfs_iterations\n"
-        b'0,a,2,"[0, 2]","[0, 3]","[1, 1]","[2, 2]","[1, 0]","[5]"\n'
+        b"item,label,split,resolution,passage_size,seed_rows,seed_columns,size_rows,size_columns,"
+        b"direction_for_passages,movement,bfs_iterations\n"
+        b'0,a,train,0.1,2,"[0, 2]","[0, 3]","[1, 1]","[2, 2]","[1, 0]",{},5\n'
     )
     planning = io.BytesIO()
     goal = np.zeros((1, 1, 3, 4))
@@ -69,7 +70,7 @@ def seed_points() -> dict[str, dict[str, bytes]]:
         "yaml": {"a.yaml": yaml, "a.pgm": pgm},
         "map": {"a.map": text},
         "scen": {"a.scen": scen, "a.map": text},
-        "csv": {"maps.csv": table, "a.png": saved("png")},
+        "csv": {"maps.csv": table, "images/a.png": saved("png")},
     }
 
 
@@ -127,6 +128,7 @@ def test_changed_files(kind: str, changes: list[tuple[int, str, bytes]]) -> None
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for k, (file, data) in enumerate(seed_points()[kind].items()):
+            (folder / file).parent.mkdir(exist_ok=True)
             (folder / file).write_bytes(data if k else changed(data, changes))
         first = folder / next(iter(seed_points()[kind]))
         source = first if kind in ("planning", "scen") else folder

