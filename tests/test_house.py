@@ -79,6 +79,7 @@ TESTED_IN = {
         "shards/test_shard.py",
         "shards/test_hdf5.py",
         "shards/test_faults.py",
+        "shards/test_manifest.py",
         "datasets/test_batches.py",
     ),
     "mapdata/shards/table.py": (
