@@ -28,7 +28,8 @@ from mapdata.search import (
     search_batch,
     write_cells,
 )
-from models.common import Model, check_problems
+from models.geometry import check_problems
+from models.model import Model
 
 
 class LearnedPlanner(Batched, Model):

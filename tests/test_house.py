@@ -87,10 +87,10 @@ TESTED_IN = {
         "formats/test_paper.py",
     ),
     "models/common.py": ("models/test_common.py", "shards/test_hostile.py"),
-    "models/cvae.py": ("models/test_lego_sampler.py",),
-    "models/experience.py": ("models/test_lego_sampler.py",),
+    "models/lego/cvae.py": ("models/lego/test_sampler.py",),
+    "models/lego/experience.py": ("models/lego/test_sampler.py",),
     "models/learned_planners.py": ("models/test_path_predictor.py",),
-    "models/sampler_table.py": ("models/test_lego_sampler.py",),
+    "models/lego/comparison.py": ("models/lego/test_sampler.py",),
     "models/training.py": ("models/test_path_predictor.py",),
 }
 """Modules without a test file of their name, and those that others reach into too."""

@@ -25,7 +25,7 @@ from torch import nn
 from mapdata import build
 from mapdata.shards import MANIFEST, read_manifest
 from mapdata.spec import SPLITS
-from models.common import load_model
+from models.model import load_model
 from models.path_predictor import PathPredictor
 
 MOST = 200 << 20
