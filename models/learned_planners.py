@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from mapdata import Movement, Problems, Sample, evaluate
-from mapdata.arrays import Array, Bytes, Float32s, Ints
+from mapdata.arrays import Bytes, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import STEPS, search_batch
@@ -239,7 +239,7 @@ def _search(
 
 
 @kernel
-def _trace(move_to: Array, moves: Ints, start: Ints, goal: Ints) -> Ints:
+def _trace(move_to: Int8s, moves: Ints, start: Ints, goal: Ints) -> Ints:
     """Return the path from start to goal, (k, 2) cells, or (0, 2) where the goal was not reached.
 
     Args:
