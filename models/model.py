@@ -166,11 +166,16 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
     """
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
-        unpacked = sum(entry.file_size for entry in archive.infolist())
+        entries = archive.infolist()
+        unpacked = sum(entry.file_size for entry in entries)
         if unpacked > size:
             raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
         if archive.testzip() is not None:
             raise ValueError("damaged: its checksums do not fit")
+        # An attribute can mark an entry as a folder. torch reads no bytes of such an entry, and
+        # takes for its weights what the memory happens to hold.
+        if any(entry.external_attr != 0 for entry in entries):
+            raise ValueError("damaged: its entries have attributes")
     checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     # A view such as torch.zeros(1).expand(10**12) is small in the file and large once copied.
     if sum(weight.nbytes for weight in checkpoint["weights"].values()) > size:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,23 @@ def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:
         file.write_bytes(flipped)
         with pytest.raises(ValueError, match=r"weights\.pt: holds no saved PathPredictor"):
             load_model(file, PathPredictor)
+
+
+def test_an_entry_marked_as_a_folder_is_refused(tmp_path: Path) -> None:
+    """One bit of the archive's directory says so; torch then skips the bytes of the entry, and
+    serves whatever its memory holds as weights.
+    """
+    file = tmp_path / "weights.pt"
+    PathPredictor(widths=(8, 8, 8), passes=1).save(file)
+    marked = bytearray(file.read_bytes())
+    # The directory is at the end of the archive; its record of the first weights:
+    record = marked.rindex(b"PK\x01\x02", 0, marked.rindex(b"/data/0"))
+    marked[record + 38] ^= 0x10  # the attribute of MS-DOS for a folder
+    file.write_bytes(marked)
+    with zipfile.ZipFile(file) as archive:
+        assert archive.testzip() is None
+    with pytest.raises(ValueError, match=r"weights\.pt: holds no saved .*entries have attributes"):
+        load_model(file, PathPredictor)
 
 
 def test_saving_replaces_the_whole_file_or_nothing(
