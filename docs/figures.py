@@ -465,7 +465,7 @@ SAMPLERS = {
 @cache
 def sampler_table() -> pd.DataFrame:
     """Compare samplers of roadmaps on the problems of 300 maps of seed 77."""
-    from models.sampler_table import compare, contenders
+    from models.lego.comparison import compare, contenders
     from scripts.evaluate_sampler import learned_samplers
 
     rows = contenders(learned_samplers(WEIGHTS))
@@ -498,9 +498,9 @@ def samplers() -> Figure:
 
 def roadmaps() -> Figure:
     """Show the roadmaps of two samplers on one problem, the first hard one."""
-    from models.lego_sampler import Heatmap
-    from models.roadmap import between
-    from models.sampler_table import contenders
+    from models.lego.comparison import contenders
+    from models.lego.roadmap import between
+    from models.lego.sampler import Heatmap
 
     rows = contenders({"lego_heatmap": Heatmap.load(WEIGHTS / "lego_heatmap.pt")})
     problems = Problems.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)

@@ -22,9 +22,10 @@ from torch import Tensor
 
 from mapdata import Generator, MapDataModule, MapSpec, Maze, Movement, Problems, evaluate
 from mapdata.evaluation import classical, with_interval
-from models.common import fast_precision, heuristic, offsets
+from models.geometry import heuristic, offsets
 from models.learned_planners import GuidedSearch, planners
-from models.path_predictor import FIELDS, PathPredictor
+from models.model import fast_precision
+from models.path_predictor import TRAINING_FIELDS, PathPredictor
 from models.training import MixedBatches
 
 DOCS = Path(__file__).parent
@@ -226,7 +227,7 @@ def trained_on(names: list[str], steps: int) -> PathPredictor:
             MapDataModule(
                 None,
                 build=json.dumps(recipe),
-                fields=FIELDS,
+                fields=TRAINING_FIELDS,
                 problems="random",
                 augment=True,
                 movement=(8, False, 2**0.5),

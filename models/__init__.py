@@ -1,6 +1,10 @@
-"""Sample models to read: path_predictor.py, neural_astar.py and lego_sampler.py, upon common.py.
+"""Sample models to read and to copy.
 
-Around them: learned_planners.py plans with predictions, cvae.py has more samplers, experience.py
-their targets, roadmap.py and sampler_table.py what samples are for, training.py what the scripts
-share.
+- ``path_predictor.py``: a CNN that predicts the moves of shortest paths.
+- ``neural_astar.py``: Neural A* in one file.
+- ``learned_planners.py``: planners that search with what a network predicts.
+- ``lego/``: a sampler that learns where a roadmap needs its vertices.
+
+They share ``layers.py``, ``geometry.py``, ``symmetries.py``, ``optimizer.py`` and ``model.py``.
+``training.py`` is the command line of the training scripts.
 """

@@ -1,4 +1,4 @@
-"""Planners that follow predicted moves, a walk and a best-first search: rows of `evaluate`."""
+"""Planners that follow predicted moves: a walk and a best-first search, as rows of `evaluate`."""
 
 from __future__ import annotations
 
@@ -11,24 +11,12 @@ import numpy as np
 import pandas as pd
 
 from mapdata import Movement, Problems, Sample, evaluate
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Bytes, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
-from mapdata.search import (
-    WALL,
-    Rule,
-    cell_at,
-    count_moves,
-    in_cells,
-    is_legal,
-    lattice_of,
-    load,
-    position,
-    rule_of,
-    search_batch,
-    write_cells,
-)
-from models.common import Model, check_problems
+from mapdata.search import STEPS, search_batch
+from models.geometry import check_problems
+from models.model import Model
 
 
 class LearnedPlanner(Batched, Model):
@@ -37,37 +25,40 @@ class LearnedPlanner(Batched, Model):
     movement: Movement
 
     def on_validation_epoch_start(self) -> None:
-        """Begin without a validation batch."""
-        # the row of `evaluate` for each of them
-        self.validated: list[pd.Series] = []
+        """Forget the scores of the epoch before."""
+        # A row of the table of `evaluate` for each validation batch.
+        self.batch_scores: list[pd.Series] = []
 
     def score(self, planner: Planner, batch: Sample) -> None:
-        """Plan the problems of a batch: `on_validation_epoch_end` logs the results."""
+        """Plan the problems of a batch; `on_validation_epoch_end` logs how well that went."""
         grids = batch.map[:, 0].byte().cpu().numpy()
         starts = batch.start.cpu().numpy()
         goals = batch.goal.cpu().numpy()
-        # where there is a path, of more than one cell
-        asked = search_batch("astar", grids, starts, goals, self.movement).cost > 0
-        if asked.any():
-            problems = Problems(grids[asked], starts[asked], goals[asked], self.movement)
-            self.validated.append(evaluate([planner], problems, bootstrap=1).iloc[0])
+        # Ratios of costs need a path of more than one cell: -1 is no path, 0 is start = goal.
+        has_path = search_batch("astar", grids, starts, goals, self.movement).cost > 0
+        if has_path.any():
+            problems = Problems(grids[has_path], starts[has_path], goals[has_path], self.movement)
+            self.batch_scores.append(evaluate([planner], problems, bootstrap=1).iloc[0])
 
     def on_validation_epoch_end(self) -> None:
         """Log Opt and Hmean of the planner on all validation problems, for the progress bar."""
-        if self.validated:
-            rows = pd.DataFrame(self.validated)
+        if self.batch_scores:
+            rows = pd.DataFrame(self.batch_scores)
             opt, exp = np.average(rows[["opt", "p_exp"]], axis=0, weights=rows["n"])
             hmean = 2 * opt * exp / max(opt + exp, 1e-9)
             self.log_dict({"val_opt": opt, "val_hmean": hmean}, prog_bar=True)
 
 
 class Predictor(Protocol):
-    """What predicts moves and costs to go, such as `models.path_predictor.PathPredictor`."""
+    """A model that predicts moves and costs to go, as `models.path_predictor.PathPredictor`."""
 
     movement: Movement
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells."""
+        """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells.
+
+        A score is the log probability that the move is optimal, up to a constant for each cell.
+        """
 
 
 def planners(model: Predictor) -> list[BatchPlanner]:
@@ -80,24 +71,42 @@ def planners(model: Predictor) -> list[BatchPlanner]:
 
 @dataclass(frozen=True, eq=False)
 class GuidedSearch(Batched):
-    """Best-first search by the cost so far, the predicted cost to go, and improbable moves.
+    """Best-first search in which improbable moves are dear.
 
-    f = g + ``trust`` * 64 / side * (sum over the moves of odds squared - 1) + predicted cost to go,
-    where side is the mean of a map's sides, since longer ways have more moves that are nearly as
-    good, and the odds of a move are P(best legal move) / P(move), at most e^10. They are squared,
-    since of two moves that are nearly as probable either may be optimal, while one of four times
-    less hardly ever is. Of nearly equal f the cell of the longer way is first (f is less by 0.001
-    of it), then the one that was pushed last. A cell is expanded once; it finds a path where there
-    is one. A cell that is looked at again takes the shorter way as its own, and the path is that of
-    the parents.
+    The cell of the least f is expanded next:
 
-    Infinite trust makes it a walk, a depth-first search: from the cell that was expanded last it
-    takes the most probable move to an unexpanded one, and goes back where there is none.
+        f       = cost + to_go - 0.001 * length
+        cost    = sum over the moves of a path to the cell of (move + penalty)
+        penalty = trust * 64 / side * (odds ** 2 - 1)
+        odds    = min(P(most probable legal move) / P(move), e ** 10)
+
+        f, cost, penalty    in cells; ``cost`` is the least of all paths that the search has seen
+        move                length of the move, in cells: 1, or the movement's ``diagonal_cost``
+        to_go               predicted cost from the cell to the goal, in cells
+        length              length of the path that the search has to the cell, in cells
+        side                mean of the rows and columns of the map, in cells
+        odds                without unit; 1 for the most probable move
+        trust               in cells
+
+    - Odds are squared because either of two moves that are nearly as probable may be optimal, while
+      a move that is four times less probable hardly ever is.
+    - Penalties shrink with the side because paths on larger maps have more moves that are nearly as
+      good as the best one.
+    - Of cells with nearly equal f, ``0.001 * length`` prefers the one that is farther on its way.
+      Of cells with equal f, the one that was pushed last comes first.
+
+    Each cell is expanded at most once, and a path is found wherever there is one. A cell that is
+    reached by a shorter path later takes that path as its own, even after it was expanded, so that
+    the path in the plan may be shorter than the one whose cost led to the goal.
+
+    With infinite trust the search becomes a walk, a depth-first search: from the cell that was
+    expanded last it makes the most probable move to a cell that was not expanded yet, and it goes
+    back where there is none.
 
     Attributes:
-        name: its name in the table.
-        model: what predicts moves and costs to go.
-        trust: cost, in cells, of a move whose odds squared are 2, on a map of 64 x 64.
+        name: name of its row in the table.
+        model: the model that predicts moves and costs to go.
+        trust: penalty, in cells, of a move whose odds squared are 2 on a map of 64 x 64.
     """
 
     name: str
@@ -112,84 +121,146 @@ class GuidedSearch(Batched):
                 other shapes than `Predictor` says.
         """
         grids, starts, goals = check_problems(grids, starts, goals)
-        scores, costs = self.model.predict(grids, goals)
-        # the search is compiled, and reads past the end of smaller arrays without a word
-        found = scores.shape, costs.shape
-        expected = (len(grids), self.model.movement.connectivity, *grids.shape[1:]), grids.shape
-        if found != expected:
-            raise ValueError(f"{self.name}: predict gave shapes {found}, expected {expected}")
-        rule = rule_of(self.model.movement)
-        trust = self.trust * 128 / sum(grids.shape[1:])
-        problems = zip(grids, scores, costs, starts, goals, strict=True)
-        return [Plan(*_search(*each, rule, trust)) for each in problems]
+        scores, costs_to_go = self.model.predict(grids, goals)
+        movement = self.model.movement
+        # Compiled code does not check bounds: it would read past the end of smaller arrays.
+        shapes = scores.shape, costs_to_go.shape
+        expected = (len(grids), movement.connectivity, *grids.shape[1:]), grids.shape
+        if shapes != expected:
+            raise ValueError(f"{self.name}: predict gave shapes {shapes}, expected {expected}")
+        moves = STEPS[: movement.connectivity]
+        side = sum(grids.shape[1:]) / 2
+        plans = []
+        for problem in zip(grids, scores, costs_to_go, starts, goals, strict=True):
+            path, expansions = _search(
+                *problem,
+                moves,
+                movement.diagonal_cost,
+                movement.corner_cutting,
+                self.trust * 64 / side,
+            )
+            plans.append(Plan(path, expansions))
+        return plans
 
 
 @kernel
 def _search(
     grid: Bytes,
     scores: Float32s,
-    costs: Float32s,
+    costs_to_go: Float32s,
     start: Ints,
     goal: Ints,
-    rule: Rule,
-    trust: float,
+    moves: Ints,
+    diagonal_cost: float,
+    corner_cutting: bool,
+    penalty: float,
 ) -> tuple[Ints, Int]:
-    """Return the path (k, 2) of one problem, and how many cells were expanded."""
-    lattice = lattice_of(grid.shape, rule)
-    # of each cell the move that led there, WALL or UNSEEN, and the cost of the way
-    came = np.full(lattice.cells, WALL)
-    load(grid, came)
-    way = np.full(lattice.cells, np.inf)
-    first = cell_at(start[0], start[1], lattice)
-    last = cell_at(goal[0], goal[1], lattice)
-    came[first] = 0  # any move: a path is traced back only as far as its start
-    way[first] = 0.0
-    # the cost of the best way so far and of its improbable moves; -inf once a cell is expanded
-    best = way.copy()
-    heap = [(0.0, 0.0, first)]
+    """Return the path of one problem, (k, 2) cells, and the number of expanded cells.
+
+    Args:
+        grid: (H, W), 0 free and 1 occupied.
+        scores: (moves, H, W), log probabilities, up to a constant for each cell.
+        costs_to_go: (H, W), in cells.
+        start: (2,), a free cell.
+        goal: (2,), a free cell.
+        moves: (4, 2) or (8, 2), rows and columns that each move goes; the last four of eight are
+            the diagonal ones.
+        diagonal_cost: length of a diagonal move, in cells.
+        corner_cutting: whether a diagonal move may pass beside occupied cells.
+        penalty: penalty of a move whose odds squared are 2, in cells; infinite for a walk.
+    """
+    rows, columns = grid.shape
+    lengths = np.full((rows, columns), np.inf)
+    costs = np.full((rows, columns), np.inf)
+    move_to = np.full((rows, columns), -1, np.int8)  # the move that leads to a cell from its parent
+    expanded = np.zeros((rows, columns), np.bool_)
+    legal = np.zeros(len(moves), np.bool_)
+    lengths[start[0], start[1]] = 0.0
+    costs[start[0], start[1]] = 0.0
+    # Entries are (priority, tie-break, row, column); the smallest entry is popped first.
+    frontier = [(0.0, 0.0, start[0], start[1])]
     pushes = 0
     expansions = 0
-    while heap:
-        _, _, cell = heapq.heappop(heap)
-        so_far = best[cell]
-        if so_far == -np.inf:
+    while frontier:
+        _, _, row, column = heapq.heappop(frontier)
+        if expanded[row, column]:
             continue
-        best[cell] = -np.inf
+        expanded[row, column] = True
         expansions += 1
-        if cell == last:
+        if row == goal[0] and column == goal[1]:
             break
-        row, column = position(cell, lattice)
-        top = -np.inf
-        for move in range(len(lattice.offsets)):
-            if is_legal(came, cell, move, lattice):
-                top = max(top, scores[move, row, column])
-        for move in range(len(lattice.offsets)):
-            if not is_legal(came, cell, move, lattice):
+
+        best_score = -np.inf
+        for move in range(len(moves)):
+            next_row = row + moves[move, 0]
+            next_column = column + moves[move, 1]
+            is_inside = 0 <= next_row < rows and 0 <= next_column < columns
+            legal[move] = is_inside and grid[next_row, next_column] == 0
+            if legal[move] and move >= 4 and not corner_cutting:
+                legal[move] = grid[next_row, column] == 0 and grid[row, next_column] == 0
+            if legal[move]:
+                best_score = max(best_score, scores[move, row, column])
+
+        length = lengths[row, column]
+        cost = costs[row, column]
+        for move in range(len(moves)):
+            if not legal[move]:
                 continue
-            to = cell + lattice.offsets[move]
-            step = 1.0 if move < 4 else in_cells(lattice.step)
-            # A cell that was expanded already takes the shorter way, too, without being expanded
-            # again, as in the classical planners. Ways only become shorter, and a cell's is longer
-            # than its parent's, so parents never go round in a circle.
-            if way[cell] + step < way[to]:
-                way[to] = way[cell] + step
-                came[to] = move
-            if best[to] == -np.inf:
+            next_row = row + moves[move, 0]
+            next_column = column + moves[move, 1]
+            move_length = diagonal_cost if move >= 4 else 1.0
+            # A shorter path replaces the parent of an expanded cell, too, as in the classical
+            # planners. Lengths only fall, and a cell's length always exceeds its parent's, so
+            # parents never form a cycle.
+            next_length = length + move_length
+            if next_length < lengths[next_row, next_column]:
+                lengths[next_row, next_column] = next_length
+                move_to[next_row, next_column] = move
+            if expanded[next_row, next_column]:
                 continue
-            loss = top - scores[move, row, column]
-            if trust == np.inf:
-                heapq.heappush(heap, (float(-expansions), loss, to))  # depth first
+
+            log_odds = best_score - scores[move, row, column]
+            if penalty == np.inf:
+                # Depth first: neighbours of the last expanded cell come before all other cells.
+                heapq.heappush(frontier, (float(-expansions), log_odds, next_row, next_column))
                 continue
-            # Odds squared - 1, at most e^20: no path costs as much, and larger numbers would have
-            # no digits left for steps. It comes first, so that it takes the place of nan, too.
-            cost = so_far + step + trust * math.expm1(min(20.0, 2 * loss))
-            if cost < best[to]:
-                best[to] = cost
+            # Odds squared are at most e^20: no path is as long, and with larger numbers floats
+            # would have no digits left for lengths. The bound is the first argument of min, which
+            # returns it for log odds of NaN, too.
+            odds_squared_minus_1 = math.expm1(min(20.0, 2 * log_odds))
+            next_cost = cost + move_length + penalty * odds_squared_minus_1
+            if next_cost < costs[next_row, next_column]:
+                costs[next_row, next_column] = next_cost
+                to_go = costs_to_go[next_row, next_column]
+                f = next_cost + to_go - 0.001 * lengths[next_row, next_column]
                 pushes += 1
-                to_go = costs[position(to, lattice)]
-                f = cost + to_go - 0.001 * way[to]  # among equals the farthest first
-                heapq.heappush(heap, (f, float(-pushes), to))
-    straight, diagonal = count_moves(came, first, last, lattice)  # -1 and 0 without a path
-    path = np.empty((straight + diagonal + 1, 2), np.int64)
-    write_cells(came, last, lattice, path)
-    return path, expansions
+                heapq.heappush(frontier, (f, float(-pushes), next_row, next_column))
+    return _trace(move_to, moves, start, goal), expansions
+
+
+@kernel
+def _trace(move_to: Int8s, moves: Ints, start: Ints, goal: Ints) -> Ints:
+    """Return the path from start to goal, (k, 2) cells, or (0, 2) where the goal was not reached.
+
+    Args:
+        move_to: (H, W), the move that leads to a cell from its parent, or -1 without a parent.
+        moves: (moves, 2), rows and columns that each move goes.
+        start: (2,), a cell without a parent.
+        goal: (2,), a cell.
+    """
+    row, column = goal
+    is_start = row == start[0] and column == start[1]
+    if move_to[row, column] == -1 and not is_start:
+        return np.empty((0, 2), np.int64)
+    # Parents lead from the goal to the start, so the array is filled from its end.
+    cells = np.empty((move_to.size, 2), np.int64)  # no path has more cells than the map
+    first = len(cells) - 1
+    cells[first] = goal
+    while row != start[0] or column != start[1]:
+        move = move_to[row, column]
+        row -= moves[move, 0]
+        column -= moves[move, 1]
+        first -= 1
+        cells[first, 0] = row
+        cells[first, 1] = column
+    return cells[first:].copy()

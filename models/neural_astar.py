@@ -6,11 +6,15 @@ guidance cost in (0, 1). A* with these costs should expand the cells of the path
 
     import pytorch_lightning as pl
     from mapdata import MapDataModule
-    from models.neural_astar import FIELDS, NeuralAstar
+    from models.neural_astar import TRAINING_FIELDS, NeuralAstar
 
     model = NeuralAstar()
     data = MapDataModule(
-        "data/mazes", fields=FIELDS, problems="random", movement=model.movement, batch_size=100
+        "data/mazes",
+        fields=TRAINING_FIELDS,
+        problems="random",
+        movement=model.movement,
+        batch_size=100,
     )  # docs/planners.md has the command that its table is of
     pl.Trainer(max_epochs=50).fit(model, data)
 
@@ -32,10 +36,11 @@ from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import Plan
 from mapdata.search import STEPS
-from models import common
+from models.geometry import cell_numbers, check_problems, heuristic, legal_moves
 from models.learned_planners import LearnedPlanner
+from models.model import Tensors
 
-FIELDS = ("map", "start", "goal", "optimal_moves")
+TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves")
 
 FAR = 1e9
 """More than any way costs."""
@@ -72,16 +77,16 @@ def search(
     # is taken when nothing else is left.
     nowhere = rows * columns
     each = torch.arange(len(costs), device=costs.device)  # (B,)
-    first = common.cell_numbers(starts, occupied)  # (B,)
-    last = common.cell_numbers(goals, occupied)  # (B,)
-    legal = F.pad(common.legal_moves(occupied, movement).flatten(2), (0, 1))  # (B, moves, cells)
+    first = cell_numbers(starts, occupied)  # (B,)
+    last = cell_numbers(goals, occupied)  # (B,)
+    legal = F.pad(legal_moves(occupied, movement).flatten(2), (0, 1))  # (B, moves, cells)
     moves = torch.tensor(STEPS[: movement.connectivity], device=costs.device)  # (moves, 2)
     lengths = torch.where(moves.prod(dim=1) == 0, 1.0, movement.diagonal_cost)  # (moves,)
     offsets = moves[:, 0] * columns + moves[:, 1]  # (moves,)
 
-    down, right = common.offsets(goals, occupied.shape[2:])
+    down, right = offsets(goals, occupied.shape[2:])
     # the straight distance decides among cells that are equally far, as in the paper's code
-    to_go = common.heuristic(down, right, movement) + 0.001 * torch.hypot(down, right)  # (B, H, W)
+    to_go = heuristic(down, right, movement) + 0.001 * torch.hypot(down, right)  # (B, H, W)
     ahead = F.pad((to_go + costs).flatten(1), (0, 1))  # (B, cells)
     guidance = F.pad(costs.detach().flatten(1), (0, 1))  # (B, cells)
     way = torch.full_like(guidance, math.inf)  # g, (B, cells)
@@ -145,7 +150,7 @@ def random_paths(starts: Tensor, optimal_moves: Tensor) -> Tensor:
 class NeuralAstar(LearnedPlanner):
     """Predicts a guidance cost in (0, 1) for every cell, and plans with it.
 
-    A batch has the fields ``FIELDS``; its paths move as the model does.
+    A batch has the fields ``TRAINING_FIELDS``; its paths move as the model does.
 
     Args:
         connectivity: 4 or 8 moves.
@@ -181,7 +186,7 @@ class NeuralAstar(LearnedPlanner):
         seen = torch.stack([(occupied[:, 0] == 0).float(), ends], dim=1)  # (B, 2, H, W)
         return torch.sigmoid(self.encoder(seen)[:, 0].float())
 
-    def losses(self, batch: Sample) -> common.Tensors:
+    def losses(self, batch: Sample) -> Tensors:
         """Return ``loss``: the mean absolute difference of expanded cells and a shortest path's.
 
         The authors' path leaves out the goal, which every search expands; ours includes it.
@@ -208,13 +213,13 @@ class NeuralAstar(LearnedPlanner):
         Raises:
             ValueError: a start or goal outside its map or on an occupied cell.
         """
-        grids, starts, goals = common.check_problems(grids, starts, goals)
+        grids, starts, goals = check_problems(grids, starts, goals)
         occupied, first, last = self.tensors(grids[:, None], starts, goals)
         with self.inference():
             costs = self(occupied, first, last)
             most = costs[0].numel()
             expanded, parents = search(costs, occupied, first, last, self.movement, most)
-        ends = [common.cell_numbers(end, occupied).tolist() for end in (first, last)]
+        ends = [cell_numbers(end, occupied).tolist() for end in (first, last)]
         counts = expanded.sum(dim=(1, 2)).round().int().tolist()
         plans = []
         for start, goal, each, count in zip(*ends, parents.tolist(), counts, strict=True):

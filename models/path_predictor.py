@@ -14,9 +14,12 @@ below the true cost. Following the most probable moves gives a path:
     path = model.predict_path(sample.map, sample.start, sample.goal)  # (k, 2) cells
 
 A path labels its own cells alone, and in an open room it is one of very many that are equally
-short. With the fields of ``FIELDS`` every cell knows all of its optimal moves, which teaches more:
+short. With the fields of ``TRAINING_FIELDS`` every cell knows all of its optimal moves, which
+teaches more:
 
-    data = MapDataModule("data/maps", fields=FIELDS, problems="random", augment=True, batch_size=64)
+    data = MapDataModule(
+        "data/maps", fields=TRAINING_FIELDS, problems="random", augment=True, batch_size=64
+    )
 
 So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
 scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,000 steps of 39
@@ -26,8 +29,9 @@ path_predictor_4.pt, are by its side (docs/planners.md).
 `torch.export.export(model, (map, goal))` and ONNX take the network as it is.
 
 This file reads from top to bottom: targets, what the network sees, network, loss, training,
-prediction. models/common.py has the layers, the moves on a map, the optimizer, a step of
-training, the files of weights; models/learned_planners.py searches with predictions.
+prediction. The layers are in layers.py, the moves on a map in geometry.py, the optimizer in
+optimizer.py, the training step and the files of weights in model.py; learned_planners.py searches
+with predictions.
 """
 
 from __future__ import annotations
@@ -43,11 +47,12 @@ from torch import Tensor, nn
 from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
-from models import common
-from models.common import Tensors, Trunk, heuristic, legal_moves, offsets
+from models.geometry import heuristic, legal_moves, offsets
+from models.layers import Trunk, padded
 from models.learned_planners import GuidedSearch, LearnedPlanner
+from models.model import Tensors
 
-FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
+TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The richer fields, which teach more than ``map, start, goal, path``."""
 
 PRIOR = 3.0
@@ -130,8 +135,8 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
 class PathPredictor(LearnedPlanner):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
-    A batch has the fields ``map, start, goal, path`` or ``FIELDS``; its paths move as the model
-    does. A list of batches, of several map sizes even, is one step.
+    A batch has the fields ``map, start, goal, path`` or ``TRAINING_FIELDS``; its paths move as the
+    model does. A list of batches, of several map sizes even, is one step.
 
     Args:
         connectivity: 4 or 8 moves.
@@ -173,7 +178,7 @@ class PathPredictor(LearnedPlanner):
             goals: (B, 2), cells.
         """
         rows, columns = occupied.shape[2:]
-        seen, detour = encode(common.padded(occupied), goals, self.movement)
+        seen, detour = encode(padded(occupied), goals, self.movement)
         out = self.network(seen)  # (B, moves + 1, H, W) and up to 15 cells more
         out = out[..., :rows, :columns].float()
         # before it has learned anything, the most probable moves lead straight to the goal

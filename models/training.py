@@ -11,11 +11,11 @@ from torch.utils.data import DataLoader
 
 from mapdata import MapDataModule, Sample
 from mapdata.interrupts import stoppable
-from models.common import Model, fast_precision
+from models.model import Model, fast_precision
 
 
 class TrainingCli(LightningCLI):
-    """LightningCLI with ``--weights`` and ``--start_from``, files of a `models.common.Model`."""
+    """LightningCLI with ``--weights`` and ``--start_from``, files of a `models.model.Model`."""
 
     def __init__(self, model: type[Model], config: Path, arguments: ArgsType) -> None:
         """Run the command line: a subclass of ``model`` on any data, by default as a file says."""

@@ -21,8 +21,8 @@ from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.evaluation import classical, evaluate, to_text
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
-from models.common import WEIGHTS, load_model
 from models.learned_planners import planners
+from models.model import WEIGHTS, load_model
 from models.neural_astar import NeuralAstar
 from models.path_predictor import PathPredictor
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
-from models.common import WEIGHTS, load_model
-from models.cvae import CVAE
-from models.lego_sampler import Heatmap, Sampler
-from models.sampler_table import SIZES, compare, contenders, plot_success, to_text
+from models.lego.comparison import SIZES, compare, contenders, plot_success, to_text
+from models.lego.cvae import CVAE
+from models.lego.sampler import Heatmap, Sampler
+from models.model import WEIGHTS, load_model
 
 SHOWN = ("halton", "bridge", "corners_alone", "lego_cvae", "lego_heatmap", "lego_heatmap_alone")
 """Rows in the figure; the table has all."""

@@ -41,8 +41,8 @@ from pathlib import Path
 
 from pytorch_lightning.cli import ArgsType
 
-import models.cvae  # noqa: F401  (so that --model knows each sampler by its name)
-from models.lego_sampler import Sampler
+import models.lego.cvae  # noqa: F401  (so that --model knows each sampler by its name)
+from models.lego.sampler import Sampler
 from models.training import TrainingCli
 
 CONFIG = Path(__file__).with_suffix(".yaml")

@@ -8,7 +8,7 @@ More flags after fit:
 
     --ckpt_path FILE             go on from a checkpoint of an interrupted run
     --trainer.accelerator gpu --trainer.precision bf16-mixed    the same on a GPU
-    --trainer.precision 32-true  in 32 bits; else `models.common.fast_precision` says which is fast
+    --trainer.precision 32-true  in 32 bits; else `models.model.fast_precision` says which is fast
     --model.connectivity 4       the moves; the data follows
     --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps;
         its fields are map, start, goal, path, unless --data.fields asks for richer ones

@@ -13,7 +13,7 @@ UNIT, a power of two.
 
 The legal moves, the heuristic and hardness are defined here. The corner rule is written four times
 more, each for a reason that is given there: `flood`, `first_bad_cell` and
-`shortest_costs` in kernels.py, and on tensors `legal_moves` in models/common.py; tests hold all
+`shortest_costs` in kernels.py, and on tensors `legal_moves` in models/geometry.py; tests hold all
 five together.
 """
 

@@ -29,8 +29,8 @@ from mapdata.limits import Cell
 from mapdata.movement import NEURAL_ASTAR
 from mapdata.search import STEPS
 from models import neural_astar
-from models.common import load_model
-from models.neural_astar import FIELDS, NeuralAstar
+from models.model import load_model
+from models.neural_astar import TRAINING_FIELDS, NeuralAstar
 from models.path_predictor import PathPredictor
 
 MOVEMENTS = [NEURAL_ASTAR, Movement(8), Movement(4)]
@@ -217,7 +217,7 @@ def trained() -> NeuralAstar:
     data = OnlineMapDataset(
         Maze((15, 15)),
         length=24,
-        fields=FIELDS,
+        fields=TRAINING_FIELDS,
         problems=Random(distance=(8, None)),
         movement=NEURAL_ASTAR,
     )

@@ -41,9 +41,9 @@ from mapdata import (
 )
 from mapdata.evaluation import Planner, classical
 from mapdata.search import STEPS, heuristics, search_batch
-from models.common import heuristic, legal_moves
+from models.geometry import heuristic, legal_moves
 from models.learned_planners import planners
-from models.path_predictor import FIELDS, HALF_TURN, PathPredictor, targets_on_path
+from models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
 from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]
@@ -79,7 +79,7 @@ def module(spec: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> 
         None,
         build=recipe,
         batch_size=batch_size,
-        fields=FIELDS,
+        fields=TRAINING_FIELDS,
         problems="random",
         movement=movement,
         augment=True,
@@ -200,7 +200,7 @@ def test_predicted_costs_to_go_are_those_of_both_views() -> None:
 
 def test_true_predictions_are_true_costs_to_go() -> None:
     """Optimal moves and the true ratio give each cell that has a way its true cost to go."""
-    fields = (*FIELDS, "cost_to_go")
+    fields = (*TRAINING_FIELDS, "cost_to_go")
     batch = OnlineMapDataset(DUNGEON, length=8, fields=fields, movement=Movement(8))[:]
     bits = 2 ** torch.arange(8)[:, None, None]
     scores = (batch.optimal_moves.long() & bits != 0).float()  # (8, 8, H, W)
@@ -293,7 +293,9 @@ def test_the_loss_is_zero_for_any_optimal_policy(
     """Whichever of the optimal moves gets the probability: the target does not depend on how ties
     are broken.
     """
-    data = OnlineMapDataset(DUNGEON, 3, 4, fields=FIELDS, problems="random", movement=movement)
+    data = OnlineMapDataset(
+        DUNGEON, 3, 4, fields=TRAINING_FIELDS, problems="random", movement=movement
+    )
     batch = next(iter(torch.utils.data.DataLoader(data, 4)))
     bits = 2 ** torch.arange(movement.connectivity).view(1, -1, 1, 1)
     good = (batch.optimal_moves & bits) != 0
@@ -449,7 +451,7 @@ def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> N
     data = MapDataModule(None, **arguments)
     assert data.serving.fields == ("map", "start", "goal", "path")
     model = PathPredictor(connectivity, widths=(16, 24, 24), passes=1, learning_rate=0.02)
-    truth = next(iter(MapDataModule(None, fields=FIELDS, **arguments).val_dataloader()))
+    truth = next(iter(MapDataModule(None, fields=TRAINING_FIELDS, **arguments).val_dataloader()))
     with torch.no_grad():
         before = model.losses(truth)
     run = trainer(tmp_path, max_steps=60, limit_val_batches=0, enable_checkpointing=False)

@@ -28,7 +28,7 @@ from mapdata import build
 from mapdata.formats.paper import PARAMETERS
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, read_manifest
-from models.common import load_model
+from models.model import load_model
 from models.path_predictor import PathPredictor
 
 MOST = 200 << 20

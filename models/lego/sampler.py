@@ -2,7 +2,7 @@
 
     import pytorch_lightning as pl
     from mapdata import MapDataModule
-    from models.lego_sampler import Heatmap
+    from models.lego.sampler import Heatmap
 
     data = MapDataModule("data/maps", build="paper", batch_size=40)  # map, start, goal, path
     model = Heatmap(targets="path")
@@ -13,15 +13,16 @@
 So taught, it samples where paths run. LEGO (Kumar, Mandalika, Choudhury, Srinivasa, "LEGO:
 Leveraging Experience in Roadmap Generation for Sampling-Based Planning", IROS 2019) asks only for
 the bottlenecks of paths, which a sparse roadmap cannot do without. ``targets="lego"`` takes them
-from the bank of experience of `models.experience.FixedProblems`, with its ``FIELDS``; so the
-weights that ship were made, by the commands in scripts/train_lego_sampler.py:
+from the bank of experience of `models.lego.experience.FixedProblems`, whose batches have the fields
+``TRAINING_FIELDS``. The shipped weights were trained so, by the commands in
+scripts/train_lego_sampler.py:
 
     points = Heatmap.load("models/weights/lego_heatmap.pt").sample(grid, start, goal, 25)
-    roadmap = between(grid, start, goal, points)  # of models/roadmap.py
+    roadmap = between(grid, start, goal, points)  # of models/lego/roadmap.py
 
 This file reads from top to bottom: what the network sees; targets, training, sampling; the heat
-map: network, loss, prediction. It needs models/common.py alone: layers, symmetries, optimizer,
-a step of training.
+map: network, loss, prediction. The layers, symmetries and the training step are those that all
+sample models share.
 """
 
 from __future__ import annotations
@@ -40,21 +41,12 @@ from torch import Tensor, nn
 from mapdata import Sample, inflate
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.checks import check_choice, check_count, check_resolution
-from models.common import (
-    Model,
-    Tensors,
-    Trunk,
-    cell_numbers,
-    check_problems,
-    offsets,
-    padded,
-    random_symmetry,
-    restore_plane,
-    transform_cells,
-    transform_plane,
-)
+from models.geometry import cell_numbers, check_problems, offsets
+from models.layers import Trunk, padded
+from models.model import Model, Tensors
+from models.symmetries import random_symmetry, restore_plane, transform_cells, transform_plane
 
-FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
+TRAINING_FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; the cells of all shortest paths help to learn."""
 
 TARGETS = ("path", "lego", "shortest_path")
@@ -91,14 +83,17 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
 
 
 class Sampler(Model):
-    """Learns where to sample from batches with ``map, start, goal, path``, or with `FIELDS`."""
+    """Learns where to sample.
+
+    Its batches have the fields ``map, start, goal, path``, or `TRAINING_FIELDS`.
+    """
 
     def __init__(self, targets: str) -> None:
         """Keep the kind of targets."""
         super().__init__()
         check_choice("targets", targets, TARGETS)
         self.targets = targets
-        self.bank: Any = None  # a `models.experience.Bank`
+        self.bank: Any = None  # a `models.lego.experience.Bank`
 
     @abstractmethod
     def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
@@ -116,7 +111,7 @@ class Sampler(Model):
         if self.targets != "path" and self.bank is None:
             data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
             if not hasattr(data, "mine"):
-                expected = "models.experience.FixedProblems, or targets='path'"
+                expected = "models.lego.experience.FixedProblems, or targets='path'"
                 raise ValueError(f"targets: got {self.targets!r}, which need {expected}")
             self.bank = data.mine("runs/experience")
 
@@ -138,7 +133,7 @@ class Sampler(Model):
         return self.loss(fields, points, owners)
 
     def validation_step(self, batch: Sample, batch_idx: int) -> None:
-        """Leave it to `models.sampler_table.RoadmapSuccess` to judge the batch."""
+        """Leave it to `models.lego.comparison.RoadmapSuccess` to judge the batch."""
 
     def sample(
         self,

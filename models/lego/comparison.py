@@ -1,8 +1,8 @@
 """Samplers of roadmaps in one table: how often their roadmaps have a path, and how long it is.
 
 from mapdata import MapSpec, Problems
-from models.lego_sampler import Heatmap
-from models.sampler_table import compare, contenders, to_text
+from models.lego.sampler import Heatmap
+from models.lego.comparison import compare, contenders, to_text
 
 rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
 problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
@@ -24,8 +24,8 @@ from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals, with_interval
 from mapdata.plotting import PALETTE
 from mapdata.problems import HARD, Problems
-from models.lego_sampler import Sampler
-from models.roadmap import SAMPLERS, Points, halton, path_lengths, uniform
+from models.lego.roadmap import SAMPLERS, Points, halton, path_lengths, uniform
+from models.lego.sampler import Sampler
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

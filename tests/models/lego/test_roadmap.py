@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
 from mapdata import MapSpec, Problems
-from models.roadmap import (
+from models.lego.roadmap import (
     SAMPLERS,
     between,
     bridge,

@@ -8,7 +8,7 @@ are left when an adversary closes a stretch of the ones found.
 
 Of the original, the sparse roadmap is one of 200 vertices, whatever the size of those to come.
 
-    from models.experience import FixedProblems
+    from models.lego.experience import FixedProblems
 
     data = FixedProblems(None, build={"spec": "dungeon", "maps": 100}, problems="random",
         movement=(8, False, 2**0.5), fields=("map", "start", "goal", "problem"))
@@ -39,7 +39,7 @@ from mapdata.checks import check_choice
 from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.hashing import canonical_json
 from mapdata.shards import write_output
-from models.roadmap import between, build_roadmap, halton, radius
+from models.lego.roadmap import between, build_roadmap, halton, radius
 
 KINDS = ("lego", "shortest_path")
 """Targets."""

@@ -6,7 +6,7 @@ vertices are joined within `radius` of each other where the segment between them
 cell. A path between cells is one between their centres.
 
     from mapdata import MapSpec, Problems
-    from models.roadmap import between, halton
+    from models.lego.roadmap import between, halton
 
     drawn = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1)
     grid, start, goal = drawn.grids[0], drawn.starts[0], drawn.goals[0]

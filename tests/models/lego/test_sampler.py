@@ -23,9 +23,16 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 
 from mapdata import MapDataModule, MapSpec, Problems, inflate
-from models.common import load_model, random_symmetry
-from models.cvae import CVAE
-from models.experience import (
+from models.lego.comparison import (
+    DENSE,
+    RoadmapSuccess,
+    compare,
+    contenders,
+    plot_success,
+    to_text,
+)
+from models.lego.cvae import CVAE
+from models.lego.experience import (
     KINDS,
     Bank,
     FixedProblems,
@@ -34,16 +41,10 @@ from models.experience import (
     mine,
     near_optimal_paths,
 )
-from models.lego_sampler import FIELDS, Heatmap, Sampler, encode, select
-from models.roadmap import build_roadmap, free_at, halton, radius, sees
-from models.sampler_table import (
-    DENSE,
-    RoadmapSuccess,
-    compare,
-    contenders,
-    plot_success,
-    to_text,
-)
+from models.lego.roadmap import build_roadmap, free_at, halton, radius, sees
+from models.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
+from models.model import load_model
+from models.symmetries import random_symmetry
 
 ROOT = Path(__file__).parents[2]
 WEIGHTS = sorted(
@@ -87,7 +88,7 @@ def data(problems: int = 40, **arguments: Any) -> FixedProblems:
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 902, "maps": maps})
     given: dict[str, Any] = {
         "batch_size": 8,
-        "fields": FIELDS,
+        "fields": TRAINING_FIELDS,
         "problems": "random",
         "movement": (8, False, 2**0.5),
     }
@@ -254,7 +255,7 @@ def test_the_bank(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = module.datasets["train"]
     bank = Bank.of(dataset, tmp_path, QUICK, workers=0)
     with monkeypatch.context() as patch:
-        patch.setattr("models.experience.mine", None)  # mining again would fail
+        patch.setattr("models.lego.experience.mine", None)  # mining again would fail
         again = Bank.of(dataset, tmp_path, QUICK, workers=0)
     assert bank.identity == again.identity
     assert len(list(tmp_path.iterdir())) == 1

@@ -6,7 +6,7 @@ Sampling-Based Planning", IROS 2019.
 A latent of 2 numbers and a condition become a point. The condition is here a convolutional code of
 map, start and goal, of any map size, where the original has the 10 x 10 cells of a coarse map.
 
-Targets, training and files are those of `models.lego_sampler.Sampler`.
+Targets, training and files are those of `models.lego.sampler.Sampler`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
-from models.common import Tensors, padded
-from models.lego_sampler import Sampler, encode
-from models.roadmap import free_at, uniform
+from models.layers import padded
+from models.lego.roadmap import free_at, uniform
+from models.lego.sampler import Sampler, encode
+from models.model import Tensors
 
 ROUNDS = 8
 """How often `CVAE` draws until its points are free."""

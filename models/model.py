@@ -1,0 +1,198 @@
+"""`Model`: what all sample models share, which is a step of training and files of weights."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import zipfile
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import pytorch_lightning as pl
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor, nn
+
+from mapdata.shards import write_output
+from models.optimizer import Muon, one_cycle
+
+Tensors = dict[str, Tensor]
+"""Tensors by name: the fields of a batch, or a loss and its parts."""
+
+WEIGHTS = Path(__file__).parent / "weights"
+"""The folder of the weights that ship."""
+
+MAX_ARGUMENT = 1024
+"""Largest number among the arguments of a saved model, such as the width or number of layers."""
+
+M = TypeVar("M", bound=nn.Module)
+
+
+def fast_precision() -> Literal["bf16-mixed", "32-true"]:
+    """Return the ``precision`` of a Lightning Trainer that is the faster one on this processor.
+
+    bfloat16 takes half the time where the processor multiplies it (AVX-512 or AMX), and nine times
+    as long where it does not, since torch then has no fast convolution for it.
+    """
+    if not hasattr(torch.cpu, "get_capabilities"):
+        # Older versions of torch do not say what the processor can do: take the safe choice.
+        return "32-true"
+    capabilities = torch.cpu.get_capabilities()
+    if capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"):
+        return "bf16-mixed"
+    return "32-true"
+
+
+class Model(pl.LightningModule, ABC):
+    """The base class of all sample models, which add a network and a loss.
+
+    Their hyperparameters hold ``learning_rate``, the highest of the schedule. They train in 32 bits
+    or in mixed precision ("bf16-mixed").
+    """
+
+    # Muon, since AdamW needs more steps here; `Muon` has the figures.
+    optimizer_class: Callable[..., torch.optim.Optimizer] = Muon
+
+    @abstractmethod
+    def losses(self, batch: Any) -> Tensors:
+        """Return ``loss`` and its parts, by the names under which `training_step` logs them."""
+
+    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
+        """Return the loss of one step."""
+        losses = self.losses(batch)
+        self.log_dict({f"train_{name}": loss for name, loss in losses.items()}, prog_bar=True)
+        return losses["loss"]
+
+    def configure_optimizers(self) -> Any:
+        """Return an ``optimizer_class`` and torch's OneCycleLR."""
+        optimizer = self.optimizer_class(self.parameters(), self.hparams["learning_rate"])
+        return one_cycle(optimizer, self.trainer.estimated_stepping_batches)
+
+    def tensors(self, *arrays: ArrayLike) -> list[Tensor]:
+        """Return copies of arrays as tensors on the device of the model."""
+        return [torch.from_numpy(np.array(array)).to(self.device) for array in arrays]
+
+    @contextlib.contextmanager
+    def inference(self) -> Iterator[None]:
+        """Predict without gradients, in evaluation mode, in the precision that is fast.
+
+        bfloat16 takes half the time where the processor multiplies it. On another device the
+        autocast of the processor changes nothing.
+        """
+        use_bfloat16 = fast_precision() == "bf16-mixed"
+        # `fit` leaves a model in training mode, in which a batch norm depends on the batch.
+        was_training = self.training
+        self.eval()
+        try:
+            with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, use_bfloat16):
+                yield
+        finally:
+            self.train(was_training)
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write class, arguments and weights, as plain types and float16 tensors: half the size.
+
+        A file of that name is replaced as a whole, or stays as it is where writing fails.
+
+        Raises:
+            OSError: the disk is full or may not be written to.
+        """
+        arguments = {}
+        for name, argument in self.hparams.items():
+            if name.startswith("_"):
+                continue  # LightningCLI adds "_instantiator", which is no argument of the class
+            # torch.load reads tuples, but lists are what a configuration file has.
+            arguments[name] = list(argument) if isinstance(argument, tuple) else argument
+        weights = {
+            name: weight.to("cpu", torch.float16).contiguous()
+            for name, weight in self.state_dict().items()
+        }
+        checkpoint = {"class": type(self).__name__, "arguments": arguments, "weights": weights}
+        buffer = io.BytesIO()
+        torch.save(checkpoint, buffer)
+        write_output(file, buffer.getvalue())
+
+    @classmethod
+    def load(cls: type[M], file: str | PathLike[str]) -> M:
+        """Return the model of this class that `save` wrote; errors are those of `load_model`."""
+        return load_model(file, cls)
+
+
+def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
+    """Return the model of one of ``classes`` that `Model.save` wrote, in evaluation mode.
+
+    No code in the file is run, and no more memory is taken than the file is long.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file holds no such model, is damaged, holds code, or says that it unpacks to
+            more than its size; the message is one line and names the file.
+    """
+    path = Path(file)
+    if not path.exists():
+        raise FileNotFoundError(f"{file}: no such file")
+    classes_by_name = {model_class.__name__: model_class for model_class in classes}
+    try:
+        checkpoint = _read_checkpoint(path)
+        model_class = classes_by_name[checkpoint["class"]]
+        arguments = checkpoint["arguments"]
+        weights = checkpoint["weights"]
+        _check_arguments(arguments)
+        with torch.device("meta"):  # a model without memory, which has names and shapes alone
+            expected = model_class(**arguments).state_dict()
+        if _shapes(weights) != _shapes(expected):
+            raise ValueError("its weights have other names or shapes than its arguments say")
+        model = model_class(**arguments)
+        model.load_state_dict(weights)
+    except Exception as error:
+        # Which errors torch's reader and the constructor of a model raise is not documented.
+        reason = str(error).strip().split("\n")[0]
+        raise ValueError(
+            f"{file}: holds no saved {' or '.join(classes_by_name)} "
+            f"({type(error).__name__}: {reason})"
+        ) from None
+    return model.eval()
+
+
+def _read_checkpoint(path: Path) -> dict[str, Any]:
+    """Return class, arguments and weights in a file.
+
+    ``weights_only`` runs no code from the file, but it neither compares the checksums of the zip
+    archive nor limits what the file unpacks to.
+    """
+    size = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        entries = archive.infolist()
+        unpacked = sum(entry.file_size for entry in entries)
+        if unpacked > size:
+            raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
+        if archive.testzip() is not None:
+            raise ValueError("damaged: its checksums do not fit")
+        # An attribute can mark an entry as a folder. torch reads no bytes of such an entry, and
+        # takes for its weights what the memory happens to hold.
+        if any(entry.external_attr != 0 for entry in entries):
+            raise ValueError("damaged: its entries have attributes")
+    checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    # A view such as torch.zeros(1).expand(10**12) is small in the file and large once copied.
+    if sum(weight.nbytes for weight in checkpoint["weights"].values()) > size:
+        raise ValueError("its weights are larger than the file")
+    return checkpoint
+
+
+def _check_arguments(arguments: dict[str, Any]) -> None:
+    """Refuse arguments of which even the shapes of the weights would take much memory."""
+    for name, argument in arguments.items():
+        for number in argument if isinstance(argument, list) else [argument]:
+            if not isinstance(number, (int, float)):
+                continue
+            # "not <=" also refuses NaN, which is neither larger nor smaller than any number.
+            if not abs(number) <= MAX_ARGUMENT:
+                raise ValueError(f"{name}: got {number}, expected at most {MAX_ARGUMENT}")
+
+
+def _shapes(weights: dict[str, Tensor]) -> dict[str, torch.Size]:
+    return {name: weight.shape for name, weight in weights.items()}

@@ -1,0 +1,62 @@
+"""Files of weights: a damaged one is refused, and a new one is complete."""
+
+from __future__ import annotations
+
+import resource
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from models.model import load_model
+from models.path_predictor import PathPredictor
+
+
+def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:
+    """By the checksums of the file; torch compares none."""
+    file = tmp_path / "weights.pt"
+    PathPredictor(widths=(8, 8, 8), passes=1).save(file)
+    sound = file.read_bytes()
+    load_model(file, PathPredictor)
+    for place in range(len(sound) // 4, len(sound) // 2, len(sound) // 40):
+        flipped = bytearray(sound)
+        flipped[place] ^= 64
+        file.write_bytes(flipped)
+        with pytest.raises(ValueError, match=r"weights\.pt: holds no saved PathPredictor"):
+            load_model(file, PathPredictor)
+
+
+def test_an_entry_marked_as_a_folder_is_refused(tmp_path: Path) -> None:
+    """One bit of the archive's directory says so; torch then skips the bytes of the entry, and
+    serves whatever its memory holds as weights.
+    """
+    file = tmp_path / "weights.pt"
+    PathPredictor(widths=(8, 8, 8), passes=1).save(file)
+    marked = bytearray(file.read_bytes())
+    # The directory is at the end of the archive; its record of the first weights:
+    record = marked.rindex(b"PK\x01\x02", 0, marked.rindex(b"/data/0"))
+    marked[record + 38] ^= 0x10  # the attribute of MS-DOS for a folder
+    file.write_bytes(marked)
+    with zipfile.ZipFile(file) as archive:
+        assert archive.testzip() is None
+    with pytest.raises(ValueError, match=r"weights\.pt: holds no saved .*entries have attributes"):
+        load_model(file, PathPredictor)
+
+
+def test_saving_replaces_the_whole_file_or_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it fails, the weights of before are there."""
+    file = tmp_path / "weights.pt"
+    model = PathPredictor(widths=(8, 8, 8), passes=1)
+    model.save(file)
+    sound = file.read_bytes()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            model.save(file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert file.read_bytes() == sound
+    assert [each.name for each in tmp_path.iterdir()] == ["weights.pt"]
