@@ -313,6 +313,16 @@ PGMS = {
 }
 
 
+def test_a_pgm_is_scaled_to_white(tmp_path: Path) -> None:
+    """A white of 8 bits becomes 255, one of 16 bits 65535, and what is above it is white too."""
+    (tmp_path / "8.pgm").write_bytes(b"P5 3 1 100\n" + bytes([0, 50, 101]))
+    (tmp_path / "16.pgm").write_bytes(b"P5 3 1 1000\n" + np.array([0, 500, 1001], ">u2").tobytes())
+    for name, expected in (("8.pgm", [0, 128, 255]), ("16.pgm", [0, 32768, 65535])):
+        values, white = read_pixels(tmp_path / name)
+        assert values.ravel().tolist() == expected
+        assert white == expected[-1]
+
+
 @pytest.mark.parametrize("name", PGMS)
 def test_hostile_pgm(name: str, tmp_path: Path) -> None:
     """Lies about size, depth and length."""

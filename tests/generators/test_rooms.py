@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 import numpy.typing as npt
@@ -14,21 +15,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from mapdata import Maps, MapSpec, generate
+from mapdata.generators import rooms as rooms_generator
 from mapdata.movement import Movement
 
 SETTINGS = settings(max_examples=300)
-PRESETS = ["paper", "narrow", "dungeon", "dungeon128"]
-FIELDS = [
-    "index",
-    "occupancy",
-    "rooms",
-    "passage_width",
-    "seed_points",
-    "sizes",
-    "directions",
-    "connected",
-    "split",
-]
+PRESETS = sorted(rooms_generator.PRESETS)
+FIELDS = [field.name for field in fields(Maps) if field.name not in ("movement", "columns")]
+"""The arrays of a batch: all of them have an entry for each map."""
 
 
 def padded(pairs: Sequence[tuple[int, int]], rows: int) -> npt.NDArray[np.int64]:
