@@ -44,6 +44,17 @@ MODES = ("trinary", "scale", "raw")
 MAX_YAML_BYTES = 2**16
 """Largest .yaml file that is read; that of a map has some 200 bytes."""
 
+MAX_YAML_DEPTH = 16
+"""Most lists and mappings inside one another; those of a map are 2 deep."""
+
+_YAML_OPENS = (
+    yaml.BlockMappingStartToken,
+    yaml.BlockSequenceStartToken,
+    yaml.FlowMappingStartToken,
+    yaml.FlowSequenceStartToken,
+)
+_YAML_CLOSES = (yaml.BlockEndToken, yaml.FlowMappingEndToken, yaml.FlowSequenceEndToken)
+
 
 @dataclass(frozen=True, eq=False)
 class RosMap:
@@ -114,12 +125,38 @@ def _fields(path: Path) -> dict[str, Any]:
     """Return the fields of a .yaml file by name; those without a default are there."""
     text = read_text(path, Limits(unpacked=MAX_YAML_BYTES))
     with refusing(f"{path}: not plain YAML"):
+        _check_tokens(path, text)
         fields = yaml.safe_load(text)
     named = fields if isinstance(fields, dict) else {}
     for name in ("image", "resolution", "free_thresh", "occupied_thresh"):
         if name not in named:
             raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
     return named
+
+
+def _check_tokens(path: Path, text: str) -> None:
+    """Refuse YAML whose parsing would take minutes.
+
+    The tokens come one by one, so what follows the first bad one is never looked at.
+
+    Raises:
+        FormatError: an alias, or lists and mappings in one another deeper than `MAX_YAML_DEPTH`.
+    """
+    depth = 0
+    for token in yaml.scan(text):
+        # 700 bytes with aliases of aliases can stand for minutes of work.
+        if isinstance(token, yaml.AliasToken):
+            raise FormatError(f"{path}: not plain YAML (an alias: write out what it stands for)")
+        # The time that the scanner takes grows with the square of the depth.
+        if isinstance(token, _YAML_OPENS):
+            depth += 1
+        elif isinstance(token, _YAML_CLOSES):
+            depth -= 1
+        if depth > MAX_YAML_DEPTH:
+            raise FormatError(
+                f"{path}: not plain YAML (lists or mappings in one another more than "
+                f"{MAX_YAML_DEPTH} deep, expected the flat YAML of a ROS map)"
+            )
 
 
 def _number(path: Path, name: str, value: object) -> float:

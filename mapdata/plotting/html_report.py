@@ -1,7 +1,8 @@
 """The report: one page to look at a dataset, without a server and without a network.
 
 `report.html` is the template. The maps travel in it as one block of JSON, compressed, in base64.
-Whatever text the dataset holds is escaped.
+The page allows no script but its own, whatever text the dataset holds: its policy names the hashes
+of script and style, which a test compares.
 """
 
 from __future__ import annotations

@@ -247,7 +247,9 @@ FIELDS = {
     "negate list": ({"negate": "[0]"}, "negate is"),
     "raw negate": ({"mode": "raw", "negate": "1"}, "mode raw with negate"),
     "not yaml": ({"image": "{unclosed"}, "not plain YAML"),
-    "deep": ({"image": "[" * 500}, "not plain YAML"),
+    "alias": ({"image": "*nothing"}, "not plain YAML \\(an alias: write out"),
+    "deep lists": ({"image": "[" * 500}, "more than 16 deep, expected the flat YAML"),
+    "deep keys": ({"image": "\n  " + "? " * 30_000}, "more than 16 deep, expected the flat YAML"),
     "long": ({"image": "? " * 200_000}, "bytes, expected at most 65536"),
 }
 
@@ -279,8 +281,27 @@ def test_missing_fields(missing: str, tmp_path: Path) -> None:
 
 
 def test_yaml_that_is_none(tmp_path: Path) -> None:
-    """A list, nothing, deep nesting, two documents, keys that are lists: one line."""
-    for text in ("", "- 1\n", "[" * 60_000, "\0", "a: b\n---\nc: d\n", "? [1]\n: 2\n"):
+    """A list, nothing, deep nesting, a thousand million laughs: one line, at once."""
+    laughs = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+        f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n"
+        for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    merged = "a: &a {x: 1}\n" + "".join(
+        f"{new}: &{new} {{<<: [{','.join(['*' + old] * 9)}]}}\n"
+        for old, new in zip("abcdefghijklmno", "bcdefghijklmnop", strict=True)
+    )
+    assert len(merged) < 700
+    for text in (
+        "",
+        "- 1\n",
+        merged,
+        "[" * 2000,
+        laughs,
+        laughs + "image: *i\n",
+        "\0",
+        "a: b\n---\nc: d\n",
+        "? [1]\n: 2\n",
+    ):
         (tmp_path / "map.yaml").write_text(text)
         with pytest.raises(FormatError):
             read_map(tmp_path / "map.yaml")

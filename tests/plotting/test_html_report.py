@@ -4,9 +4,11 @@ the stored ones.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import zlib
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -298,6 +300,7 @@ def test_the_page_is_self_contained_and_the_same_again(root: Path) -> None:
     page = re.sub("&[a-z]+;", "", text.split("<script>")[0]).replace("img src=x", "")
     assert not re.search(r"""(src|href)\s*=\s*["']?(?!#|data:image/svg)\w""", page)
     assert "@@" not in text.replace(read_manifest(root).content_hash, "")
+    assert "default-src 'none'" in text
 
 
 def test_several_resolutions_are_all_named(tmp_path: Path) -> None:
@@ -309,6 +312,15 @@ def test_several_resolutions_are_all_named(tmp_path: Path) -> None:
     ]
     found = [json.loads(zlib.decompress(page))["resolution"] for page in pages]
     assert found == ["0.05/0.1", "0.1"]
+
+
+def test_the_policy_names_the_script_and_the_style(root: Path) -> None:
+    """By their hashes as browsers compute them: after a change of either, its hash is another."""
+    page = report(root)
+    for tag in ("script", "style"):
+        (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        digest = b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}';" in page
 
 
 def test_a_sample_is_evenly_spaced(root: Path) -> None:

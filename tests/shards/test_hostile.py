@@ -25,7 +25,6 @@ from helpers.builds import SOUND_SEED, SOUND_SPEC
 from torch import nn
 
 from mapdata import build
-from mapdata.formats.paper import PARAMETERS
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, read_manifest
 from models.model import load_model
@@ -147,10 +146,16 @@ YAML = (
 
 def format_cases(folder: Path, _: Path) -> Iterator[Case]:
     """Write bombs, lies, pickles and tags, each in a folder of its own."""
-    line = ["0", "a", "train", "0.1", "2", "[1]", "[1]", "[1]", "[1]", "[]", "{}"]
-    header = ",".join(PARAMETERS)
+    table = (
+        "item,label,passage_size,seed_rows,seed_columns,size_rows,size_columns,"
+        "direction_for_passages\n"
+    )
     touch = f"!!python/object/apply:os.mkdir ['{folder / 'hacked'}']"
     pickled = pickle.dumps(Bomb(folder / "hacked"))
+    # each line holds the one before it twice: 2**60 texts, were they written out
+    aliases = "a: &a [x,x]\nb0: &b0 [*a, x]\n"
+    for k in range(1, 60):
+        aliases += f"b{k}: &b{k} [*b{k - 1}, x]\n"
     files: dict[str, bytes] = {
         "a.png": wild.png(9400, 9400),
         "b.png": wild.png(30000, 30000),
@@ -161,18 +166,16 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
         "g.pgm": b"P2 4000 4000 255\n",
         "h.yaml": YAML.format(image=touch).encode(),
         "i.yaml": YAML.format(image="/etc/passwd").encode(),
+        "j.yaml": aliases.encode(),
         "k.map": b"type octile\nheight 99999\nwidth 99999\nmap\n",
         "l.scen": b"version 1\n0\tnone.map\t4\t3\t0\t0\t3\t2\t1e999\n",
-        "m.csv": f"{header}\n{','.join([*line[:5], '9' * 10**6, *line[6:]])}\n".encode(),
-        "n.csv": f"{header}\n{','.join([*line[:5], '[' * 10**6, *line[6:]])}\n".encode(),
+        "m.csv": (table + '0,a,2,"[' + "9" * 10**6 + ']","[1]","[1]","[1]","[1]"\n').encode(),
+        "n.csv": (table + '0,a,2,"' + "[" * 10**6 + '","[1]","[1]","[1]","[1]"\n').encode(),
         "o.png": pickled,
         "p.npz": pickled,
     }
-    for name in ("m", "n"):
-        (folder / name / "images").mkdir(parents=True)
-        (folder / name / "images" / "a.png").write_bytes(wild.png(20, 70))
     for name, data in files.items():
-        (folder / name[0]).mkdir(exist_ok=True)
+        (folder / name[0]).mkdir()
         (folder / name[0] / name).write_bytes(data)
         yield "format", folder / name[0] / name, "FormatError"
     for name, size, stated, claimed in (
