@@ -36,7 +36,7 @@ from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import Plan
 from mapdata.search import STEPS
-from models.geometry import cell_numbers, check_problems, heuristic, legal_moves
+from models.geometry import cell_numbers, check_problems, heuristic, legal_moves, offsets
 from models.learned_planners import LearnedPlanner
 from models.model import Tensors
 
@@ -82,7 +82,7 @@ def search(
     legal = F.pad(legal_moves(occupied, movement).flatten(2), (0, 1))  # (B, moves, cells)
     moves = torch.tensor(STEPS[: movement.connectivity], device=costs.device)  # (moves, 2)
     lengths = torch.where(moves.prod(dim=1) == 0, 1.0, movement.diagonal_cost)  # (moves,)
-    offsets = moves[:, 0] * columns + moves[:, 1]  # (moves,)
+    jumps = moves[:, 0] * columns + moves[:, 1]  # (moves,)
 
     down, right = offsets(goals, occupied.shape[2:])
     # the straight distance decides among cells that are equally far, as in the paper's code
@@ -107,7 +107,7 @@ def search(
             break
         frontier[each, cell] = done
 
-        to = (cell[:, None] + offsets).clamp(0, nowhere)  # (B, moves)
+        to = (cell[:, None] + jumps).clamp(0, nowhere)  # (B, moves)
         reached = way[each, cell, None] + lengths * guidance[each, cell, None]  # (B, moves)
         known = way.gather(1, to)  # (B, moves)
         is_open = frontier.gather(1, to) | (known == math.inf)

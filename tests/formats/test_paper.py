@@ -128,7 +128,7 @@ def test_iterations_are_those_of_the_map(release: Path) -> None:
 
 
 def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Path) -> None:
-    """They have fewer columns of labels, and iterations of segments under the names of the map's."""
+    """They have fewer labels, and iterations of segments under the names of the map's."""
     rows = rows_of(release)
     for row in rows:
         row["path_exists"] = row.pop("reachable")
