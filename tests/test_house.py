@@ -86,7 +86,7 @@ TESTED_IN = {
         "formats/test_huggingface.py",
         "formats/test_paper.py",
     ),
-    "models/common.py": ("models/test_common.py", "shards/test_hostile.py"),
+    "models/model.py": ("models/test_model.py", "shards/test_hostile.py"),
     "models/lego/cvae.py": ("models/lego/test_sampler.py",),
     "models/lego/experience.py": ("models/lego/test_sampler.py",),
     "models/learned_planners.py": ("models/test_path_predictor.py",),
