@@ -499,7 +499,7 @@ def samplers() -> Figure:
 def roadmaps() -> Figure:
     """Show the roadmaps of two samplers on one problem, the first hard one."""
     from models.lego.comparison import contenders
-    from models.lego.roadmap import between
+    from models.lego.roadmap import roadmap_between
     from models.lego.sampler import Heatmap
 
     rows = contenders({"lego_heatmap": Heatmap.load(WEIGHTS / "lego_heatmap.pt")})
@@ -511,7 +511,7 @@ def roadmaps() -> Figure:
     figure = Figure(figsize=(10, 5.2), layout="constrained")
     for ax, name in zip(figure.subplots(1, 2), ("halton", "lego_heatmap"), strict=True):
         samples = rows[name](grid[None], start[None], goal[None], 50, [k])[0]
-        roadmap = between(grid, start, goal, samples)
+        roadmap = roadmap_between(grid, start, goal, samples)
         length, path = roadmap.shortest_path()
         # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
         points = roadmap.points - 0.5

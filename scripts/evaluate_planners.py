@@ -3,8 +3,9 @@
 python scripts/evaluate_planners.py --preset dungeon --maps 600 --seed 77
 python scripts/evaluate_planners.py ROOT
 
-The trained path predictor comes along: there are weights for 4 moves, and for 8 with diagonals at
-sqrt 2, with or without --corner-cutting. For other rules --weights names your own.
+The path predictors that ship are among the planners: there are weights for 4 moves, and for 8
+moves whose diagonals cost sqrt(2), with and without --corner-cutting. For another movement, name
+weights of your own with --weights.
 """
 
 from mapdata.interrupts import exit_on_interrupt
@@ -73,7 +74,7 @@ def evaluate_command(
         csv: write the table to a file
         json: write the table as a list of rows
         figure: draw cost ratio against expansions on the hard problems
-        weights: of a path predictor or Neural A* (default: those that ship)
+        weights: file of a path predictor or Neural A* (default: the one that ships)
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
@@ -99,7 +100,8 @@ def evaluate_command(
     write_table(table, csv, json)
     if figure is not None:
         canvas = Figure(figsize=(7, 6), layout="constrained")
-        plot_planners(table, canvas.add_subplot(), subset="hard" if problems.hard.any() else "all")
+        subset = "hard" if problems.hard.any() else "all"
+        plot_planners(table, canvas.add_subplot(), subset=subset)
         canvas.savefig(figure, dpi=150)
 
 

@@ -2,9 +2,9 @@
 
     python scripts/evaluate_sampler.py --preset dungeon --maps 1000 --seed 77
 
-The trained samplers in models/weights come along: lego_*.pt and shortest_path_*.pt. Roadmaps have n
-vertices in all; half of them are Halton's, but in the rows halton and uniform and in those that end
-in _alone.
+The trained samplers in models/weights are among the samplers: lego_*.pt and shortest_path_*.pt.
+Roadmaps have n vertices in all. Half of them are Halton's, except in the rows halton and uniform,
+and in those whose names end in _alone.
 """
 
 from mapdata.interrupts import exit_on_interrupt
@@ -22,8 +22,8 @@ from models.lego.cvae import CVAE
 from models.lego.sampler import Heatmap, Sampler
 from models.model import WEIGHTS, load_model
 
-SHOWN = ("halton", "bridge", "corners_alone", "lego_cvae", "lego_heatmap", "lego_heatmap_alone")
-"""Rows in the figure; the table has all."""
+PLOTTED = ("halton", "bridge", "corners_alone", "lego_cvae", "lego_heatmap", "lego_heatmap_alone")
+"""Rows in the figure; the table has all rows."""
 
 
 def evaluate_command(
@@ -70,8 +70,9 @@ def evaluate_command(
     write_table(table, csv, json)
     if figure is not None:
         canvas = Figure(figsize=(7, 6), layout="constrained")
-        shown = table[table["sampler"].isin(SHOWN)]
-        plot_success(shown, canvas.add_subplot(), "hard" if problems.hard.any() else "all")
+        plotted = table[table["sampler"].isin(PLOTTED)]
+        subset = "hard" if problems.hard.any() else "all"
+        plot_success(plotted, canvas.add_subplot(), subset)
         canvas.savefig(figure, dpi=150)
 
 

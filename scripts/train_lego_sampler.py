@@ -1,7 +1,7 @@
 r"""Train a sampler of roadmaps: python scripts/train_lego_sampler.py fit --weights FILE.
 
-The weights that ship, in models/weights, were made by these commands, the heat maps from six
-families of maps:
+The weights that ship, in models/weights, were made by these commands. The heat maps learned from
+six families of maps:
 
     S=scripts/train_lego_sampler.py
     for family in dungeon narrow cave forest noise; do
@@ -20,14 +20,19 @@ families of maps:
         --trainer.gradient_clip_val null --trainer.max_steps 60000 \
         --trainer.val_check_interval 5000 --trainer.limit_val_batches 2
 
-All arguments are in scripts/train_lego_sampler.yaml, and each is a flag too (fit --help). A change
-of the model keeps the arguments that both have, such as the heat map's rate: name the learning
-rate. A bank of experience is mined into runs/experience, once for the same maps: of six families in
-10 minutes of one core. Checkpoints and metrics.csv lie under runs/lego_sampler. A step of a heat
-map takes 0.14 s of one core, so that 7,000 steps are 16 minutes, or 10 of two; of a CVAE 0.07 s.
-Without a bank, from paths alone:
+All arguments are in scripts/train_lego_sampler.yaml, and all of them are flags, too (fit --help).
+Another --model keeps the arguments that both models have, such as the learning rate of the heat
+map; so the command of the CVAE names its own.
 
-    python $S fit --model.targets path --data.fields "[map,start,goal,path]"
+Before the first step a bank of experience is mined into the folder --data.experience, by default
+runs/experience, and the next training on the same maps reads it from there. Mining takes 10 minutes
+of one core for the six families. A training step of a heat map takes 0.14 s of one core, so 7,000
+steps take 16 minutes, or 10 minutes of two cores; a step of a CVAE takes 0.07 s. Checkpoints and
+metrics.csv are written to runs/lego_sampler.
+
+Training on paths alone needs no bank:
+
+    python $S fit --model.targets path --data.experience null --data.fields "[map,start,goal,path]"
 """
 
 from __future__ import annotations
@@ -41,7 +46,7 @@ from pathlib import Path
 
 from pytorch_lightning.cli import ArgsType
 
-import models.lego.cvae  # noqa: F401  (so that --model knows each sampler by its name)
+import models.lego.cvae  # noqa: F401  (registers the class, so that --model finds CVAE by its name)
 from models.lego.sampler import Sampler
 from models.training import TrainingCli
 
@@ -50,7 +55,8 @@ CONFIG = Path(__file__).with_suffix(".yaml")
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    TrainingCli(Sampler, CONFIG, arguments)  # type: ignore[type-abstract]  # a subclass is asked for
+    # Sampler is abstract: --model takes one of its subclasses.
+    TrainingCli(Sampler, CONFIG, arguments)  # type: ignore[type-abstract]
 
 
 if __name__ == "__main__":

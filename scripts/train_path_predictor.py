@@ -1,19 +1,27 @@
 """Train a planner: python scripts/train_path_predictor.py fit --weights FILE.
 
-All arguments are in scripts/train_path_predictor.yaml, and each is a flag too (fit --help).
-Checkpoints and metrics.csv lie under runs/path_predictor: a checkpoint after every validation, and
-one every three minutes, so that an interrupted run goes on. The bar shows val_opt and val_hmean,
-what the search reaches on the validation problems.
-More flags after fit:
+All arguments are in scripts/train_path_predictor.yaml, and all of them are flags, too (fit --help).
+Checkpoints and metrics.csv are written to runs/path_predictor. There is a checkpoint after every
+validation and every three minutes, from which an interrupted run can be resumed. The progress bar
+shows val_opt and val_hmean, the metrics of the search on the validation problems.
 
-    --ckpt_path FILE             go on from a checkpoint of an interrupted run
-    --trainer.accelerator gpu --trainer.precision bf16-mixed    the same on a GPU
-    --trainer.precision 32-true  in 32 bits; else `models.model.fast_precision` says which is fast
-    --model.connectivity 4       the moves; the data follows
-    --data mapdata.MapDataModule --data.root ROOT ...    on a dataset, such as imported maps;
-        its fields are map, start, goal, path, unless --data.fields asks for richer ones
-    --model NeuralAstar          another model: its rate, moves and fields are to be named, too,
-        since those of the file stay; docs/planners.md has the command
+Further flags after fit:
+
+    --ckpt_path FILE
+        Resume an interrupted run from a checkpoint.
+    --trainer.accelerator gpu --trainer.precision bf16-mixed
+        Train on a GPU.
+    --trainer.precision 32-true
+        Train in 32 bits. The default is the precision that is faster on this processor
+        (`models.model.fast_precision`).
+    --model.connectivity 4
+        Move in four directions. The data follow the model.
+    --data mapdata.MapDataModule --data.root ROOT ...
+        Train on a dataset on disk, such as imported maps. Its fields are map, start, goal and path,
+        unless --data.fields asks for richer ones.
+    --model NeuralAstar
+        Train another model. Learning rate, moves and fields must be given, too, because those of
+        the YAML file are for the path predictor; docs/planners.md has the command.
 """
 
 from __future__ import annotations
@@ -28,7 +36,7 @@ from pathlib import Path
 
 from pytorch_lightning.cli import ArgsType
 
-import models.neural_astar  # noqa: F401  (so that --model knows it by its name)
+import models.neural_astar  # noqa: F401  (registers the class, so that --model finds it by its name)
 from mapdata import MapDataModule
 from models.learned_planners import LearnedPlanner
 from models.training import TrainingCli
@@ -37,28 +45,31 @@ CONFIG = Path(__file__).with_suffix(".yaml")
 
 
 class Cli(TrainingCli):
-    """Its flags; the data moves as the model does."""
+    """The command line of path predictors, whose data move as the model does."""
 
     def instantiate_classes(self) -> None:
-        """Let the data move as the model does, and refuse data that was told otherwise.
+        """Give the data the movement of the model, or refuse data with another movement.
 
-        Data modules of another class are taken as they are.
+        Data modules of classes other than `MapDataModule` are left as they are.
         """
         super().instantiate_classes()
         movement = self.model.movement
         for part in getattr(self.datamodule, "parts", [self.datamodule]):
             if not isinstance(part, MapDataModule):
                 continue
-            given = part.serving.movement
-            if given not in (None, movement):
-                raise SystemExit(f"movement: got {given} for the data, {movement} for the model")
+            data_movement = part.serving.movement
+            if data_movement not in (None, movement):
+                raise SystemExit(
+                    f"movement: got {data_movement} for the data, {movement} for the model"
+                )
             part.serving = replace(part.serving, movement=movement)
             part.hparams["movement"] = astuple(movement)
 
 
 def main(arguments: ArgsType = None) -> None:
     """Run the command line."""
-    Cli(LearnedPlanner, CONFIG, arguments)  # type: ignore[type-abstract]  # a subclass is asked for
+    # LearnedPlanner is abstract: --model takes one of its subclasses.
+    Cli(LearnedPlanner, CONFIG, arguments)  # type: ignore[type-abstract]
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Where a roadmap needs its vertices: samplers that learn it, their targets, and roadmaps.
 
-- ``sampler.py``: `Sampler`, a model that says where to sample, and the heat map.
-- ``cvae.py``: the published autoencoder.
-- ``experience.py``: the targets that both learn from, mined with LEGO's method.
+- ``sampler.py``: `Sampler`, the base class, and `Heatmap`, which predicts shares of cells.
+- ``cvae.py``: `CVAE`, the autoencoder of the LEGO paper.
+- ``experience.py``: the targets that samplers learn from, mined with LEGO's method.
 - ``roadmap.py``: roadmaps, and samplers that learn nothing.
 - ``comparison.py``: the table that compares samplers.
 """

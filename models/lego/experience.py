@@ -1,20 +1,29 @@
 """A bank of experience: where a sampler of roadmaps should have sampled, problem by problem.
 
-Two kinds of targets. "shortest_path" (Ichter, Harrison, Pavone, ICRA 2018): the vertices of the
-shortest path on a dense roadmap. "lego" (Kumar, Mandalika, Choudhury, Srinivasa, IROS 2019): of
-those, the bottlenecks, which a sparse roadmap cannot do without even when edges to them are so dear
-that the cheapest way costs ten times the path; and likewise of further near-optimal paths, which
-are left when an adversary closes a stretch of the ones found.
+There are two kinds of targets:
 
-Of the original, the sparse roadmap is one of 200 vertices, whatever the size of those to come.
+- "shortest_path" (Ichter, Harrison, Pavone, ICRA 2018): the vertices of the shortest path on a
+  dense roadmap.
+- "lego" (Kumar, Mandalika, Choudhury, Srinivasa, IROS 2019): of those vertices, the bottlenecks.
+  These are the vertices that a sparse roadmap cannot do without: the cheapest path goes through
+  them even when their edges are so dear that it costs ten times the length of the shortest path.
+  Bottlenecks are also taken from further near-optimal paths, which remain when an adversary closes
+  a stretch of the paths before.
+
+In the original, the sparse roadmap has 200 vertices. Here its size is that of the roadmaps that the
+sampler is for.
 
     from models.lego.experience import FixedProblems
 
-    data = FixedProblems(None, build={"spec": "dungeon", "maps": 100}, problems="random",
-        movement=(8, False, 2**0.5), fields=("map", "start", "goal", "problem"))
-    data.setup("fit")
-    bank = data.mine("runs/experience")  # mined once, read the next time
-    points, counts = bank.targets("lego", [0, 1, 2])
+    data = FixedProblems(
+        None,
+        build={"spec": "dungeon", "maps": 100},
+        problems="random",
+        movement=(8, False, 2**0.5),
+        experience="runs/experience",
+    )
+    data.setup("fit")  # mines the bank into the folder, or reads it from there
+    points, counts = data.bank.targets("lego", [0, 1, 2])
 """
 
 from __future__ import annotations
@@ -38,30 +47,38 @@ from mapdata.arrays import Array, Bytes, Floats, Ints
 from mapdata.checks import check_choice
 from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.hashing import canonical_json
+from mapdata.movement import Movement
+from mapdata.problems import Pairs, Random, Route
 from mapdata.shards import write_output
-from models.lego.roadmap import between, build_roadmap, halton, radius
+from models.lego.roadmap import build_roadmap, connection_radius, halton, roadmap_between
 
-KINDS = ("lego", "shortest_path")
-"""Targets."""
+MINED_TARGETS = ("lego", "shortest_path")
+"""Names of the targets, in the order in which `mine` returns them."""
+
+BANK_FIELDS = ("map", "start", "goal", "problem")
+"""The fields that a dataset must have for a bank."""
 
 VERSION = 2
-"""Goes up whenever the same mining would give other points."""
+"""Must be raised by any change after which the same mining gives other points."""
 
 
 @dataclass(frozen=True)
 class Mining:
     """How experience is gathered.
 
+    The names and values of these attributes are part of the identity of a bank.
+
     Attributes:
-        dense: vertices of the roadmap that knows the way.
-        sizes: vertices of the roadmaps that the sampler is for; half of them are there already, by
-            Halton.
-        price: what the cheapest way must cost in the end, in lengths of the path.
-        paths: most paths a problem.
-        slack: longest path that is near-optimal, in lengths of the shortest.
+        dense: number of vertices of the dense roadmap, on which paths are near-optimal.
+        sizes: numbers of vertices of the roadmaps that the sampler is for; half of the vertices are
+            Halton's.
+        price: cost of the cheapest path after the last raise of prices, in lengths of the path.
+        paths: largest number of paths for each problem.
+        slack: largest length of a near-optimal path, in lengths of the shortest one.
         closed: radius of the stretch that the adversary closes, in cells.
-        attempts: how often it tries; a stretch that leaves no near-optimal path is opened again.
-        seed: of all that is drawn.
+        attempts: number of stretches that the adversary tries; one that leaves no near-optimal path
+            is opened again.
+        seed: seed of all random choices.
     """
 
     dense: int = 2000
@@ -80,29 +97,32 @@ class Mining:
 def mine(
     grid: Bytes, start: Ints, goal: Ints, mining: Mining = Mining(), seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Return the targets of one problem, (k, 2) points each, in the order of `KINDS`.
+    """Return the targets of one problem, (k, 2) points each, in the order of `MINED_TARGETS`.
 
-    Both are empty without a path. A bottleneck of several sparse roadmaps or paths is there as
+    Both are empty without a path. A bottleneck of several sparse roadmaps or paths is listed as
     often.
 
     Args:
         grid: (H, W), 0 free and 1 occupied.
-        start: its cell.
-        goal: its cell.
-        mining: how.
-        seed: of this problem.
+        start: (2,), cell.
+        goal: (2,), cell.
+        mining: how experience is gathered.
+        seed: seed of this problem.
 
     Raises:
         ValueError: a start or goal outside the map or on an occupied cell.
     """
-    none = np.empty((0, 2))
+    no_points = np.empty((0, 2))
     paths = near_optimal_paths(grid, start, goal, mining, seed)
-    needed = [none]
+    if not paths:
+        return no_points, no_points
+    targets = [no_points]
     for k, path in enumerate(paths):
         for size in mining.sizes:
             sparse = halton(grid, size // 2, seed + 1009 * (k + 1) + size)
-            needed.append(bottlenecks(grid, path, sparse, size, mining.price))
-    return np.concatenate(needed), paths[0][1:-1] if paths else none
+            targets.append(bottlenecks(grid, path, sparse, size, mining.price))
+    inner_points = paths[0][1:-1]
+    return np.concatenate(targets), inner_points
 
 
 def near_optimal_paths(
@@ -110,57 +130,60 @@ def near_optimal_paths(
 ) -> list[Floats]:
     """Return up to ``mining.paths`` paths on the dense roadmap, (k, 2) points with both ends.
 
-    The shortest comes first.
+    The shortest path comes first.
     """
-    source = np.random.default_rng([mining.seed, seed])
-    dense = between(grid, start, goal, halton(grid, mining.dense, int(source.integers(2**31))))
-    prices = np.ones(len(dense.points))
-    shortest, path = dense.priced_path(prices)
+    rng = np.random.default_rng([mining.seed, seed])
+    samples = halton(grid, mining.dense, int(rng.integers(2**31)))
+    roadmap = roadmap_between(grid, start, goal, samples)
+    prices = np.ones(len(roadmap.points))
+    shortest, path = roadmap.priced_path(prices)
     if len(path) == 0:
         return []
-    paths = [dense.points[path]]
+    paths = [roadmap.points[path]]
     for _ in range(mining.attempts):
-        if len(paths) == mining.paths or len(paths[-1]) <= 2:
+        inner_points = paths[-1][1:-1]
+        if len(paths) == mining.paths or len(inner_points) == 0:
             break
-        inner = paths[-1][1:-1]
-        middle = inner[source.integers(len(inner))]
-        closed = np.linalg.norm(dense.points - middle, axis=1) < mining.closed
+        middle = inner_points[rng.integers(len(inner_points))]
+        closed = np.linalg.norm(roadmap.points - middle, axis=1) < mining.closed
         closed[:2] = False  # start and goal stay open
-        harder = np.where(closed, np.inf, prices)
-        length, path = dense.priced_path(harder)
+        prices_with_closed = np.where(closed, np.inf, prices)
+        length, path = roadmap.priced_path(prices_with_closed)
         if length <= mining.slack * shortest:
-            prices = harder
-            paths.append(dense.points[path])
+            prices = prices_with_closed
+            paths.append(roadmap.points[path])
     return paths
 
 
 def bottlenecks(grid: Bytes, path: Floats, sparse: Floats, size: int, price: float) -> Floats:
-    """Return the inner points of ``path`` that the cheapest way uses however dear they are.
+    """Return the inner points of ``path`` that the cheapest path uses, however dear they are.
 
-    On the roadmap of ``sparse`` and the path together, which reaches as ``size`` vertices do. As in
-    the authors' code (Bottleneck_Node/extract_bottleneck.py of
+    The roadmap is that of ``sparse`` and the path together, with edges as long as in a roadmap of
+    ``size`` vertices. As in the authors' code (Bottleneck_Node/extract_bottleneck.py of
     https://github.com/personalrobotics/lego), all edges of the path's points are dear, those of
-    start and goal too, and grow by a fifth until the cheapest way costs ``price`` paths; that one
-    decides. The last factor differs from problem to problem, and is never below ``price``.
+    start and goal included, and their price grows by a fifth until the cheapest path costs
+    ``price`` lengths of the path. The last prices decide; they differ from problem to problem, and
+    are never below ``price``.
 
     Args:
         grid: (H, W), 0 free and 1 occupied.
         path: (k, 2) points, both ends included.
-        sparse: (n, 2) points that are there at no extra cost.
-        size: vertices of the roadmap that it is to become.
-        price: at least 1.
+        sparse: (n, 2) points whose edges cost their length.
+        size: number of vertices of the roadmap that the sampler is for.
+        price: cost of the cheapest path at the end, in lengths of the path; at least 1.
     """
     points = np.concatenate([path[[0, -1]], path[1:-1], sparse])
-    roadmap = build_roadmap(grid, points, radius(size, grid.shape))
+    roadmap = build_roadmap(grid, points, connection_radius(size, grid.shape))
     on_path = np.arange(len(points)) < len(path)  # start and goal, 0 and 1, included
     length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-    # below ``price`` the path itself is too cheap
+    # The path itself is in the roadmap, so with prices below ``price`` it would be cheap enough.
     prices = np.where(on_path, price, 1.0)
-    cost, way = roadmap.priced_path(prices)
+    cost, vertices = roadmap.priced_path(prices)
     while cost < price * length:
         prices[on_path] *= 1.2
-        cost, way = roadmap.priced_path(prices)
-    return points[way[(way >= 2) & on_path[way]]]
+        cost, vertices = roadmap.priced_path(prices)
+    is_inner = vertices >= 2
+    return points[vertices[is_inner & on_path[vertices]]]
 
 
 # --- the bank -----------------------------------------------------------------------------------
@@ -172,19 +195,20 @@ class Bank:
 
     Attributes:
         identity: SHA-256 over the problems and how they were mined.
-        arrays: by their names in the file.
+        arrays: the arrays of the file, by name.
 
-    - ``problem``: (N,) int64, ascending.
-    - ``ends``: (N, 4) int64, start and goal.
-    - ``<kind>_points``: of each kind all points, (M, 2) float32; a cell's centre is at + 0.5.
-    - ``<kind>_counts``: of each kind (N,) int64, how many of them belong to each problem.
+    - ``problem``: (N,) int64, numbers of the problems, ascending.
+    - ``ends``: (N, 4) int64, rows and columns of start and goal.
+    - ``lego_points``, ``shortest_path_points``: (M, 2) float32, the points of all problems, one
+      problem after another; the centre of a cell is its row and column plus 0.5.
+    - ``lego_counts``, ``shortest_path_counts``: (N,) int64, how many points each problem has.
     """
 
     identity: str
     arrays: dict[str, Array]
 
     @staticmethod
-    def of(
+    def read_or_mine(
         dataset: Dataset[Sample],
         folder: str | os.PathLike[str],
         mining: Mining = Mining(),
@@ -193,41 +217,41 @@ class Bank:
         """Return the bank of all problems of a dataset: read from ``folder``, or mined and written.
 
         Args:
-            dataset: with the fields ``map``, ``start``, ``goal`` and ``problem``; its samples must
-                not change.
-            folder: made if missing; the file's name is the bank's identity.
-            mining: how.
-            workers: threads; default one a core.
+            dataset: a dataset with `BANK_FIELDS`, whose problems do not change from epoch to epoch.
+            folder: folder of the banks, made if missing; the file is named by the identity.
+            mining: how experience is gathered.
+            workers: number of threads; one for each core by default.
 
         Raises:
             ValueError: a missing field, or a file that is no bank.
         """
-        grids, starts, goals, problem = _all_problems(dataset)
-        name = _identity(mining, grids, starts, goals, problem)
-        file = Path(folder) / f"{name[:16]}.npz"
+        grids, starts, goals, numbers = _all_problems(dataset)
+        identity = _identity(mining, grids, starts, goals, numbers)
+        file = Path(folder) / f"{identity[:16]}.npz"
         if file.exists():
-            return Bank.read(file, name)
+            return Bank.read(file, identity)
         mined = thread_map(
             mine,
             grids,
             starts,
             goals,
-            repeat(mining, len(grids)),  # a length for the bar
-            problem.tolist(),
+            repeat(mining, len(grids)),  # with a length, which the progress bar needs
+            numbers.tolist(),
             max_workers=workers or os.cpu_count(),
             desc="experience",
             unit=" problems",
         )
-        arrays = {"problem": problem, "ends": np.column_stack([starts, goals])}
-        for kind, each in zip(KINDS, zip(*mined, strict=True), strict=True):
-            arrays[f"{kind}_points"] = np.concatenate(each).astype(np.float32)
-            arrays[f"{kind}_counts"] = np.array([len(some) for some in each])
-        bank = Bank(name, arrays)
+        arrays = {"problem": numbers, "ends": np.column_stack([starts, goals])}
+        for k, name in enumerate(MINED_TARGETS):
+            points = [targets[k] for targets in mined]
+            arrays[f"{name}_points"] = np.concatenate(points).astype(np.float32)
+            arrays[f"{name}_counts"] = np.array([len(p) for p in points])
+        bank = Bank(identity, arrays)
         bank.write(file)
         return bank
 
     def write(self, file: Path) -> None:
-        """Write the bank as one file of numpy's, at once or not at all."""
+        """Write the bank as an .npz file, as a whole or not at all."""
         buffer = BytesIO()
         np.savez(buffer, identity=self.identity, **self.arrays)  # type: ignore[arg-type]
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -238,7 +262,7 @@ class Bank:
         """Return the bank in a file.
 
         Raises:
-            ValueError: it is no bank, or has another identity.
+            ValueError: the file is no bank, or has another identity.
         """
         try:
             with np.load(file) as saved:
@@ -246,61 +270,64 @@ class Bank:
             if arrays.pop("identity").item() != identity:
                 raise ValueError(f"of other problems, expected {identity[:16]}")
             return Bank(identity, arrays)
-        except Exception as error:  # what numpy's and zip's readers raise is not documented
+        except Exception as error:  # which errors the readers of numpy and zip raise is unknown
             raise ValueError(f"{file}: no bank of experience ({error}): remove it") from None
 
     def targets(
-        self, kind: str, problems: Any, ends: ArrayLike | None = None
+        self, name: str, problems: ArrayLike, ends: ArrayLike | None = None
     ) -> tuple[Floats, Ints]:
-        """Return the points of each problem one after another, (M, 2), and how many each has, (B,).
+        """Return the points of problems, one problem after another, and the points of each.
 
         Args:
-            kind: one of `KINDS`.
-            problems: (B,) numbers in the dataset, as a batch's field ``problem`` has them.
-            ends: (B, 4) start and goal; where they are not the bank's, the bank is not of these
-                problems.
+            name: one of `MINED_TARGETS`.
+            problems: (B,) numbers in the dataset, as in the field ``problem`` of a batch.
+            ends: (B, 4) rows and columns of start and goal, to check that these are the problems of
+                the bank; without them numbers alone are checked.
+
+        Returns:
+            Points (M, 2), and the number of points of each problem, (B,), whose sum is M.
 
         Raises:
-            ValueError: an unknown kind, or a problem that the bank does not know or knows
-                otherwise.
+            ValueError: an unknown name, a number that is not in the bank, or other ends than those
+                in the bank.
         """
-        check_choice("kind", kind, KINDS)
+        check_choice("targets", name, MINED_TARGETS)
         numbers = np.asarray(problems, np.int64)
-        rows = pd.Index(self.arrays["problem"]).get_indexer(pd.Index(numbers))  # -1: not there
-        known = rows >= 0
+        rows = pd.Index(self.arrays["problem"]).get_indexer(pd.Index(numbers))
+        is_known = rows >= 0  # -1 is no row
         if ends is not None:
-            known &= (self.arrays["ends"][rows] == np.asarray(ends)).all(axis=1)
-        if not known.all():
-            wrong = numbers[np.argmin(known)]
+            is_known &= (self.arrays["ends"][rows] == np.asarray(ends)).all(axis=1)
+        if not is_known.all():
+            unknown = numbers[np.argmin(is_known)]
             raise ValueError(
-                f"problem {wrong} is not in the bank, or another one: its dataset must keep its "
+                f"problem {unknown} is not in the bank, or another one: its dataset must keep its "
                 "problems"
             )
-        points = self.arrays[f"{kind}_points"]
-        counts = self.arrays[f"{kind}_counts"]
-        last = counts.cumsum()
-        found = [points[last[row] - counts[row] : last[row]] for row in rows]
-        return np.concatenate(found).astype(np.float64), counts[rows]
+        points = self.arrays[f"{name}_points"]
+        counts = self.arrays[f"{name}_counts"]
+        stops = counts.cumsum()
+        starts = stops - counts
+        parts = [points[starts[row] : stops[row]] for row in rows]
+        return np.concatenate(parts).astype(np.float64), counts[rows]
 
 
-def _all_problems(dataset: Dataset[Sample]) -> list[Array]:
-    """Return maps (N, H, W), starts, goals and numbers of all problems, by their number."""
-    names = ("map", "start", "goal", "problem")
+def _all_problems(dataset: Dataset[Sample]) -> tuple[Bytes, Ints, Ints, Ints]:
+    """Return maps (N, H, W), starts, goals (N, 2) and numbers (N,) of all problems, by number."""
     batch = dataset[:]
-    if missing := set(names) - set(batch._fields):
+    if missing := set(BANK_FIELDS) - set(batch._fields):
         raise ValueError(
             f"fields: the dataset has no {', '.join(sorted(missing))}, which a bank needs"
         )
-    maps, starts, goals, problem = (getattr(batch, name).numpy() for name in names)
-    order = np.argsort(problem)
-    return [maps[order, 0], starts[order], goals[order], problem[order]]
+    maps, starts, goals, numbers = (getattr(batch, name).numpy() for name in BANK_FIELDS)
+    order = np.argsort(numbers)
+    return maps[order, 0], starts[order], goals[order], numbers[order]
 
 
-def _identity(mining: Mining, grids: Bytes, *numbers: Ints) -> str:
-    """Return the identity of a bank: of starts, goals and numbers of its problems."""
+def _identity(mining: Mining, grids: Bytes, starts: Ints, goals: Ints, numbers: Ints) -> str:
+    """Return the identity of a bank."""
     digest = hashlib.sha256(canonical_json({"version": VERSION, "mining": asdict(mining)}).encode())
     digest.update(np.packbits(grids, axis=-1).tobytes())
-    for array in numbers:
+    for array in (starts, goals, numbers):
         digest.update(array.astype("<i8").tobytes())
     return digest.hexdigest()
 
@@ -309,22 +336,73 @@ def _identity(mining: Mining, grids: Bytes, *numbers: Ints) -> str:
 
 
 class FixedProblems(MapDataModule):
-    """A `MapDataModule` whose problems are those of epoch 0 in every epoch: those of a bank."""
+    """A `MapDataModule` whose problems are those of epoch 0 in every epoch, with their bank.
+
+    ``setup("fit")`` mines the bank of the training problems, or reads it. Ten thousand problems of
+    64 x 64 cells take ten minutes of one core, once.
+
+    Args:
+        root, build, batch_size, num_workers, fields, problems, movement, sampling_seed, radius: as
+            in `MapDataModule`.
+        experience: folder of the bank; None for data without a bank, which is enough for a sampler
+            with ``targets="path"``.
+        mining: how experience is gathered.
+
+    Attributes:
+        bank: the bank of the training problems, or None before ``setup`` and without a folder.
+
+    Raises:
+        ValueError: arguments that do not fit, or that would do nothing.
+    """
+
+    def __init__(
+        self,
+        root: str | Path | Sequence[str] | None = "data/maps",
+        *,
+        build: str | dict[str, Any] | None = None,
+        batch_size: int = 256,
+        num_workers: int = 0,
+        fields: Sequence[str] = BANK_FIELDS,
+        problems: str | Route | Pairs | Random | dict[str, Any] = "route",
+        movement: Movement | tuple[int, bool, float] | None = None,
+        sampling_seed: int = 0,
+        radius: float = 0.0,
+        experience: str | None = "runs/experience",
+        mining: Mining = Mining(),
+    ) -> None:
+        """Keep the arguments; nothing is read, built or mined yet."""
+        super().__init__(
+            root,
+            build=build,
+            batch_size=batch_size,
+            num_workers=num_workers,
+            fields=fields,
+            problems=problems,
+            movement=movement,
+            sampling_seed=sampling_seed,
+            radius=radius,
+        )
+        self.experience = experience
+        self.mining = mining
+        self.bank: Bank | None = None
+
+    def setup(self, stage: str | None = None) -> None:
+        """Open the datasets of ``stage``; for training, mine or read the bank."""
+        super().setup(stage)
+        if self.experience is not None and self.bank is None and "train" in self.datasets:
+            self.bank = Bank.read_or_mine(self.datasets["train"], self.experience, self.mining)
 
     def train_dataloader(self) -> DataLoader[Sample]:
         """Return the loader of the training split, in an order of its own each epoch."""
         loader = super().train_dataloader()
-        fixed = _FirstEpoch(loader.dataset, range(len(self.datasets["train"])))
-        return LateLoader(fixed, self.batch_size, sampler=loader.sampler, **self.loading)
-
-    def mine(self, folder: str) -> Bank:
-        """Return the bank of the training problems, as `Bank.of` does."""
-        return Bank.of(self.datasets["train"], folder)
+        dataset = _FirstEpoch(loader.dataset, range(len(self.datasets["train"])))
+        return LateLoader(dataset, self.batch_size, sampler=loader.sampler, **self.loading)
 
 
 class _FirstEpoch(Subset[Sample]):
-    """A dataset whose sampler may ask for any epoch, and gets epoch 0."""
+    """A dataset that gives samples of epoch 0, whichever epoch its sampler asks for."""
 
     def __getitems__(self, indices: Sequence[int]) -> Any:
-        first: Any = self.dataset
-        return first.__getitems__(np.asarray(indices) % len(self))
+        dataset: Any = self.dataset
+        # The sampler asks for index + epoch * len(dataset).
+        return dataset.__getitems__(np.asarray(indices) % len(self))

@@ -10,26 +10,25 @@
     sample = data.datasets["val"][0]
     points = model.sample(sample.map, sample.start, sample.goal, 25)  # (25, 2) in free cells
 
-So taught, it samples where paths run. LEGO (Kumar, Mandalika, Choudhury, Srinivasa, "LEGO:
-Leveraging Experience in Roadmap Generation for Sampling-Based Planning", IROS 2019) asks only for
-the bottlenecks of paths, which a sparse roadmap cannot do without. ``targets="lego"`` takes them
-from the bank of experience of `models.lego.experience.FixedProblems`, whose batches have the fields
-``TRAINING_FIELDS``. The shipped weights were trained so, by the commands in
-scripts/train_lego_sampler.py:
+A model that is trained on paths samples where paths run. LEGO (Kumar, Mandalika, Choudhury,
+Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for Sampling-Based Planning", IROS
+2019) needs only the bottlenecks of paths, which a sparse roadmap cannot do without.
+``targets="lego"`` takes them from the bank of experience of `models.lego.experience.FixedProblems`,
+whose batches must have the fields ``TRAINING_FIELDS``. The weights that ship were trained in this
+way, by the commands in scripts/train_lego_sampler.py:
 
     points = Heatmap.load("models/weights/lego_heatmap.pt").sample(grid, start, goal, 25)
-    roadmap = between(grid, start, goal, points)  # of models/lego/roadmap.py
+    roadmap = roadmap_between(grid, start, goal, points)  # of models/lego/roadmap.py
 
-This file reads from top to bottom: what the network sees; targets, training, sampling; the heat
-map: network, loss, prediction. The layers, symmetries and the training step are those that all
-sample models share.
+This file reads from top to bottom: what the network sees; targets, training and sampling, which all
+samplers share; the network, loss and prediction of the heat map. The layers, symmetries and the
+training step are those that all sample models share.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any
 
 import numpy as np
 import torch
@@ -43,17 +42,18 @@ from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.checks import check_choice, check_count, check_resolution
 from models.geometry import cell_numbers, check_problems, offsets
 from models.layers import Trunk, padded
+from models.lego.experience import MINED_TARGETS, Bank, FixedProblems
 from models.model import Model, Tensors
 from models.symmetries import random_symmetry, restore_plane, transform_cells, transform_plane
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
-"""The fields for targets from a bank; the cells of all shortest paths help to learn."""
+"""The fields for targets from a bank; `Heatmap` also learns from the cells of shortest paths."""
 
-TARGETS = ("path", "lego", "shortest_path")
-"""Where to sample: on the path's cells, or, of roadmaps, at bottlenecks or on shortest paths."""
+TARGETS = ("path", *MINED_TARGETS)
+"""Where to sample: on the cells of the path in the batch, or at the targets of a bank."""
 
-HELP_WEIGHT = 4.0
-"""Of the loss of the second prediction, which helps the features to form."""
+PATH_WEIGHT = 4.0
+"""Weight of the loss of the second prediction, which helps the network to form its features."""
 
 # --- data: what the network sees ----------------------------------------------------------------
 
@@ -61,21 +61,27 @@ HELP_WEIGHT = 4.0
 def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
     """Return (B, 14, H, W): free cells, both ends, and where each cell lies relative to them.
 
-    Of maps (B, 1, H, W), 0 free and anything else occupied, and of cells (B, 2).
+    Args:
+        occupied: (B, 1, H, W), 0 free and anything else occupied.
+        starts: (B, 2), cells.
+        goals: (B, 2), cells.
     """
     free = (occupied[:, 0] == 0).float()  # (B, H, W)
     planes = [free]
-    way = torch.zeros_like(free)  # how long the way from start to goal over each cell is
+    over_cell = torch.zeros_like(free)  # (B, H, W), length from start to goal over each cell
     for cells in (starts, goals):
         down, right = offsets(cells, free.shape[1:])  # (B, H, 1) and (B, 1, W)
         distance = torch.hypot(down, right)  # (B, H, W)
-        here = (distance == 0).float()
-        fine = [(each / 4).clamp(-1, 1) for each in (down, right)]  # for cells nearby
-        # divisors bring all planes to a size of about 1
-        planes += [here, down / 32, right / 32, *fine, distance / 64]
-        way += distance
+        is_end = (distance == 0).float()  # (B, H, W)
+        # Near the end these two tell neighbouring cells apart; farther away they are -1 or 1.
+        near_down = (down / 4).clamp(-1, 1)  # (B, H, 1)
+        near_right = (right / 4).clamp(-1, 1)  # (B, 1, W)
+        # The divisors bring all planes to a size of about 1.
+        planes += [is_end, down / 32, right / 32, near_down, near_right, distance / 64]
+        over_cell += distance
     straight = torch.linalg.vector_norm((starts - goals).float(), dim=1)  # (B,)
-    planes.append((way - straight[:, None, None]) / 32)  # the detour over each cell
+    detour = over_cell - straight[:, None, None]  # (B, H, W)
+    planes.append(detour / 32)
     return torch.stack(torch.broadcast_tensors(*planes), dim=1)
 
 
@@ -83,47 +89,67 @@ def encode(occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
 
 
 class Sampler(Model):
-    """Learns where to sample.
+    """The base class of models that learn where to sample.
 
-    Its batches have the fields ``map, start, goal, path``, or `TRAINING_FIELDS`.
+    Batches have the fields ``map, start, goal, path`` for targets "path", or `TRAINING_FIELDS`.
+
+    Args:
+        targets: one of `TARGETS`.
+
+    Attributes:
+        bank: the bank of the training problems, which is taken from the data module when training
+            begins; None for targets "path".
     """
 
     def __init__(self, targets: str) -> None:
-        """Keep the kind of targets."""
+        """Keep the name of the targets."""
         super().__init__()
         check_choice("targets", targets, TARGETS)
         self.targets = targets
-        self.bank: Any = None  # a `models.lego.experience.Bank`
+        self.bank: Bank | None = None
 
     @abstractmethod
     def loss(self, batch: Tensors, points: Tensor, owners: Tensor) -> Tensors:
-        """Return the loss and its parts: points (M, 2) belong to the problems ``owners`` (M,)."""
+        """Return the loss and its parts.
+
+        Args:
+            batch: the fields of B problems, by name.
+            points: (M, 2), the targets of all problems.
+            owners: (M,), the row in the batch of the problem that each point belongs to.
+        """
 
     @abstractmethod
-    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
-        """Return (B, n, 2) points in free cells, for problems that are known to be sound."""
+    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, rng: Generator) -> Floats:
+        """Return (B, n, 2) points in free cells, for problems that were checked before."""
 
     def on_fit_start(self) -> None:
-        """Mine the bank of the training problems into runs/experience, or read it from there.
+        """Take the bank of the data module, which the targets are read from.
 
-        For another folder, set ``bank`` before.
+        Raises:
+            ValueError: targets that need a bank, and data without one.
         """
-        if self.targets != "path" and self.bank is None:
-            data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
-            if not hasattr(data, "mine"):
-                expected = "models.lego.experience.FixedProblems, or targets='path'"
-                raise ValueError(f"targets: got {self.targets!r}, which need {expected}")
-            self.bank = data.mine("runs/experience")
+        if self.targets == "path":
+            return
+        data = self.trainer.datamodule  # type: ignore[attr-defined]
+        if not isinstance(data, FixedProblems) or data.bank is None:
+            raise ValueError(
+                f"targets: got {self.targets!r}, which need a bank of experience: expected data of "
+                "models.lego.experience.FixedProblems with a folder for it, or targets='path'"
+            )
+        self.bank = data.bank
 
     def target_points(self, batch: Sample) -> tuple[Tensor, Tensor]:
-        """Return where to sample, points (M, 2), and to which problem each belongs, (M,)."""
+        """Return where to sample, points (M, 2), and the row of the problem of each, (M,)."""
         if self.targets == "path":
-            owners, k = (batch.path[:, :, 0] >= 0).nonzero(as_tuple=True)  # padding is -1
-            return batch.path[owners, k] + 0.5, owners  # the centres of the path's cells
+            is_cell = batch.path[:, :, 0] >= 0  # (B, T); -1 is padding
+            owners, k = is_cell.nonzero(as_tuple=True)  # (M,) both
+            centres = batch.path[owners, k] + 0.5  # (M, 2)
+            return centres, owners
+        assert self.bank is not None  # `on_fit_start` has set it
         ends = torch.cat([batch.start, batch.goal], dim=1)  # (B, 4), for the bank to compare
-        found, counts = self.bank.targets(self.targets, batch.problem.cpu(), ends.cpu())
-        numbers = np.repeat(np.arange(len(counts)), counts)  # (M,)
-        points, owners = self.tensors(found.astype(np.float32), numbers)
+        targets, counts = self.bank.targets(self.targets, batch.problem.cpu(), ends.cpu())
+        rows = np.repeat(np.arange(len(counts)), counts)  # (M,)
+        points, owners = self.tensors(targets.astype(np.float32), rows)
         return points, owners
 
     def losses(self, batch: Sample) -> Tensors:
@@ -133,7 +159,7 @@ class Sampler(Model):
         return self.loss(fields, points, owners)
 
     def validation_step(self, batch: Sample, batch_idx: int) -> None:
-        """Leave it to `models.lego.comparison.RoadmapSuccess` to judge the batch."""
+        """Do nothing: the callback `models.lego.comparison.RoadmapSuccess` validates samplers."""
 
     def sample(
         self,
@@ -147,41 +173,48 @@ class Sampler(Model):
         resolution: float | None = None,
         origin: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:
-        """Return (n, 2) points in free cells: where the roadmap of this problem wants its vertices.
+        """Return (n, 2) points in free cells: where a roadmap of this problem needs its vertices.
 
-        A point is (row, col), 0.5 more than a cell in its middle. With a ``resolution`` it is
-        (x, y) in metres, y upwards, as in ROS.
+        A point is (row, column); the centre of a cell is its row and column plus 0.5. With a
+        ``resolution`` a point is (x, y) in metres, y upwards, as in ROS.
 
         Args:
             map: (H, W) or (1, H, W), 0 free and anything else occupied.
-            start: its cell.
-            goal: its cell.
+            start: (2,), cell.
+            goal: (2,), cell.
             n: number of points.
-            seed: of the draws.
-            radius: of the robot, in metres with a ``resolution``, else in cells; points are in
-                cells that it may be at.
-            resolution: metres a cell.
-            origin: (x, y) of the map's lower left corner, in metres; a map that is turned by a yaw
-                needs its points turned, too.
+            seed: seed of the draws.
+            radius: radius of the robot, in metres with a ``resolution``, otherwise in cells; points
+                lie in cells at which the robot meets no obstacle.
+            resolution: side of a cell, in metres.
+            origin: (x, y) of the lower left corner of the map, in metres; where the map is rotated
+                by a yaw, the caller must rotate the points.
 
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell, for a robot of the
                 radius; n below 1; what `mapdata.inflate` refuses; a resolution of 0 or less.
         """
-        unit = 1.0 if resolution is None else check_resolution("resolution", resolution)
-        plane = np.asarray(map).reshape(np.shape(map)[-2:]) != 0
-        grid = inflate(plane, radius / unit)
-        points = self.sample_batch(grid, start, goal, n, seed).squeeze(0)
+        occupied = np.asarray(map).reshape(np.shape(map)[-2:]) != 0  # (H, W)
         if resolution is None:
-            return points
-        rows, columns = points.T
-        x0, y0 = origin
-        return np.column_stack([x0 + unit * columns, y0 + unit * (len(grid) - rows)])
+            grid = inflate(occupied, radius)
+            return self.sample_batch(grid, start, goal, n, seed).squeeze(0)
+        check_resolution("resolution", resolution)
+        grid = inflate(occupied, radius / resolution)
+        points = self.sample_batch(grid, start, goal, n, seed).squeeze(0)
+        rows, columns = points.T  # (n,) both
+        left, bottom = origin
+        x = left + resolution * columns
+        y = bottom + resolution * (len(grid) - rows)  # rows count downwards, y upwards
+        return np.column_stack([x, y])
 
     def sample_batch(
         self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
     ) -> Floats:
-        """Return (B, n, 2) points, as `sample`: grids (B, H, W), starts and goals (B, 2)."""
+        """Return (B, n, 2) points in cells: grids (B, H, W), starts and goals (B, 2).
+
+        Raises:
+            ValueError: n below 1, or a start or goal outside its map or on an occupied cell.
+        """
         check_count("n", n)
         problems = check_problems(grids, starts, goals)
         with self.inference():
@@ -195,13 +228,15 @@ class Heatmap(Sampler):
     """Predicts each cell's share of the targets, and which cells lie on shortest paths.
 
     Args:
-        targets: one of ``TARGETS``.
+        targets: one of `TARGETS`.
         widths: channels at strides 2, 4 and 8.
-        passes: exchanges between strides 4 and 8.
-        learning_rate: the highest.
-        temperature: 1 draws cells by their shares, 0 takes the likeliest: it solves more problems.
-        spacing: cells around a sample within which further ones are less likely.
-        views: 1 to 8 symmetries of the map, whose mean the shares are; each takes as long.
+        passes: number of exchanges between strides 4 and 8.
+        learning_rate: the highest of the schedule.
+        temperature: 1 draws cells by their shares; 0 takes the cells with the largest shares, which
+            solves more problems.
+        spacing: distance from a sampled cell, in cells, within which others become less likely.
+        views: number of symmetries of the map, 1 to 8, over which shares are averaged; the time of
+            a prediction grows with it.
     """
 
     def __init__(
@@ -221,9 +256,15 @@ class Heatmap(Sampler):
         nn.init.normal_(self.trunk.head.weight, std=0.02)
 
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
-        """Return scores (B, 2, H, W): the shares are the first one's softmax over free cells.
+        """Return two scores of each cell, (B, 2, H, W).
 
-        The second one is the logit of lying on a shortest path. Arguments as of `encode`.
+        The softmax of the first score over all free cells is the share of the targets. The second
+        score is the logit of the probability that the cell lies on a shortest path.
+
+        Args:
+            occupied: (B, 1, H, W), 0 free and anything else occupied; any H and W.
+            starts: (B, 2), cells.
+            goals: (B, 2), cells.
         """
         rows, columns = occupied.shape[2:]
         seen = encode(padded(occupied), starts, goals)  # (B, 14, H, W), up to 15 cells more
@@ -234,65 +275,94 @@ class Heatmap(Sampler):
         """Return the cross entropy of the shares, and of the second prediction."""
         occupied = batch["map"].flatten(1) != 0  # (B, H * W)
         scores = self(batch["map"], batch["start"], batch["goal"]).flatten(2)  # (B, 2, H * W)
-        # -30 instead of -inf: a target that rounding puts into a wall costs much, not everything
+        # -30 instead of -inf, because float32 can round a target at a border into an occupied cell,
+        # which would make the loss infinite.
         log_shares = scores[:, 0].masked_fill(occupied, -30).log_softmax(1)  # (B, H * W)
         cells = cell_numbers(points, batch["map"])  # (M,)
-        each = -log_shares[owners, cells]  # (M,)
-        # the mean over problems of the mean over their targets
+        target_losses = -log_shares[owners, cells]  # (M,)
+        # Problems count equally, however many targets they have: the mean over a problem's targets,
+        # then the mean over the problems that have targets.
         counts = torch.bincount(owners, minlength=len(occupied))  # (B,)
-        heat = (each / counts[owners]).sum() / (counts > 0).sum().clamp(min=1)
+        problems = (counts > 0).sum().clamp(min=1)  # in a batch without targets the loss is 0
+        heat_loss = (target_losses / counts[owners]).sum() / problems
         if "optimal_mask" not in batch:
-            return {"loss": heat}
-        on_path = batch["optimal_mask"].flatten(1)[~occupied].float()
-        path = F.binary_cross_entropy_with_logits(scores[:, 1][~occupied], on_path)
-        return {"loss": heat + HELP_WEIGHT * path, "heat": heat, "path": path}
+            return {"loss": heat_loss}
+        on_path = batch["optimal_mask"].flatten(1)[~occupied].float()  # (free cells,)
+        path_logits = scores[:, 1][~occupied]  # (free cells,)
+        path_loss = F.binary_cross_entropy_with_logits(path_logits, on_path)
+        loss = heat_loss + PATH_WEIGHT * path_loss
+        return {"loss": loss, "heat": heat_loss, "path": path_loss}
 
     def heat_map(self, grids: Bytes, starts: Ints, goals: Ints) -> Floats:
         """Return (B, H, W) shares of the cells, 0 in occupied ones."""
         occupied, start, goal = self.tensors(grids[:, None], starts, goals)
-        # as many symmetries: none, half a turn, mirrored at both diagonals, the others
-        views = (0, 3, 4, 7, 1, 2, 5, 6)[: self.hparams["views"]]
+        # Codes of symmetries, in the order in which ``views`` adds them: the map itself, half a
+        # turn, mirrored at each diagonal, then the others.
+        codes = (0, 3, 4, 7, 1, 2, 5, 6)[: self.hparams["views"]]
         total = torch.zeros(grids.shape, dtype=torch.float64)
         with self.inference():
-            for code in views:
-                seen = transform_plane(occupied, code)
+            for code in codes:
+                view = transform_plane(occupied, code)
                 ends = [transform_cells(end, code, occupied.shape) for end in (start, goal)]
-                scores = self(seen, *ends)[:, 0]
-                scores = scores.masked_fill(seen[:, 0] != 0, -math.inf)  # (B, H, W)
+                scores = self(view, *ends)[:, 0]
+                scores = scores.masked_fill(view[:, 0] != 0, -math.inf)  # (B, H, W)
                 shares = scores.flatten(1).double().softmax(1).view_as(scores)
                 total += restore_plane(shares, code).cpu()
-                # what one way needs, the way back needs too: the next view is of that
+                # A path from goal to start needs the same vertices, so the next view swaps both.
                 start, goal = goal, start
-        return np.asarray(total / len(views))
+        return np.asarray(total / len(codes))
 
-    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, source: Generator) -> Floats:
-        """Return points in cells drawn without replacement, each uniform inside its cell."""
+    def draw(self, grids: Bytes, starts: Ints, goals: Ints, n: int, rng: Generator) -> Floats:
+        """Return points in cells drawn without replacement, each uniform inside its cell.
+
+        The largest sum of log share and Gumbel noise is a draw by shares (Gumbel-max trick).
+        """
         heat_map = self.heat_map(grids, starts, goals)
-        noise = self.hparams["temperature"] * source.gumbel(size=heat_map.shape)
+        noise = self.hparams["temperature"] * rng.gumbel(size=heat_map.shape)
         cells = select(heat_map, noise, n, self.hparams["spacing"])
-        return cells + source.random(cells.shape)
+        return cells + rng.random(cells.shape)
 
 
 def select(heat_map: Floats, noise: Floats, n: int, spacing: float) -> Floats:
-    """Return (B, n, 2) cells: always the one with the highest log share + noise, (B, H, W) each.
+    """Return (B, n, 2) cells, in each step the one with the highest score.
 
-    A chosen cell makes its neighbours less likely, by 1 - exp(-(distance / spacing)^2 / 2), and is
-    itself not taken again before all others are.
+    The score of a cell is
+
+        score   = log(share) + noise + sum over the selected cells of penalty
+        penalty = log(1 - exp(-(distance / spacing) ** 2 / 2)) within 3 spacings, 0 farther away
+
+        share       share of the cell in the heat map, without unit
+        noise       without unit
+        distance    distance from the selected cell, in cells
+        spacing     in cells
+
+    Penalties spread the samples: cells near a selected one become less likely. A selected cell is
+    not selected again before all others are.
+
+    Args:
+        heat_map: (B, H, W), shares of the cells.
+        noise: (B, H, W).
+        n: number of cells.
+        spacing: in cells.
     """
     count, rows, columns = heat_map.shape
-    # (2 H - 1, 2 W - 1): what a chosen cell in the middle does to the cells around it
-    down, right = np.indices((2 * rows - 1, 2 * columns - 1))
-    away = ((down - rows + 1) ** 2 + (right - columns + 1) ** 2) / spacing**2
-    with np.errstate(divide="ignore"):  # the log of 0 is what it should be: -inf
+    # What a selected cell adds to the scores around it, (2 H - 1, 2 W - 1): the selected cell is in
+    # the middle of this table, at (H - 1, W - 1).
+    row_numbers, column_numbers = np.indices((2 * rows - 1, 2 * columns - 1))
+    down = row_numbers - (rows - 1)
+    right = column_numbers - (columns - 1)
+    squared = (down**2 + right**2) / spacing**2
+    with np.errstate(divide="ignore"):  # the log of 0 is -inf, as it should be
         scores = np.log(heat_map) + noise
-        penalty = np.where(away < 9, np.log(1 - np.exp(-away / 2)), 0)
-    penalty[rows - 1, columns - 1] = -1e6  # more than all that scores differ by
-    chosen = np.empty((count, n, 2))
+        penalty = np.where(squared < 9, np.log(1 - np.exp(-squared / 2)), 0)
+    penalty[rows - 1, columns - 1] = -1e6  # more than all other differences of scores
+    selected = np.empty((count, n, 2))
     for k in range(n):
         for b in range(count):
             row, column = divmod(scores[b].argmax(), columns)
-            # lay the middle of the table over the chosen cell
-            around = penalty[rows - 1 - row :, columns - 1 - column :]
-            scores[b] += around[:rows, :columns]
-            chosen[b, k] = row, column
-    return chosen
+            # The part of the table that covers the map when its middle lies on the selected cell.
+            top = rows - 1 - row
+            left = columns - 1 - column
+            scores[b] += penalty[top : top + rows, left : left + columns]
+            selected[b, k] = row, column
+    return selected

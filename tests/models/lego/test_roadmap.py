@@ -1,5 +1,5 @@
-"""Roadmaps: segments against exact fractions, edges and paths against plain Python, samplers
-against their rules.
+"""Roadmaps: segments are compared with exact fractions, edges and paths with plain Python and
+scipy, samplers with their definitions.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from scipy.stats import kstest
 from mapdata import MapSpec, Problems
 from models.lego.roadmap import (
     SAMPLERS,
-    between,
     bridge,
     build_roadmap,
+    connection_radius,
     corners,
     free_at,
     gaussian,
     halton,
     medial_axis,
     path_lengths,
-    radius,
-    sees,
+    roadmap_between,
+    segments_are_free,
     uniform,
 )
 
@@ -39,17 +39,19 @@ Point = tuple[Fraction, Fraction]
 
 
 def touches(start: Point, end: Point, cell: tuple[int, int]) -> bool:
-    """Return whether a segment meets a closed cell: what is left of it after each of the four sides
-    cut it.
+    """Return whether a segment meets a closed cell.
+
+    The segment is start + t * (end - start) with 0 <= t <= 1. Each side of the cell cuts off a part
+    of it; the segment meets the cell if something remains.
     """
-    low, high = Fraction(0), Fraction(1)
+    low = Fraction(0)
+    high = Fraction(1)
     for axis in range(2):
         step = end[axis] - start[axis]
         for bound, sign in ((cell[axis], 1), (cell[axis] + 1, -1)):
-            gap, rate = (
-                sign * (start[axis] - bound),
-                sign * step,
-            )  # inside where gap + t * rate >= 0
+            # The segment is on the inner side of this bound where gap + t * rate >= 0.
+            gap = sign * (start[axis] - bound)
+            rate = sign * step
             if rate == 0:
                 if gap < 0:
                     return False
@@ -60,112 +62,122 @@ def touches(start: Point, end: Point, cell: tuple[int, int]) -> bool:
     return low <= high
 
 
-places = (
-    st.integers(0, 7 * 8 - 1).filter(lambda k: k % 8).map(lambda k: Fraction(k, 8))
-)  # not on the border of a cell
-points = st.tuples(places, places)
+# Eighths of a cell, but not the borders of cells, on a map of 7 x 7.
+coordinates = st.integers(0, 7 * 8 - 1).filter(lambda k: k % 8).map(lambda k: Fraction(k, 8))
+points = st.tuples(coordinates, coordinates)
 
 
 @settings(max_examples=400)
 @given(points, points, st.integers(0, 2**49 - 1))
 def test_segments_meet_exactly_the_cells_they_touch(start: Point, end: Point, bits: int) -> None:
-    """Every cell that a segment meets, corners included, decides; both ways alike."""
+    """A segment is free if and only if no cell that it meets, in a corner even, is occupied.
+
+    The direction of the segment does not matter.
+    """
     grid = np.array([bits >> k & 1 for k in range(49)], np.uint8).reshape(7, 7)
     free = not any(touches(start, end, (int(i), int(j))) for i, j in np.argwhere(grid))
     ends = np.array([start, end], np.float64)
-    assert sees(grid, ends, ends[::-1].copy()).tolist() == [free, free]
+    assert segments_are_free(grid, ends, ends[::-1].copy()).tolist() == [free, free]
 
 
 def test_segments_at_borders_and_corners() -> None:
-    """A diagonal between two occupied cells is closed; a segment along a border belongs to the
-    cells below it.
+    """A segment through a corner of an occupied cell is not free, and a segment along a border
+    meets the cells below the border.
     """
-    first = np.array([[0.5, 0.5]])
-    second = np.array([[1.5, 1.5]])
-    assert not sees(np.array([[0, 1], [1, 0]], np.uint8), first, second)[0]
-    assert not sees(np.array([[0, 1], [0, 0]], np.uint8), first, second)[0]
+    starts = np.array([[0.5, 0.5]])
+    ends = np.array([[1.5, 1.5]])
+    assert not segments_are_free(np.array([[0, 1], [1, 0]], np.uint8), starts, ends)[0]
+    assert not segments_are_free(np.array([[0, 1], [0, 0]], np.uint8), starts, ends)[0]
     wall = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]], np.uint8)
-    first = np.array([[1.0, 0.5], [2.0, 0.5], [2.5, 0.5]])
-    second = np.array([[1.0, 2.5], [2.0, 2.5], [0.5, 0.5]])
-    assert sees(wall, first, second).tolist() == [False, True, True]
+    starts = np.array([[1.0, 0.5], [2.0, 0.5], [2.5, 0.5]])
+    ends = np.array([[1.0, 2.5], [2.0, 2.5], [0.5, 0.5]])
+    assert segments_are_free(wall, starts, ends).tolist() == [False, True, True]
 
 
-def plain_edges(grid: Grid, places: npt.NDArray[np.float64], reach: float) -> set[tuple[int, int]]:
-    """Return the edges of a roadmap the obvious way: every pair, looked at in a thousand places."""
+def plain_edges(
+    grid: Grid, vertices: npt.NDArray[np.float64], max_length: float
+) -> set[tuple[int, int]]:
+    """Return the edges of a roadmap by testing a thousand points between the vertices of each
+    pair.
+    """
     edges = set()
-    for a, b in itertools.combinations(range(len(places)), 2):
-        along = places[a] + np.linspace(0, 1, 1000)[:, None] * (places[b] - places[a])
-        if math.dist(places[a], places[b]) <= reach and free_at(grid, along).all():
+    for a, b in itertools.combinations(range(len(vertices)), 2):
+        along = vertices[a] + np.linspace(0, 1, 1000)[:, None] * (vertices[b] - vertices[a])
+        is_near = math.dist(vertices[a], vertices[b]) <= max_length
+        if is_near and free_at(grid, along).all():
             edges.add((a, b))
     return edges
 
 
-@pytest.mark.parametrize("reach", [3.0, 12.5, 100.0])
+@pytest.mark.parametrize("max_length", [3.0, 12.5, 100.0])
 @pytest.mark.parametrize("shape", [(64, 64), (20, 50)])
-def test_edges_are_those_of_all_pairs(shape: tuple[int, int], reach: float) -> None:
-    """Buckets forget no pair; walking finds every wall that looking closely finds, and a few
-    corners more.
+def test_edges_are_those_of_all_pairs(shape: tuple[int, int], max_length: float) -> None:
+    """The roadmap has the edges that a test of points along each pair of vertices accepts, except
+    for the few that pass so close to a corner that no such point lies in the occupied cell.
     """
     spec = MapSpec(
         shape, rooms=(4, 9), room_rows=(5, 12), room_columns=(5, 12), passage_width=(1, 3)
     )
-    drawn = Problems.sample(spec, seed=5, maps=2)
-    for grid in drawn.grids:
-        roadmap = build_roadmap(grid, uniform(grid, 60, seed=2), reach)
-        found, plain = (
-            set(map(tuple, roadmap.edges.tolist())),
-            plain_edges(grid, roadmap.points, reach),
-        )
-        assert found <= plain
-        assert len(plain - found) <= 2 + 0.01 * len(plain)
-        assert len(roadmap.edges) == len(found)
-        first, second = roadmap.edges.T
-        far = np.linalg.norm(roadmap.points[first] - roadmap.points[second], axis=1)
-        np.testing.assert_allclose(roadmap.lengths, far)
+    problems = Problems.sample(spec, seed=5, maps=2)
+    for grid in problems.grids:
+        roadmap = build_roadmap(grid, uniform(grid, 60, seed=2), max_length)
+        edges = set(map(tuple, roadmap.edges.tolist()))
+        expected = plain_edges(grid, roadmap.points, max_length)
+        assert edges <= expected
+        assert len(expected - edges) <= 2 + 0.01 * len(expected)
+        assert len(roadmap.edges) == len(edges)
+        starts, ends = roadmap.edges.T
+        lengths = np.linalg.norm(roadmap.points[starts] - roadmap.points[ends], axis=1)
+        np.testing.assert_allclose(roadmap.lengths, lengths)
 
 
 def test_shortest_paths_are_those_of_scipy() -> None:
-    """Our search, with prices or without, costs what scipy's on a dense matrix costs; its path has
-    that cost.
+    """The cost of a path, with prices or without, is that of scipy's search on a dense matrix, and
+    the edges of the path have that cost.
     """
-    source = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     for k, grid in enumerate(DUNGEON.grids):
-        roadmap = between(grid, DUNGEON.starts[k], DUNGEON.goals[k], halton(grid, 150, seed=k))
+        samples = halton(grid, 150, seed=k)
+        roadmap = roadmap_between(grid, DUNGEON.starts[k], DUNGEON.goals[k], samples)
         n = len(roadmap.points)
-        for prices in (
-            np.ones(n),
-            1 + 9 * source.random(n),
-            np.where(source.random(n) < 0.3, np.inf, 1.0),
-        ):
-            prices[:2] = 1
-            dense = np.zeros((n, n))
-            for (a, b), far in zip(
-                roadmap.edges, plain_lengths(roadmap.points, roadmap.edges), strict=True
-            ):
+        no_prices = np.ones(n)
+        random_prices = 1 + 9 * rng.random(n)
+        closed_vertices = np.where(rng.random(n) < 0.3, np.inf, 1.0)
+        for prices in (no_prices, random_prices, closed_vertices):
+            prices[:2] = 1  # start and goal
+            dense = np.zeros((n, n))  # 0 is no edge
+            lengths = plain_lengths(roadmap.points, roadmap.edges)
+            for (a, b), length in zip(roadmap.edges, lengths, strict=True):
                 price = max(prices[a], prices[b])
-                dense[a, b] = dense[b, a] = far * price if np.isfinite(price) else 0
-            truth = dijkstra(dense, indices=0)[1]
+                if np.isfinite(price):
+                    dense[a, b] = length * price
+                    dense[b, a] = length * price
+            expected = dijkstra(dense, indices=0)[1]
             cost, path = roadmap.priced_path(prices)
-            assert cost == pytest.approx(truth)
-            assert sum(dense[a, b] for a, b in itertools.pairwise(path)) == pytest.approx(
-                truth if len(path) else 0
-            )
-            assert len(path) == 0 or path[[0, -1]].tolist() == [0, 1]
+            assert cost == pytest.approx(expected)
+            if np.isfinite(expected):
+                path_cost = sum(dense[a, b] for a, b in itertools.pairwise(path))
+                assert path_cost == pytest.approx(expected)
+                assert path[[0, -1]].tolist() == [0, 1]
+            else:
+                assert len(path) == 0
             if (prices == 1).all():
                 length, vertices = roadmap.shortest_path()
-                assert length == pytest.approx(truth)
-                assert len(vertices) == 0 or vertices[[0, -1]].tolist() == [0, 1]
+                assert length == pytest.approx(expected)
+                assert vertices.tolist() == path.tolist()
 
 
-def plain_lengths(places: npt.NDArray[np.float64], edges: npt.NDArray[np.int64]) -> list[float]:
+def plain_lengths(vertices: npt.NDArray[np.float64], edges: npt.NDArray[np.int64]) -> list[float]:
     """Return the length of each edge."""
-    return [math.dist(places[a], places[b]) for a, b in edges]
+    return [math.dist(vertices[a], vertices[b]) for a, b in edges]
 
 
 def test_dense_roadmaps_solve_what_grids_solve() -> None:
-    """2,000 vertices find every path, none longer than the 8-connected one needs, plus a little."""
-    some = halton(DUNGEON.grids[0], 2000, 1)
-    assert len(np.unique(some, axis=0)) == 2000
+    """Roadmaps of 2,000 vertices have a path for every problem, hardly longer than the 8-connected
+    path on the grid, and never shorter than the straight line.
+    """
+    samples = halton(DUNGEON.grids[0], 2000, 1)
+    assert len(np.unique(samples, axis=0)) == 2000
     dense = np.stack([halton(grid, 2000, 1) for grid in DUNGEON.grids])
     lengths = path_lengths(DUNGEON.grids, DUNGEON.starts, DUNGEON.goals, dense)
     assert (lengths < DUNGEON.optimal.cost * 1.06 + 1).all()
@@ -175,104 +187,113 @@ def test_dense_roadmaps_solve_what_grids_solve() -> None:
 
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_samplers_give_free_points(name: str) -> None:
-    """Exactly n, all free, the same for a seed and others for another; on a map of a single cell,
-    too.
+    """A sampler gives exactly n points in free cells, which the seed determines; also on maps with
+    a single free cell.
     """
+    sampler = SAMPLERS[name]
     grid = DUNGEON.grids[0]
     for n in (1, 7, 300):
-        found = SAMPLERS[name](grid, n, 4)
-        assert found.shape == (n, 2)
-        assert free_at(grid, found).all()
-        assert np.array_equal(found, SAMPLERS[name](grid, n, 4))
-        assert not np.array_equal(found, SAMPLERS[name](grid, n, 5))
-    lonely = np.ones((9, 17), np.uint8)
-    lonely[8, 16] = 0
-    for cells in (lonely, np.zeros((1, 1), np.uint8)):
-        assert free_at(cells, SAMPLERS[name](cells, 20, 0)).all()
+        samples = sampler(grid, n, 4)
+        assert samples.shape == (n, 2)
+        assert free_at(grid, samples).all()
+        assert np.array_equal(samples, sampler(grid, n, 4))
+        assert not np.array_equal(samples, sampler(grid, n, 5))
+    single_free_cell = np.ones((9, 17), np.uint8)
+    single_free_cell[8, 16] = 0
+    for cells in (single_free_cell, np.zeros((1, 1), np.uint8)):
+        assert free_at(cells, sampler(cells, 20, 0)).all()
     with pytest.raises(ValueError, match="n: got 0, expected an integer of at least 1"):
-        SAMPLERS[name](grid, 0, 0)
+        sampler(grid, 0, 0)
     with pytest.raises(ValueError, match="without a free cell"):
-        SAMPLERS[name](np.ones((5, 5)), 3, 0)
+        sampler(np.ones((5, 5)), 3, 0)
 
 
 def test_halton_is_even_and_uniform_is_uniform() -> None:
-    """On an empty map: both axes are uniform, and Halton's points are farther apart than random
-    ones.
+    """On an empty map both coordinates of both samplers are uniformly distributed, and the two
+    nearest of Halton's points are farther apart than those of uniform points.
     """
     empty = np.zeros((40, 80), np.uint8)
     for sampler in (halton, uniform):
-        found = sampler(empty, 4000, 1)
+        samples = sampler(empty, 4000, 1)
         for axis, side in enumerate(empty.shape):
-            assert kstest(found[:, axis] / side, "uniform").pvalue > 1e-3
+            assert kstest(samples[:, axis] / side, "uniform").pvalue > 1e-3
     for seed in range(5):
-        assert nearest(halton(empty, 200, seed)).min() > nearest(uniform(empty, 200, seed)).min()
+        assert min_distance(halton(empty, 200, seed)) > min_distance(uniform(empty, 200, seed))
 
 
-def nearest(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return how far each point's nearest neighbour is."""
-    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart.min(axis=1))
+def min_distance(points: npt.NDArray[np.float64]) -> float:
+    """Return the distance between the two nearest points."""
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return float(distances.min())
 
 
 def test_gaussian_and_bridge_go_where_they_should() -> None:
-    """Near walls, and into the passage, more often than uniform points do."""
+    """More points of the Gaussian sampler lie near walls than uniform points, and more points of
+    the bridge test lie in the passage.
+    """
     grid = np.ones((40, 40), np.uint8)
     grid[5:35, 3:15] = grid[5:35, 25:37] = 0
     grid[20, 15:25] = 0
 
-    def in_passage(found: npt.NDArray[np.float64]) -> float:
-        return float(((found[:, 1] > 15) & (found[:, 1] < 25)).mean())
+    def share_in_passage(samples: npt.NDArray[np.float64]) -> float:
+        return float(((samples[:, 1] > 15) & (samples[:, 1] < 25)).mean())
 
-    def near_wall(found: npt.NDArray[np.float64]) -> float:
-        around = found[:, None] + np.array([[2, 0], [-2, 0], [0, 2], [0, -2]])
-        return float((~free_at(grid, around.reshape(-1, 2))).reshape(-1, 4).any(axis=1).mean())
+    def share_near_wall(samples: npt.NDArray[np.float64]) -> float:
+        around = samples[:, None] + np.array([[2, 0], [-2, 0], [0, 2], [0, -2]])  # (n, 4, 2)
+        is_wall = ~free_at(grid, around.reshape(-1, 2)).reshape(-1, 4)
+        return float(is_wall.any(axis=1).mean())
 
-    plain = uniform(grid, 2000, 0)
-    assert in_passage(bridge(grid, 2000, 0)) > 5 * in_passage(plain)
-    assert near_wall(gaussian(grid, 2000, 0)) > 1.5 * near_wall(plain)
+    uniform_samples = uniform(grid, 2000, 0)
+    assert share_in_passage(bridge(grid, 2000, 0)) > 5 * share_in_passage(uniform_samples)
+    assert share_near_wall(gaussian(grid, 2000, 0)) > 1.5 * share_near_wall(uniform_samples)
 
 
 def test_corners_are_those_of_the_obstacles() -> None:
-    """All four of a box in the middle, then those of an edge; on an empty map, Halton's points."""
+    """The sampler takes the free cells at all convex corners, each once before others follow; on
+    an empty map it gives Halton's points.
+    """
     grid = np.zeros((20, 30), np.uint8)
     grid[8:12, 10:20] = 1
-    grid[0:3, 25:30] = 1  # one convex corner: the others are at the border
+    grid[0:3, 25:30] = 1  # has one convex corner, since the others are at the border
     expected = {(7, 9), (7, 20), (12, 9), (12, 20), (3, 24)}
     for seed in range(5):
-        found = corners(grid, 5, seed)
-        assert set(map(tuple, np.floor(found).astype(int).tolist())) == expected
-        two = np.floor(corners(grid, 2, seed))  # farthest first: never on the same side of the box
-        assert np.linalg.norm(two[0] - two[1]) > 10
+        cells = np.floor(corners(grid, 5, seed)).astype(int)
+        assert set(map(tuple, cells.tolist())) == expected
+        # In farthest-point order the first two are never on the same side of the box.
+        first, second = np.floor(corners(grid, 2, seed))
+        assert np.linalg.norm(first - second) > 10
         assert len(np.unique(corners(grid, 9, seed), axis=0)) == 9
     empty = np.zeros((9, 9))
     assert np.array_equal(corners(empty, 4, 2), halton(empty, 4, 3))
 
 
 def test_the_medial_axis_runs_in_the_middle() -> None:
-    """Of a corridor of 7 cells; no cell of it beside the walls."""
+    """In a corridor that is 7 cells wide, points away from its ends lie in the middle row."""
     grid = np.ones((21, 60), np.uint8)
     grid[7:14, 5:55] = 0
-    found = np.floor(medial_axis(grid, 40, 1)).astype(int)
-    inside = found[(found[:, 1] >= 10) & (found[:, 1] < 50)]
-    assert len(inside) > 20
-    assert (inside[:, 0] == 10).all()
+    cells = np.floor(medial_axis(grid, 40, 1)).astype(int)
+    rows, columns = cells.T
+    away_from_ends = (columns >= 10) & (columns < 50)
+    assert away_from_ends.sum() > 20
+    assert (rows[away_from_ends] == 10).all()
 
 
-def test_the_radius() -> None:
-    """1.5 sqrt(log n / n) of the side."""
-    assert radius(50, (64, 64)) == pytest.approx(1.5 * math.sqrt(math.log(50) / 50) * 64)
-    assert radius(50, (32, 128)) == pytest.approx(radius(50, (64, 64)))
-    assert radius(1, (64, 64)) == radius(3, (64, 64))
+def test_the_connection_radius() -> None:
+    """It is 1.5 sqrt(log n / n) of the side of a square map, or of a square with the same area."""
+    square = connection_radius(50, (64, 64))
+    assert square == pytest.approx(1.5 * math.sqrt(math.log(50) / 50) * 64)
+    assert connection_radius(50, (32, 128)) == pytest.approx(square)
+    assert connection_radius(1, (64, 64)) == connection_radius(3, (64, 64))
 
 
-def test_what_is_refused() -> None:
-    """A point in a wall or outside, a reach of nothing, a grid of no cells."""
+def test_points_in_walls_and_lengths_of_0_are_refused() -> None:
+    """So are points outside the map and grids that are no arrays of rows and columns."""
     grid = np.array([[0, 1]], np.uint8)
     for wrong in ([0.5, 1.5], [0.5, -0.1], [1.0, 0.5]):
         with pytest.raises(ValueError, match=r"points: got .*expected points in free cells"):
             build_roadmap(grid, [wrong], 1.0)
-    with pytest.raises(ValueError, match="reach: got 0"):
+    with pytest.raises(ValueError, match="max_length: got 0"):
         build_roadmap(grid, [[0.5, 0.5]], 0)
     with pytest.raises(ValueError, match="grid: got shape"):
         build_roadmap(np.zeros(3), [[0.5, 0.5]], 1)
@@ -280,4 +301,4 @@ def test_what_is_refused() -> None:
         with pytest.raises(ValueError, match="points: got"):
             build_roadmap(walls, [[1.5, 1.5], [7.5, 7.5]], 99)
     with pytest.raises(ValueError, match="points: got"):
-        between(grid, (0, 1), (0, 0), [[0.5, 0.5]])
+        roadmap_between(grid, (0, 1), (0, 0), [[0.5, 0.5]])

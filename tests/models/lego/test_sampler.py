@@ -1,5 +1,5 @@
-"""Samplers that learn, and their bank: targets against plain searches, free samples, tiny runs, the
-weights.
+"""Samplers that learn, and their bank: targets are compared with plain searches; samples are free;
+small models learn; the weights that ship are as good as the documentation says.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -25,6 +25,7 @@ from scipy.sparse.csgraph import dijkstra
 from mapdata import MapDataModule, MapSpec, Problems, inflate
 from models.lego.comparison import (
     DENSE,
+    DENSE_SEED,
     RoadmapSuccess,
     compare,
     contenders,
@@ -33,7 +34,7 @@ from models.lego.comparison import (
 )
 from models.lego.cvae import CVAE
 from models.lego.experience import (
-    KINDS,
+    MINED_TARGETS,
     Bank,
     FixedProblems,
     Mining,
@@ -41,12 +42,18 @@ from models.lego.experience import (
     mine,
     near_optimal_paths,
 )
-from models.lego.roadmap import build_roadmap, free_at, halton, radius, sees
+from models.lego.roadmap import (
+    build_roadmap,
+    connection_radius,
+    free_at,
+    halton,
+    segments_are_free,
+)
 from models.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
 from models.model import load_model
 from models.symmetries import random_symmetry
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 WEIGHTS = sorted(
     [*ROOT.glob("models/weights/lego_*.pt"), *ROOT.glob("models/weights/shortest_path_*.pt")]
 )
@@ -63,40 +70,48 @@ pytestmark = pytest.mark.filterwarnings(
 
 
 def load(file: str | Path) -> Sampler:
-    """Return the sampler in a file, of whichever kind."""
+    """Return the sampler in a file, a heat map or an autoencoder."""
     return load_model(file, Heatmap, CVAE)
 
 
 @cache
-def drawn(maps: int = 12) -> Problems:
-    """Return problems that no training has seen."""
+def unseen_problems(maps: int = 12) -> Problems:
+    """Return problems that were in no training."""
     return Problems.sample(DUNGEON, seed=2718, maps=maps)
 
 
-def small(kind: type[Any], **arguments: Any) -> Any:
+def small_model(model_class: type[Any], **arguments: Any) -> Any:
     """Return a small untrained sampler."""
     torch.manual_seed(0)
     sizes: dict[str, Any] = {"widths": (8, 8, 8), "passes": 1}
-    if kind is CVAE:
+    if model_class is CVAE:
         sizes = {"width": 16, "code": 8}
-    return kind(**{**sizes, **arguments}).eval()
+    return model_class(**{**sizes, **arguments}).eval()
 
 
-def data(problems: int = 40, **arguments: Any) -> FixedProblems:
-    """Return a data module of online maps with so many problems for training."""
-    maps = math.ceil(problems / 0.8)
+def fixed_problems(
+    count: int = 40, fields: tuple[str, ...] = TRAINING_FIELDS, experience: Path | None = None
+) -> FixedProblems:
+    """Return a data module of online maps with ``count`` problems for training.
+
+    Its bank is mined into the folder ``experience``; without a folder it has none.
+    """
+    maps = math.ceil(count / 0.8)
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 902, "maps": maps})
-    given: dict[str, Any] = {
-        "batch_size": 8,
-        "fields": TRAINING_FIELDS,
-        "problems": "random",
-        "movement": (8, False, 2**0.5),
-    }
-    return FixedProblems(None, build=recipe, **{**given, **arguments})
+    return FixedProblems(
+        None,
+        build=recipe,
+        batch_size=8,
+        fields=fields,
+        problems="random",
+        movement=(8, False, 2**0.5),
+        experience=None if experience is None else str(experience),
+        mining=QUICK,
+    )
 
 
 def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
-    """Return a Trainer of 60 steps on the CPU that says nothing."""
+    """Return a Trainer of 60 steps on the CPU that prints nothing."""
     return pl.Trainer(
         default_root_dir=folder,
         accelerator="cpu",
@@ -109,8 +124,8 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
     )
 
 
-def doors() -> npt.NDArray[np.uint8]:
-    """Return a map of two rooms; of the two doors between them one is nearer to the middle."""
+def two_doors() -> npt.NDArray[np.uint8]:
+    """Return a map of two rooms with two doors between them, in rows 17 and 30 of 40."""
     grid = np.ones((40, 40), np.uint8)
     grid[4:36, 4:18] = 0
     grid[4:36, 22:36] = 0
@@ -127,47 +142,48 @@ def first_path(problems: Problems, k: int) -> Points:
 
 def length_of(path: Points) -> float:
     """Return the length of a path."""
-    return sum(math.dist(one, other) for one, other in itertools.pairwise(path))
+    return sum(math.dist(start, end) for start, end in itertools.pairwise(path))
 
 
 # --- experience ---------------------------------------------------------------------------------
 
 
 def test_bottlenecks_lie_in_the_door() -> None:
-    """What a sparse roadmap cannot avoid: where it sees no way through the wall, only the path's
-    points in the door.
+    """A sparse roadmap with vertices in both rooms cannot do without the path's points in the door,
+    but it can do without some others; with vertices in the door it needs none of the path's points.
     """
-    grid = doors()
+    grid = two_doors()
     start = np.array([10, 6])
     goal = np.array([10, 33])
     in_the_rooms = np.array([[8.5, 10.5], [20.5, 12.5], [10.5, 28.5], [25.5, 30.5]])
     in_the_door = np.array([[17.5, 17.5], [17.5, 22.5]])
     for seed in range(5):
         path = near_optimal_paths(grid, start, goal, Mining(), seed)[0]
-        found = bottlenecks(grid, path, in_the_rooms, 50, 10.0)
-        columns = found[:, 1]
+        targets = bottlenecks(grid, path, in_the_rooms, 50, 10.0)
+        columns = targets[:, 1]
         assert ((columns > 17) & (columns < 23)).any()
-        assert len(found) < len(path) - 2
-        # A dear way round: nothing is bought.
+        assert len(targets) < len(path) - 2
         with_the_door = np.concatenate([in_the_rooms, in_the_door])
         assert len(bottlenecks(grid, path, with_the_door, 50, 10.0)) == 0
-        kept, _ = plain_bottlenecks(grid, path, with_the_door)
-        assert kept == set()
+        expected, _ = plain_bottlenecks(grid, path, with_the_door)
+        assert expected == set()
 
 
 def test_bottlenecks_join_start_and_goal() -> None:
-    """The sparse roadmap with nothing but its bottlenecks has a path: that is what they are for."""
-    problems = drawn()
+    """A sparse roadmap with its bottlenecks always has a path from start to goal, and without them
+    it sometimes has none.
+    """
+    problems = unseen_problems()
     joined_before = 0
     for k, grid in enumerate(problems.grids):
-        reach = radius(24, grid.shape)
+        max_length = connection_radius(24, grid.shape)
         path = first_path(problems, k)
         sparse = halton(grid, 12, k)
         ends = path[[0, -1]]
-        needed = bottlenecks(grid, path, sparse, 24, 10.0)
-        with_them = build_roadmap(grid, np.concatenate([ends, needed, sparse]), reach)
-        assert math.isfinite(with_them.shortest_path()[0])
-        without = build_roadmap(grid, np.concatenate([ends, sparse]), reach)
+        targets = bottlenecks(grid, path, sparse, 24, 10.0)
+        with_targets = build_roadmap(grid, np.concatenate([ends, targets, sparse]), max_length)
+        assert math.isfinite(with_targets.shortest_path()[0])
+        without = build_roadmap(grid, np.concatenate([ends, sparse]), max_length)
         joined_before += math.isfinite(without.shortest_path()[0])
     assert joined_before < len(problems)
 
@@ -175,56 +191,60 @@ def test_bottlenecks_join_start_and_goal() -> None:
 def plain_bottlenecks(
     grid: npt.NDArray[np.uint8], path: Points, sparse: Points
 ) -> tuple[set[tuple[float, float]], float]:
-    """Return the inner points of the path that LEGO's code keeps: edge by edge, on a matrix; and
-    the last factor, by which edges at the path were dearer.
+    """Return the inner points of the path that LEGO's code selects, and the last price.
+
+    Edges are priced one by one, on a matrix.
     """
-    places = np.concatenate([path, sparse])
-    weights = np.zeros((len(places), len(places)))
-    for a, b in build_roadmap(grid, places, radius(50, grid.shape)).edges:
-        weights[a, b] = math.dist(places[a], places[b])
-        weights[b, a] = weights[a, b]
+    vertices = np.concatenate([path, sparse])
+    lengths = np.zeros((len(vertices), len(vertices)))
+    roadmap = build_roadmap(grid, vertices, connection_radius(50, grid.shape))
+    for a, b in roadmap.edges:
+        lengths[a, b] = math.dist(vertices[a], vertices[b])
+        lengths[b, a] = lengths[a, b]
     goal = len(path) - 1
-    factor = 10.0
+    price = 10.0
     while True:
-        dear = weights.copy()
-        dear[: len(path)] *= factor
-        dear[len(path) :, : len(path)] *= factor
-        costs, before = dijkstra(dear, indices=0, return_predecessors=True)
+        priced = lengths.copy()
+        priced[: len(path)] *= price
+        priced[len(path) :, : len(path)] *= price
+        costs, predecessors = dijkstra(priced, indices=0, return_predecessors=True)
         if costs[goal] >= 10 * length_of(path):
             break
-        factor *= 1.2
-    kept = set()
-    vertex = before[goal]
+        price *= 1.2
+    selected = set()
+    vertex = predecessors[goal]
     while vertex > 0:
         if vertex < len(path):
-            row, column = places[vertex].tolist()
-            kept.add((row, column))
-        vertex = before[vertex]
-    return kept, factor
+            row, column = vertices[vertex].tolist()
+            selected.add((row, column))
+        vertex = predecessors[vertex]
+    return selected, price
 
 
 def test_bottlenecks_are_those_of_the_published_code() -> None:
-    """Edges of start and goal are dear too, and the last factor decides, which is above 10."""
-    problems = drawn()
+    """All edges of the path are dear, those of start and goal, too, and the bottlenecks are those
+    at the last price, which is above 10.
+    """
+    problems = unseen_problems()
     for k, grid in enumerate(problems.grids):
         path = first_path(problems, k)
         sparse = halton(grid, 25, k)
-        found = bottlenecks(grid, path, sparse, 50, 10.0)
-        kept, factor = plain_bottlenecks(grid, path, sparse)
-        assert {(row, column) for row, column in found.tolist()} == kept
-        assert factor > 10
+        targets = bottlenecks(grid, path, sparse, 50, 10.0)
+        expected, last_price = plain_bottlenecks(grid, path, sparse)
+        assert {(row, column) for row, column in targets.tolist()} == expected
+        assert last_price > 10
 
 
 def test_near_optimal_paths() -> None:
-    """Valid, the first the shortest, all within the slack; the adversary finds the other door if it
-    is near.
+    """All paths are valid and within the slack, and the first one is the shortest. With enough
+    slack some path goes through the other door.
     """
-    grid = doors()
+    grid = two_doors()
     start = np.array([22, 6])
     goal = np.array([22, 33])
     tight = Mining(slack=1.0, attempts=20)
     loose = Mining(slack=2.0, attempts=20)
-    used = set()
+    doors = set()
     for seed in range(6):
         assert len(near_optimal_paths(grid, start, goal, tight, seed)) == 1
         paths = near_optimal_paths(grid, start, goal, loose, seed)
@@ -234,97 +254,122 @@ def test_near_optimal_paths() -> None:
         for path in paths:
             assert path[0].tolist() == [22.5, 6.5]
             assert path[-1].tolist() == [22.5, 33.5]
-            assert sees(grid, path[:-1], path[1:]).all()
+            assert segments_are_free(grid, path[:-1], path[1:]).all()
             in_wall = path[(path[:, 1] > 18) & (path[:, 1] < 22)]
-            used.add("far door" if (in_wall[:, 0] > 25).any() else "near door")
-    assert used == {"near door", "far door"}
+            doors.add("far door" if (in_wall[:, 0] > 25).any() else "near door")
+    assert doors == {"near door", "far door"}
 
 
-def test_no_path_is_mined_where_none_is() -> None:
+def test_a_problem_without_a_path_has_no_near_optimal_paths() -> None:
     """A wall between start and goal gives an empty list."""
     grid = np.array([[0, 1, 0]], np.uint8)
     assert near_optimal_paths(grid, np.array([0, 0]), np.array([0, 2]), Mining(), 0) == []
 
 
-def test_the_bank(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Mined once and read again; its rows are those of the problems, whatever the workers; other
-    mining, other file.
+def test_the_bank_is_mined_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second data module reads the file that the first one wrote. The bank has the targets of
+    each problem under its number, and a bank of another mining is another file.
     """
-    module = data(30)
+    module = fixed_problems(30, experience=tmp_path)
+    module.setup("validate")
+    assert module.bank is None
     module.setup("fit")
-    dataset = module.datasets["train"]
-    bank = Bank.of(dataset, tmp_path, QUICK, workers=0)
+    assert module.bank is not None
+    again = fixed_problems(30, experience=tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr("models.lego.experience.mine", None)  # mining again would fail
-        again = Bank.of(dataset, tmp_path, QUICK, workers=0)
-    assert bank.identity == again.identity
+        again.setup("fit")
+        module.setup("fit")
+    bank = again.bank
+    assert bank is not None
+    assert bank.identity == module.bank.identity
     assert len(list(tmp_path.iterdir())) == 1
-    other = Bank.of(dataset, tmp_path, Mining(dense=300, sizes=(24,)), workers=0)
+    dataset = module.datasets["train"]
+    other = Bank.read_or_mine(dataset, tmp_path, Mining(dense=300, sizes=(24,)), workers=1)
     assert bank.identity != other.identity
     assert len(list(tmp_path.iterdir())) == 2
 
     for number in (0, 7, 29):
         sample = dataset[number]
         grid = sample.map[0].numpy()
-        truth = mine(grid, sample.start.numpy(), sample.goal.numpy(), QUICK, number)
-        for kind, points in zip(KINDS, truth, strict=True):
-            found, counts = again.targets(kind, [number])
+        expected = mine(grid, sample.start.numpy(), sample.goal.numpy(), QUICK, number)
+        for name, points in zip(MINED_TARGETS, expected, strict=True):
+            targets, counts = bank.targets(name, [number])
             assert counts.tolist() == [len(points)]
-            np.testing.assert_allclose(found, points, atol=1e-5)
-            assert free_at(grid, found).all()
+            np.testing.assert_allclose(targets, points, atol=1e-5)
+            assert free_at(grid, targets).all()
 
-    for kind in KINDS:
-        points, counts = again.targets(kind, [7, 3, 7])
+    for name in MINED_TARGETS:
+        points, counts = bank.targets(name, [7, 3, 7])
         assert counts.sum() > 0
         of_seven, of_three, of_seven_again = np.split(points, counts.cumsum()[:-1])
-        assert np.array_equal(of_seven, again.targets(kind, [7])[0])
-        assert np.array_equal(of_three, again.targets(kind, [3])[0])
+        assert np.array_equal(of_seven, bank.targets(name, [7])[0])
+        assert np.array_equal(of_three, bank.targets(name, [3])[0])
         assert np.array_equal(of_seven_again, of_seven)
+
+
+def test_banks_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    """Problems and mining have the identity that they always had, which is the name of the file."""
+    module = fixed_problems(5, experience=tmp_path)
+    module.setup("fit")
+    assert [file.stem for file in tmp_path.iterdir()] == ["8c1d5736cb8b8415"]
 
 
 @pytest.mark.soak
 def test_workers_change_nothing(tmp_path: Path) -> None:
-    """Two threads mine what one mines."""
-    module = data(230)
+    """Two threads write the same file as one."""
+    module = fixed_problems(230)
     module.setup("fit")
     dataset = module.datasets["train"]
-    one = Bank.of(dataset, tmp_path / "one", QUICK, workers=1)
-    two = Bank.of(dataset, tmp_path / "two", QUICK, workers=2)
-    assert one.identity == two.identity
-    (file_of_one,) = (tmp_path / "one").iterdir()
-    (file_of_two,) = (tmp_path / "two").iterdir()
+    for workers in (1, 2):
+        Bank.read_or_mine(dataset, tmp_path / str(workers), QUICK, workers)
+    (file_of_one,) = (tmp_path / "1").iterdir()
+    (file_of_two,) = (tmp_path / "2").iterdir()
+    assert file_of_one.name == file_of_two.name
     assert file_of_one.read_bytes() == file_of_two.read_bytes()
 
 
 def test_the_bank_knows_its_problems(tmp_path: Path) -> None:
-    """Another problem under a number it knows, an unknown number, an unknown kind, a broken
-    file.
+    """Unknown numbers, other problems under known numbers, unknown names of targets, damaged files
+    and datasets without the necessary fields are refused.
     """
-    module = data(10)
+    module = fixed_problems(10, experience=tmp_path)
     module.setup("fit")
     dataset = module.datasets["train"]
-    bank = Bank.of(dataset, tmp_path, QUICK, workers=0)
+    bank = module.bank
+    assert bank is not None
     ends = torch.cat([dataset[3].start, dataset[3].goal])[None]
     assert bank.targets("lego", [3], ends)[1].shape == (1,)
-    for numbers, others in (([10], None), ([-1], None), ([4], ends)):
+    for numbers, other_ends in (([10], None), ([-1], None), ([4], ends)):
         with pytest.raises(ValueError, match="is not in the bank, or another one"):
-            bank.targets("lego", numbers, others)
-    with pytest.raises(ValueError, match="kind: got 'leg', expected one of lego, shortest_path"):
+            bank.targets("lego", numbers, other_ends)
+    with pytest.raises(ValueError, match="targets: got 'leg', expected one of lego, shortest_path"):
         bank.targets("leg", [3])
     (file,) = tmp_path.iterdir()
     replace(bank, identity="another").write(file)
     for _ in range(2):
         with pytest.raises(ValueError, match=r"no bank of experience .*remove it"):
-            Bank.of(dataset, tmp_path, QUICK, workers=0)
+            Bank.read_or_mine(dataset, tmp_path, QUICK)
         file.write_bytes(b"nothing")
-    plain = data(10, fields=("map", "start", "goal"))
-    plain.setup("fit")
+    without_numbers = fixed_problems(10, ("map", "start", "goal", "path"), tmp_path)
     with pytest.raises(ValueError, match="the dataset has no problem, which a bank needs"):
-        Bank.of(plain.datasets["train"], tmp_path, QUICK, workers=0)
+        without_numbers.setup("fit")
+
+
+@pytest.mark.parametrize("data_class", [MapDataModule, FixedProblems])
+def test_targets_of_a_bank_need_data_with_a_bank(
+    data_class: type[MapDataModule], tmp_path: Path
+) -> None:
+    """Training ends before its first step, with an error that names the data to take."""
+    module: MapDataModule = fixed_problems(5)
+    if data_class is MapDataModule:
+        module = MapDataModule(**module.hparams)
+    with pytest.raises(ValueError, match=r"targets: got 'lego', .* expected data of .*FixedProb"):
+        trainer(tmp_path).fit(small_model(Heatmap), module)
 
 
 def starts_of_two_epochs(module: MapDataModule) -> list[dict[int, list[int]]]:
-    """Return the start of each training problem, by its number in the order of the epoch."""
+    """Return the start of each training problem, by its number, in the order of each epoch."""
     loader = module.train_dataloader()
     epochs = []
     for _ in range(2):
@@ -337,10 +382,11 @@ def starts_of_two_epochs(module: MapDataModule) -> list[dict[int, list[int]]]:
 
 
 def test_fixed_problems_stay() -> None:
-    """Every epoch has the same problems in another order; a plain data module draws others."""
-    fixed = data(20)
-    arguments = dict(fixed.hparams)
-    plain = MapDataModule(**arguments)
+    """Every epoch has the same problems in another order, while a plain data module draws new
+    problems for each epoch.
+    """
+    fixed = fixed_problems(20)
+    plain = MapDataModule(**fixed.hparams)
     first, second = starts_of_two_epochs(fixed)
     plain_first, plain_second = starts_of_two_epochs(plain)
     assert first == second
@@ -355,34 +401,34 @@ def test_fixed_problems_stay() -> None:
 # --- samplers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE])
+@pytest.mark.parametrize("model_class", [Heatmap, CVAE])
 @pytest.mark.parametrize("shape", [(64, 64), (37, 50), (5, 3)])
-def test_samples_are_free(kind: type[Sampler], shape: tuple[int, int]) -> None:
-    """Any map size, more samples than cells even: exactly n, all in free cells, a function of the
-    seed.
+def test_samples_are_free(model_class: type[Sampler], shape: tuple[int, int]) -> None:
+    """A model gives exactly n points in free cells of a map of any size, even where n is larger
+    than the number of cells, and the seed determines them.
     """
-    model = small(kind)
+    model = small_model(model_class)
     grid = (np.random.default_rng(0).random(shape) < 0.5).astype(np.uint8)
     free = np.argwhere(grid == 0)
     ends = (free[0], free[-1])
     for n in (1, 12, 60):
-        found = model.sample(grid, *ends, n, seed=3)
-        assert found.shape == (n, 2)
-        assert free_at(grid, found).all()
+        samples = model.sample(grid, *ends, n, seed=3)
+        assert samples.shape == (n, 2)
+        assert free_at(grid, samples).all()
         with_channel = model.sample(grid[None], *ends, n, seed=3)
-        assert np.array_equal(found, with_channel)
+        assert np.array_equal(samples, with_channel)
         of_an_image = model.sample(255 * grid, *ends, n, seed=3)
-        assert np.array_equal(found, of_an_image)
-        other_seed = model.sample(grid, *ends, n, seed=4)
-        assert not np.array_equal(found, other_seed)
+        assert np.array_equal(samples, of_an_image)
+        of_another_seed = model.sample(grid, *ends, n, seed=4)
+        assert not np.array_equal(samples, of_another_seed)
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE])
-def test_what_is_refused(kind: type[Any]) -> None:
-    """A map without free space, a start or goal in a wall or outside, no sample, a
-    robot that does not fit, a resolution that is none.
+@pytest.mark.parametrize("model_class", [Heatmap, CVAE])
+def test_problems_that_make_no_sense_are_refused(model_class: type[Any]) -> None:
+    """Refused are maps without a free cell, starts and goals in walls or outside the map, fewer
+    than one sample, robots that do not fit, resolutions of 0 and unknown targets.
     """
-    model = small(kind)
+    model = small_model(model_class)
     grid = np.zeros((16, 16), np.uint8)
     grid[4] = 1
     with pytest.raises(ValueError, match="n: got 0, expected an integer of at least 1"):
@@ -403,58 +449,59 @@ def test_what_is_refused(kind: type[Any]) -> None:
         with pytest.raises(ValueError, match="goal: got"):
             model.sample(grid, (0, 0), wrong, 5)
     with pytest.raises(ValueError, match="targets: got 'paths'"):
-        kind(targets="paths")
+        model_class(targets="paths")
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE])
-def test_samples_in_metres(kind: type[Sampler]) -> None:
-    """The same points, x to the right and y upwards from the lower left corner, as in ROS; a radius
-    is one of metres.
+@pytest.mark.parametrize("model_class", [Heatmap, CVAE])
+def test_samples_in_metres(model_class: type[Sampler]) -> None:
+    """With a resolution the points are the same, in metres: x to the right and y upwards from the
+    lower left corner, as in ROS. The radius is in metres, too.
     """
-    model = small(kind)
+    model = small_model(model_class)
     grid = np.zeros((20, 30), np.uint8)
     grid[5:9, 4:20] = 1
     start, goal = (2, 2), (17, 25)
     cells = model.sample(grid, start, goal, 40, radius=1.5)
     assert free_at(inflate(grid, 1.5), cells).all()
-    # 0.15 / 0.1 is not quite 1.5
-    found = model.sample(grid, start, goal, 40, radius=0.15, resolution=0.1, origin=(-3.0, 7.0))
-    assert found.shape == (40, 2)
-    from_left_edge = found[:, 0] + 3.0
-    from_lower_edge = found[:, 1] - 7.0
+    # As floats, 0.15 / 0.1 is not exactly 1.5, but it must count as 1.5.
+    metres = model.sample(grid, start, goal, 40, radius=0.15, resolution=0.1, origin=(-3.0, 7.0))
+    assert metres.shape == (40, 2)
+    from_left_edge = metres[:, 0] + 3.0
+    from_lower_edge = metres[:, 1] - 7.0
     height = 2.0  # 20 rows
     np.testing.assert_allclose(from_left_edge, cells[:, 1] / 10)
     np.testing.assert_allclose(from_lower_edge, height - cells[:, 0] / 10)
 
 
 def test_padding_changes_nothing() -> None:
-    """A map that was walled in to a multiple of 16 has the same shares, seen one way."""
-    model = small(Heatmap, views=1)
+    """A map that is padded with occupied cells to a multiple of 16 has the same shares."""
+    model = small_model(Heatmap, views=1)
     assert isinstance(model, Heatmap)
     grid = (np.random.default_rng(1).random((21, 30)) < 0.4).astype(np.uint8)
     free = np.argwhere(grid == 0)
     start = free[:1]
     goal = free[-1:]
-    walled = np.pad(grid, ((0, 11), (0, 2)), constant_values=1)
+    padded_grid = np.pad(grid, ((0, 11), (0, 2)), constant_values=1)
     shares = model.heat_map(grid[None], start, goal)[0]
-    of_walled = model.heat_map(walled[None], start, goal)[0]
-    np.testing.assert_allclose(shares, of_walled[:21, :30], rtol=1e-3)
+    of_padded = model.heat_map(padded_grid[None], start, goal)[0]
+    np.testing.assert_allclose(shares, of_padded[:21, :30], rtol=1e-3)
     assert shares.sum() == pytest.approx(1)
     assert (shares[grid != 0] == 0).all()
 
 
-def test_choosing_cells() -> None:
-    """Without noise: the likeliest first, then those it has not made unlikely; every cell once
-    before any twice. With noise of Gumbel's distribution: each as often as its share says.
+def test_selected_cells_follow_the_shares() -> None:
+    """Without noise the cell with the largest share comes first, then those that are far enough
+    from it, and all cells come once before any comes twice. With Gumbel noise each cell is the
+    first one as often as its share says.
     """
     cells = [3, 4, 15]
     shares = np.zeros((1, 1, 20))
     shares[0, 0, cells] = [0.5, 0.3, 0.2]
-    none = np.zeros_like(shares)
+    no_noise = np.zeros_like(shares)
 
     def columns(n: int, spacing: float) -> list[float]:
-        chosen: list[float] = select(shares, none, n, spacing)[0, :, 1].tolist()
-        return chosen
+        selected: list[float] = select(shares, no_noise, n, spacing)[0, :, 1].tolist()
+        return selected
 
     assert columns(3, spacing=1.5) == [3, 15, 4]
     assert columns(3, spacing=0.1) == [3, 4, 15]
@@ -462,19 +509,18 @@ def test_choosing_cells() -> None:
     assert sorted(seven[:3]) == cells
     assert sorted(seven[3:6]) == cells
 
-    source = np.random.default_rng(0)
-    many = np.repeat(shares, 4000, axis=0)
-    noise = source.gumbel(size=many.shape)
-    first = select(many, noise, 1, 1.0)[:, 0, 1]
+    repeated = np.repeat(shares, 4000, axis=0)
+    noise = np.random.default_rng(0).gumbel(size=repeated.shape)
+    first = select(repeated, noise, 1, 1.0)[:, 0, 1]
     frequencies = [(first == cell).mean() for cell in cells]
     np.testing.assert_allclose(frequencies, [0.5, 0.3, 0.2], atol=0.03)
 
 
 def test_symmetries_move_everything_along() -> None:
-    """Points, ends and masks stay on the cells they were on, under all the symmetries and swaps
-    that turn up.
+    """Points, starts, goals and masks stay on their cells of the map under all symmetries. All
+    eight symmetries occur, each with and without a swap of start and goal.
     """
-    problems = drawn()
+    problems = unseen_problems()
     starts = torch.tensor(problems.starts)
     goals = torch.tensor(problems.goals)
     grids = torch.tensor(problems.grids)[:, None]
@@ -485,7 +531,7 @@ def test_symmetries_move_everything_along() -> None:
     fields = {"map": grids, "optimal_mask": marks, "start": starts, "goal": goals}
     occupied = grids.sum(dim=(1, 2, 3))
     torch.manual_seed(0)
-    kinds = set()
+    outcomes = set()
     for _ in range(300):
         turned, points = random_symmetry(fields, starts + 0.25)
         for name in ("start", "goal"):
@@ -497,35 +543,36 @@ def test_symmetries_move_everything_along() -> None:
         swapped = not torch.equal(cells, turned["start"])
         if swapped:
             assert torch.equal(cells, turned["goal"])
-        kinds.add((swapped, tuple(turned["start"][0].tolist())))
-    assert len(kinds) == 16
+        outcomes.add((swapped, tuple(turned["start"][0].tolist())))
+    assert len(outcomes) == 16
 
 
-def test_what_the_networks_see() -> None:
-    """Each end once, distances from both, no detour on the straight line between them."""
+def test_the_input_of_the_networks() -> None:
+    """It marks each end in one cell and has the distances from both; on the straight line between
+    them the detour is 0.
+    """
     start = (2, 1)
     goal = (2, 10)
-    seen = encode(torch.zeros(1, 1, 9, 12), torch.tensor([start]), torch.tensor([goal]))[0]
-    assert seen.shape == (14, 9, 12)
-    for layer, end in ((seen[1], start), (seen[7], goal)):
-        assert layer.nonzero().tolist() == [list(end)]
-        assert layer.sum() == 1
-    detour = seen[13]
+    planes = encode(torch.zeros(1, 1, 9, 12), torch.tensor([start]), torch.tensor([goal]))[0]
+    assert planes.shape == (14, 9, 12)
+    for plane, end in ((planes[1], start), (planes[7], goal)):
+        assert plane.nonzero().tolist() == [list(end)]
+        assert plane.sum() == 1
+    detour = planes[13]
     np.testing.assert_allclose(detour[2, 1:11], 0, atol=1e-6)
     assert (detour[5] > 0).all()
-    assert seen[2, 5, 3] == pytest.approx(3 / 32)
-    assert seen[6, 2, 4] == pytest.approx(3 / 64)
+    assert planes[2, 5, 3] == pytest.approx(3 / 32)
+    assert planes[6, 2, 4] == pytest.approx(3 / 64)
 
 
-@pytest.mark.parametrize("kind", [Heatmap, CVAE])
+@pytest.mark.parametrize("model_class", [Heatmap, CVAE])
 @pytest.mark.slow
-def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
-    """It learns from a data module's batches and a bank; what it saves is the same model again."""
+def test_a_small_model_learns_and_is_saved(model_class: type[Sampler], tmp_path: Path) -> None:
+    """It learns from the batches and the bank of a data module; its file holds an equal model."""
     pl.seed_everything(0)
-    module = data(40)
-    model = small(kind, learning_rate=0.02)
+    module = fixed_problems(40, experience=tmp_path / "experience")
+    model = small_model(model_class, learning_rate=0.02)
     module.setup("fit")
-    model.bank = Bank.of(module.datasets["train"], tmp_path, QUICK, workers=0)
     before = mean_loss(model.eval(), module)
     run = trainer(tmp_path, max_epochs=-1, callbacks=[RoadmapSuccess()])
     run.fit(model.train(), module)
@@ -537,18 +584,19 @@ def test_a_tiny_run(kind: type[Sampler], tmp_path: Path) -> None:
     model.save(file)
     saved = torch.load(file, weights_only=True)
     again = load(file)
-    assert saved["class"] == kind.__name__
-    assert type(again) is kind
+    assert saved["class"] == model_class.__name__
+    assert type(again) is model_class
     assert again.targets == "lego"
-    for one, other in zip(model.parameters(), again.parameters(), strict=True):
-        assert torch.allclose(one, other, rtol=1e-3, atol=1e-6)
+    for parameter, loaded in zip(model.parameters(), again.parameters(), strict=True):
+        assert torch.allclose(parameter, loaded, rtol=1e-3, atol=1e-6)
     again.save(file)  # the first time rounded to 16 bits; from now on nothing changes
-    problem = (drawn().grids[0], drawn().starts[0], drawn().goals[0])
+    problems = unseen_problems()
+    problem = (problems.grids[0], problems.starts[0], problems.goals[0])
     assert np.array_equal(again.sample(*problem, 9), load(file).sample(*problem, 9))
 
 
 def test_other_weights_are_refused(tmp_path: Path) -> None:
-    """A file of torch's that holds no sampler."""
+    """A file of torch that holds no sampler is refused, with the names of the expected classes."""
     file = tmp_path / "other.pt"
     torch.save({"weights": {}}, file)
     with pytest.raises(ValueError, match="holds no saved Heatmap or CVAE"):
@@ -556,21 +604,23 @@ def test_other_weights_are_refused(tmp_path: Path) -> None:
 
 
 def test_learns_from_map_start_goal_path(tmp_path: Path) -> None:
-    """The default fields of a data module are enough: samples of other maps lie near the paths."""
+    """The default fields of a data module are enough: after the training more samples lie on the
+    paths of other maps.
+    """
     pl.seed_everything(0)
     module = MapDataModule(None, build="paper", batch_size=16)
-    model = small(Heatmap, targets="path", learning_rate=0.02)
+    model = small_model(Heatmap, targets="path", learning_rate=0.02)
     batch = next(iter(module.val_dataloader()))
     assert batch._fields == ("map", "start", "goal", "path")
 
     def share_on_paths() -> float:
-        """Return how many of five samples a problem lie in cells of its path."""
+        """Return the share of samples that lie in cells of the path, five for each problem."""
         grids = batch.map[:, 0].numpy()
         points = model.sample_batch(grids, batch.start.numpy(), batch.goal.numpy(), 5)
         on_path = []
         for cells, path in zip(np.floor(points).astype(int), batch.path, strict=True):
-            of_path = path.tolist()
-            on_path += [cell in of_path for cell in cells.tolist()]
+            path_cells = path.tolist()
+            on_path += [cell in path_cells for cell in cells.tolist()]
         return float(np.mean(on_path))
 
     before = share_on_paths()
@@ -581,11 +631,11 @@ def test_learns_from_map_start_goal_path(tmp_path: Path) -> None:
 
 def mean_loss(model: Sampler, module: FixedProblems) -> float:
     """Return the loss of a model on all problems of training."""
-    assert model.bank is not None
+    assert module.bank is not None
     torch.manual_seed(1)
     losses = []
     for batch in torch.utils.data.DataLoader(module.datasets["train"], 20):
-        points, counts = model.bank.targets("lego", batch.problem)
+        points, counts = module.bank.targets("lego", batch.problem)
         owners = torch.arange(len(counts)).repeat_interleave(torch.as_tensor(counts))
         targets = torch.as_tensor(points, dtype=torch.float32)
         with torch.no_grad():
@@ -594,12 +644,12 @@ def mean_loss(model: Sampler, module: FixedProblems) -> float:
     return float(np.mean(losses))
 
 
-def test_a_batch_without_targets() -> None:
-    """Problems so easy that nothing is needed give a loss all the same, and no NaN."""
-    module = data(4)
+def test_a_batch_without_targets_has_a_finite_loss() -> None:
+    """Problems can be so easy that they have no bottlenecks; then the loss must not be NaN."""
+    module = fixed_problems(4)
     module.setup("fit")
     fields = module.datasets["train"][0:4]._asdict()
-    loss = small(Heatmap).loss(fields, torch.empty(0, 2), torch.empty(0, dtype=torch.int64))
+    loss = small_model(Heatmap).loss(fields, torch.empty(0, 2), torch.empty(0, dtype=torch.int64))
     assert math.isfinite(loss["loss"].item())
 
 
@@ -609,17 +659,18 @@ def test_a_batch_without_targets() -> None:
 def shortest(grid: npt.NDArray[np.uint8], problems: Problems, k: int, points: Points) -> float:
     """Return the length of the shortest path of problem k on a roadmap of these points."""
     ends = [problems.starts[k] + 0.5, problems.goals[k] + 0.5]
-    reach = radius(len(points), grid.shape)
-    return build_roadmap(grid, np.concatenate([ends, points]), reach).shortest_path()[0]
+    max_length = connection_radius(len(points), grid.shape)
+    return build_roadmap(grid, np.concatenate([ends, points]), max_length).shortest_path()[0]
 
 
 @pytest.mark.slow
-def test_the_table() -> None:
-    """Success and lengths are those of plain roadmaps, and the interval holds the value."""
-    problems = drawn(40)
-    rows = contenders({"untrained": small(Heatmap)})
-    both = ["gaussian", "bridge", "corners", "medial_axis", "untrained"]
-    assert set(rows) == {"halton", "uniform", *both, *(f"{name}_alone" for name in both)}
+def test_the_table_has_success_and_lengths_of_roadmaps() -> None:
+    """They are those of roadmaps that are built one by one, and lie in their intervals."""
+    problems = unseen_problems(40)
+    rows = contenders({"untrained": small_model(Heatmap)})
+    with_two_rows = ["gaussian", "bridge", "corners", "medial_axis", "untrained"]
+    alone = [f"{name}_alone" for name in with_two_rows]
+    assert set(rows) == {"halton", "uniform", *with_two_rows, *alone}
     table = compare(rows, problems, [24, 50], bootstrap=50)
     sizes = 2
     subsets = 2
@@ -636,8 +687,7 @@ def test_the_table() -> None:
     dense_lengths = []
     for k, grid in enumerate(problems.grids):
         lengths.append(shortest(grid, problems, k, halton(grid, 24, k)))
-        # docstring of `compare`: a Halton roadmap of its own seeds
-        dense = halton(grid, DENSE, 10_000_019 + k)
+        dense = halton(grid, DENSE, DENSE_SEED + k)
         dense_lengths.append(shortest(grid, problems, k, dense))
     is_solved = np.isfinite(lengths)
     both_solved = is_solved & np.isfinite(dense_lengths)
@@ -649,95 +699,103 @@ def test_the_table() -> None:
 
 
 def test_a_perfect_sampler_is_perfect() -> None:
-    """One that samples the shortest path itself solves all problems, and as short as it gets."""
-    problems = drawn()
+    """A sampler of the vertices of the shortest path solves all problems, and its paths are as long
+    as those on the dense roadmap.
+    """
+    problems = unseen_problems()
 
-    def perfect(*given: Any) -> Points:
-        """Return the inner points of each path, the last of them as often as n asks for."""
-        n = given[3]
-        found = np.empty((len(problems), n, 2))
-        for k in range(len(problems)):
-            inner = first_path(problems, k)[1:-1]
-            found[k] = inner[np.minimum(np.arange(n), len(inner) - 1)]
-        return found
+    def perfect(
+        grids: npt.NDArray[np.uint8],
+        starts: npt.NDArray[np.int64],
+        goals: npt.NDArray[np.int64],
+        n: int,
+        seeds: Sequence[int],
+    ) -> Points:
+        """Return the n inner points of each path, filled up with its last point."""
+        samples = np.empty((len(grids), n, 2))
+        for k in range(len(grids)):
+            inner_points = first_path(problems, k)[1:-1]
+            samples[k] = inner_points[np.minimum(np.arange(n), len(inner_points) - 1)]
+        return samples
 
     table = compare({"perfect": perfect, "halton": contenders({})["halton"]}, problems, [100])
-    of_all = table[table["subset"] == "all"].set_index("sampler")
-    assert of_all.success["perfect"] == 1
-    assert of_all.success_low["perfect"] == 1
-    assert of_all.length_ratio["perfect"] == pytest.approx(1, abs=0.01)
-    assert of_all.length_ratio["perfect"] < of_all.length_ratio["halton"]
+    all_problems = table[table["subset"] == "all"].set_index("sampler")
+    assert all_problems.success["perfect"] == 1
+    assert all_problems.success_low["perfect"] == 1
+    assert all_problems.length_ratio["perfect"] == pytest.approx(1, abs=0.01)
+    assert all_problems.length_ratio["perfect"] < all_problems.length_ratio["halton"]
 
 
 def test_a_roadmap_of_one_vertex_is_refused() -> None:
-    """Sizes count both ends."""
+    """The half that is not Halton's would have no vertex."""
     with pytest.raises(ValueError, match="sizes of 2 or more"):
-        compare(contenders({}), drawn(), [1])
+        compare(contenders({}), unseen_problems(), [1])
 
 
 def test_every_row_has_n_free_points() -> None:
-    """Odd sizes too; half of the learned rows are the same Halton points as in every other row."""
-    problems = drawn()
-    given = (problems.grids, problems.starts, problems.goals)
-    rows = contenders({"untrained": small(CVAE)})
+    """This holds for odd n, too. In rows that are half Halton's, these are the points of the row of
+    Halton, and the others are those of the sampler alone.
+    """
+    problems = unseen_problems()
+    problem_arrays = (problems.grids, problems.starts, problems.goals)
+    rows = contenders({"untrained": small_model(CVAE)})
     for n in (2, 25):
-        own = n // 2
-        spread = n - own
-        points = {name: row(*given, n, range(12)) for name, row in rows.items()}
-        for found in points.values():
-            assert found.shape == (12, n, 2)
-            for grid, each in zip(problems.grids, found, strict=True):
-                assert free_at(grid, each).all()
+        second_half = n // 2
+        first_half = n - second_half
+        points = {name: row(*problem_arrays, n, range(12)) for name, row in rows.items()}
+        for samples in points.values():
+            assert samples.shape == (12, n, 2)
+            for grid, of_problem in zip(problems.grids, samples, strict=True):
+                assert free_at(grid, of_problem).all()
         for name in ("gaussian", "bridge", "corners", "medial_axis", "untrained"):
-            assert np.array_equal(points[name][:, :spread], points["halton"][:, :spread])
-            alone = rows[f"{name}_alone"](*given, own, range(12))
-            assert np.array_equal(points[name][:, spread:], alone)
+            assert np.array_equal(points[name][:, :first_half], points["halton"][:, :first_half])
+            alone = rows[f"{name}_alone"](*problem_arrays, second_half, range(12))
+            assert np.array_equal(points[name][:, first_half:], alone)
 
 
 def test_the_figure() -> None:
-    """Success against n, a line a sampler, with its interval: no bar goes beyond what it states."""
+    """It has a line for each sampler, and the error bars end at the bounds of the intervals."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
     rows = contenders({})
-    table = compare(rows, drawn(), [10, 20], bootstrap=50)
+    table = compare(rows, unseen_problems(), [10, 20], bootstrap=50)
     axes = plot_success(table, Figure().add_subplot(), "all")
     assert len(axes.lines) == len(rows) == 10
-    shown = table[table["subset"] == "all"].pivot(index="n", columns="sampler")
-    bars = [each for each in axes.collections if isinstance(each, LineCollection)]
+    by_sampler = table[table["subset"] == "all"].pivot(index="n", columns="sampler")
+    bars = [bar for bar in axes.collections if isinstance(bar, LineCollection)]
     for name, bar in zip(table["sampler"].unique(), bars, strict=True):
         ends = np.array([segment[:, 1] for segment in bar.get_segments()])
-        success = shown["success"][name]
-        assert np.allclose(ends[:, 0], np.minimum(shown["success_low"][name], success))
-        assert np.allclose(ends[:, 1], np.maximum(shown["success_high"][name], success))
+        success = by_sampler["success"][name]
+        assert np.allclose(ends[:, 0], np.minimum(by_sampler["success_low"][name], success))
+        assert np.allclose(ends[:, 1], np.maximum(by_sampler["success_high"][name], success))
 
 
 # --- scripts and weights ------------------------------------------------------------------------
 
 
+Main: TypeAlias = Callable[[list[str]], None]
+
+
 @pytest.fixture
-def main(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Callable[[str], Callable[[list[str]], None]]:
-    """Return what gives a script's main function, which is to write into a folder of its own."""
+def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], Main]:
+    """Return a function that loads the main function of a script; all write into ``tmp_path``."""
     monkeypatch.chdir(tmp_path)
 
-    def of(name: str) -> Callable[[list[str]], None]:
-        found: Callable[[list[str]], None] = runpy.run_path(str(ROOT / "scripts" / name))["main"]
-        return found
+    def main_of(name: str) -> Main:
+        function: Main = runpy.run_path(str(ROOT / "scripts" / name))["main"]
+        return function
 
-    return of
+    return main_of
 
 
-def test_evaluate_script(
-    main: Callable[[str], Callable[[list[str]], None]], tmp_path: Path
-) -> None:
-    """The JSON rows, the same as CSV, and the figure."""
-    small(Heatmap).save(tmp_path / "lego_heatmap.pt")
+def test_evaluate_script(main: Callable[[str], Main], tmp_path: Path) -> None:
+    """It writes the table as JSON and as CSV, with equal rows, and the figure."""
+    small_model(Heatmap).save(tmp_path / "lego_heatmap.pt")
     script = main("evaluate_sampler.py")
-    small_run = "--preset dungeon --maps 6 --seed 5 --sizes 24 --weights ."
+    short_run = "--preset dungeon --maps 6 --seed 5 --sizes 24 --weights ."
     outputs = "--json rows.json --csv rows.csv --figure success.png"
-    script([*small_run.split(), *outputs.split()])
+    script([*short_run.split(), *outputs.split()])
     table = pd.read_json("rows.json")
     samplers = set(table["sampler"])
     assert {"sampler", "subset", "n", "success", "length_ratio"} <= set(table)
@@ -747,7 +805,7 @@ def test_evaluate_script(
 
 
 @pytest.mark.parametrize(
-    ("wrong", "why"),
+    ("flags", "error"),
     [
         ("--json none/rows.json", "there is no folder none"),
         ("--weights none", "weights: there is no folder none"),
@@ -756,23 +814,25 @@ def test_evaluate_script(
     ],
 )
 def test_evaluate_script_refuses(
-    main: Callable[[str], Callable[[list[str]], None]],
-    wrong: str,
-    why: str,
+    main: Callable[[str], Main],
+    flags: str,
+    error: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """What cannot be done is one line and exit code 2."""
-    with pytest.raises(SystemExit) as stopped:
-        main("evaluate_sampler.py")(["--maps", "2", *wrong.split()])
-    assert stopped.value.code == 2
+    """Wrong arguments give one line of error and exit code 2."""
+    with pytest.raises(SystemExit) as exited:
+        main("evaluate_sampler.py")(["--maps", "2", *flags.split()])
+    assert exited.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert why in line
+    assert error in line
 
 
 @pytest.mark.soak
 @pytest.mark.filterwarnings("ignore")
-def test_training_script(main: Callable[[str], Callable[[list[str]], None]]) -> None:
-    """Its file of arguments works for every sampler; the bank is mined once; the weights load."""
+def test_training_script(main: Callable[[str], Main]) -> None:
+    """Its file of arguments works for every sampler, both train on one bank, in a folder that a
+    flag names, and their weights load.
+    """
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 903, "maps": 50})
     short = {
         "max_steps": 4,
@@ -782,19 +842,20 @@ def test_training_script(main: Callable[[str], Callable[[list[str]], None]]) -> 
         "log_every_n_steps": 1,
     }
     flags = [f"--trainer.{name}={value}" for name, value in short.items()]
-    flags += [f"--data.build={recipe}", "--data.batch_size=8"]
-    for kind, targets in (("Heatmap", "lego"), ("CVAE", "shortest_path")):
+    flags += [f"--data.build={recipe}", "--data.batch_size=8", "--data.mining.dense=400"]
+    flags += ["--data.experience=banks"]
+    for name, targets in (("Heatmap", "lego"), ("CVAE", "shortest_path")):
         script = main("train_lego_sampler.py")
-        file = f"{kind}.pt"
-        model = [f"--model={kind}", f"--model.targets={targets}"]
+        file = f"{name}.pt"
+        model = [f"--model={name}", f"--model.targets={targets}"]
         script(["fit", f"--weights={file}", *flags, *model])
-        assert type(load(file)).__name__ == kind
+        assert type(load(file)).__name__ == name
         assert load(file).targets == targets
-    assert len(list(Path("runs/experience").iterdir())) == 1
+    assert len(list(Path("banks").iterdir())) == 1
 
 
 def test_the_weights_are_there() -> None:
-    """Three at least, a few MB in all, and they load safely."""
+    """There are at least three files, of a few MB together, and all of them load."""
     names = {"lego_cvae", "lego_heatmap", "shortest_path_heatmap"}
     assert names <= {file.stem for file in WEIGHTS}
     assert sum(file.stat().st_size for file in WEIGHTS) < 6_000_000
@@ -804,9 +865,9 @@ def test_the_weights_are_there() -> None:
 
 @pytest.mark.soak
 def test_the_weights_that_ship() -> None:
-    """They reach what the table of the README says, on problems not seen."""
+    """On problems that were in no training they solve the shares that docs/samplers.md states."""
     rows = contenders({file.stem: load(file) for file in WEIGHTS})
-    table = compare(rows, drawn(600), bootstrap=1)
+    table = compare(rows, unseen_problems(600), bootstrap=1)
     success = table.set_index(["sampler", "subset", "n"])["success"]
     assert success["lego_heatmap", "all", 50] > success["shortest_path_heatmap", "all", 50]
     assert success["lego_heatmap", "all", 50] > success["halton", "all", 100]
