@@ -36,7 +36,7 @@ RULES = {
 
 
 @dataclass(frozen=True)
-class Problems:
+class ProblemSet:
     """P path problems: (P, H, W) uint8 grids, (P, 2) start and goal cells, and the number of each
     one's map.
     """
@@ -57,14 +57,14 @@ class Problems:
         ):
             yield k, (start[0], start[1]), (goal[0], goal[1])
 
-    def first(self, count: int) -> Problems:
+    def first(self, count: int) -> ProblemSet:
         """Return the first ``count`` problems."""
-        return Problems(
+        return ProblemSet(
             self.grids[:count], self.starts[:count], self.goals[:count], self.owners[:count]
         )
 
 
-def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
+def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> ProblemSet:
     """Return the problems of a batch: between consecutive seeds, or between every pair of seeds of
     a map.
     """
@@ -75,7 +75,7 @@ def problems_of(maps: mapdata.Maps, *, every_pair: bool) -> Problems:
             owners.append(i)
             starts.append(start)
             goals.append(goal)
-    return Problems(maps.occupancy[np.array(owners)], np.array(starts), np.array(goals), owners)
+    return ProblemSet(maps.occupancy[np.array(owners)], np.array(starts), np.array(goals), owners)
 
 
 def table_1(size: int, rooms: tuple[int, int] = (2, 9)) -> MapSpec:
@@ -225,7 +225,7 @@ PEERS: dict[Peer, Callable[[Any, Bytes], Solver]] = {
 }
 
 
-def solve_with(peer: Peer, problems: Problems) -> Callable[[], list[Path]]:
+def solve_with(peer: Peer, problems: ProblemSet) -> Callable[[], list[Path]]:
     """Return what solves ``problems`` one by one with ``peer``, whose grids are made here.
 
     Raises:
@@ -262,10 +262,10 @@ def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
     free = np.argwhere(maps.occupancy[0] == 0)
     drawn = np.random.default_rng(0).integers(len(free), size=(2, len(own)))
     grids = np.broadcast_to(maps.occupancy[0], own.grids.shape)
-    one = Problems(grids, free[drawn[0]], free[drawn[1]], [0] * len(own))
+    one = ProblemSet(grids, free[drawn[0]], free[drawn[1]], [0] * len(own))
     some = own.first(few)
 
-    def singly(problems: Problems) -> list[Path]:
+    def singly(problems: ProblemSet) -> list[Path]:
         return [mapdata.astar(problems.grids[k], start, goal).path for k, start, goal in problems]
 
     contestants: dict[str, Callable[[], object]] = {

@@ -30,8 +30,8 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # models
 
 from mapdata import (  # noqa: E402
-    Generator,
     Labels,
+    MapGenerator,
     MapSpec,
     Maze,
     Movement,
@@ -64,7 +64,7 @@ from mapdata.plotting import (  # noqa: E402
     plot_roadmap,
     report,
 )
-from mapdata.problems import Problems  # noqa: E402
+from mapdata.problems import ProblemSet  # noqa: E402
 from mapdata.shards import Root  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
@@ -126,9 +126,9 @@ def overview() -> Figure:
     figure, axes = new_figure(1, 4, (13, 3.5))
     narrow = MapSpec.preset("narrow")
     wide_maze = Maze((64, 64), corridor=3, reopened=0.1)
-    chosen: list[tuple[Generator, int]] = [(MapSpec(), 7), (narrow, 4), (DUNGEON, 3)]
+    chosen: list[tuple[MapGenerator, int]] = [(MapSpec(), 7), (narrow, 4), (DUNGEON, 3)]
     chosen += [(DUNGEON, 9), (Maze((64, 64)), 1), (wide_maze, 3)]
-    chosen += [(Generator.preset(name), 1) for name in ("cave", "forest", "noise")]
+    chosen += [(MapGenerator.preset(name), 1) for name in ("cave", "forest", "noise")]
     grids = [generate(spec, 0, [index]).occupancy[0] for spec, index in chosen]
     plot_grid(mosaic(grids, 3), axes[0])
     bare(axes[0], "grid maps from a few lines of JSON")
@@ -388,7 +388,7 @@ def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
 
     search = GuidedSearch("search", PathPredictor.load(WEIGHTS / "path_predictor.pt"))
     dataset = OnlineMapDataset(
-        Generator.preset(family),
+        MapGenerator.preset(family),
         77,
         length=200,
         fields=("map", "start", "goal", "path", "cost"),
@@ -433,7 +433,7 @@ def planner_table() -> pd.DataFrame:
     from models.path_predictor import PathPredictor
 
     model = PathPredictor.load(WEIGHTS / "path_predictor.pt")
-    problems = Problems.sample(DUNGEON, seed=77, until_hard=500, movement=DIAGONAL)
+    problems = ProblemSet.sample(DUNGEON, seed=77, until_hard=500, movement=DIAGONAL)
     return evaluate([*classical(DIAGONAL), *learned(model)], problems)
 
 
@@ -469,7 +469,7 @@ def sampler_table() -> pd.DataFrame:
     from scripts.evaluate_sampler import learned_samplers
 
     rows = contenders(learned_samplers(WEIGHTS))
-    problems = Problems.sample(DUNGEON, seed=77, maps=300, movement=DIAGONAL)
+    problems = ProblemSet.sample(DUNGEON, seed=77, maps=300, movement=DIAGONAL)
     return compare({name: rows[name] for name in SAMPLERS}, problems)
 
 
@@ -503,7 +503,7 @@ def roadmaps() -> Figure:
     from models.lego.sampler import Heatmap
 
     rows = contenders({"lego_heatmap": Heatmap.load(WEIGHTS / "lego_heatmap.pt")})
-    problems = Problems.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)
+    problems = ProblemSet.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)
     k = int(problems.hard.argmax())
     grid = problems.grids[k]
     start = problems.starts[k]

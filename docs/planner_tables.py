@@ -20,7 +20,7 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor
 
-from mapdata import Generator, MapDataModule, MapSpec, Maze, Movement, Problems, evaluate
+from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
 from mapdata.evaluation import classical, with_interval
 from models.geometry import heuristic, offsets
 from models.learned_planners import GuidedSearch, planners
@@ -35,16 +35,16 @@ SEED = 77
 WIDE_ROOMS = MapSpec(
     (256, 256), rooms=(60, 120), room_rows=(8, 30), room_columns=(8, 30), passage_width=(1, 4)
 )
-WORLDS: dict[str, tuple[Generator, int]] = {
-    "paper": (Generator.preset("paper"), 1000),
-    "dungeon": (Generator.preset("dungeon"), 1000),
-    "narrow": (Generator.preset("narrow"), 300),
-    "maze": (Generator.preset("maze"), 300),
+WORLDS: dict[str, tuple[MapGenerator, int]] = {
+    "paper": (MapGenerator.preset("paper"), 1000),
+    "dungeon": (MapGenerator.preset("dungeon"), 1000),
+    "narrow": (MapGenerator.preset("narrow"), 300),
+    "maze": (MapGenerator.preset("maze"), 300),
     "loops": (Maze(corridor=2, reopened=0.1), 300),
-    "cave": (Generator.preset("cave"), 300),
-    "forest": (Generator.preset("forest"), 300),
-    "noise": (Generator.preset("noise"), 300),
-    "dungeon128": (Generator.preset("dungeon128"), 300),
+    "cave": (MapGenerator.preset("cave"), 300),
+    "forest": (MapGenerator.preset("forest"), 300),
+    "noise": (MapGenerator.preset("noise"), 300),
+    "dungeon128": (MapGenerator.preset("dungeon128"), 300),
     "dungeon256": (WIDE_ROOMS, 300),
 }
 """The worlds, and how many hard problems of each are compared."""
@@ -78,16 +78,16 @@ FOLLOWED = (
 """Columns of the table of what is followed."""
 
 
-def problems_of(world: str, movement: Movement) -> Problems:
+def problems_of(world: str, movement: Movement) -> ProblemSet:
     """Return the set of a world under a movement."""
     generator, hard = WORLDS[world]
-    return Problems.sample(generator, SEED, until_hard=hard, movement=movement)
+    return ProblemSet.sample(generator, SEED, until_hard=hard, movement=movement)
 
 
-def hard_of(problems: Problems) -> Problems:
+def hard_of(problems: ProblemSet) -> ProblemSet:
     """Return the hard ones alone."""
     hard = problems.hard
-    return Problems(
+    return ProblemSet(
         problems.grids[hard], problems.starts[hard], problems.goals[hard], problems.movement
     )
 
@@ -123,7 +123,7 @@ def with_and_without_moves(shipped: PathPredictor) -> list[GuidedSearch]:
     ]
 
 
-def followed_to_the_goal(model: PathPredictor, problems: Problems) -> list[str]:
+def followed_to_the_goal(model: PathPredictor, problems: ProblemSet) -> list[str]:
     """Return the shares of free cells and of starts from which 32 moves reach the goal."""
     cells = []
     starts = []
@@ -143,7 +143,7 @@ def followed_to_the_goal(model: PathPredictor, problems: Problems) -> list[str]:
     return [f"{np.concatenate(each).mean():.2f}" for each in (cells, starts)]
 
 
-def what_is_followed(model: PathPredictor, problems: Problems) -> list[str]:
+def what_is_followed(model: PathPredictor, problems: ProblemSet) -> list[str]:
     """Return the row of a set: `FOLLOWED`."""
     hmeans = [
         evaluate([search], problems, bootstrap=1)["hmean"].iloc[0]
@@ -221,7 +221,7 @@ def trained_on(names: list[str], steps: int) -> PathPredictor:
         recipe = {
             "seed": 2000,
             "maps": 4_000_000,
-            "spec": json.loads(Generator.preset(name).to_json()),
+            "spec": json.loads(MapGenerator.preset(name).to_json()),
         }
         parts.append(
             MapDataModule(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mapdata.evaluation import evaluate as evaluate
     from mapdata.generators import Cave as Cave
     from mapdata.generators import Forest as Forest
-    from mapdata.generators import Generator as Generator
+    from mapdata.generators import MapGenerator as MapGenerator
     from mapdata.generators import Maps as Maps
     from mapdata.generators import MapSpec as MapSpec
     from mapdata.generators import Maze as Maze
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mapdata.generators import identity as identity
     from mapdata.movement import Movement as Movement
     from mapdata.problems import Pairs as Pairs
-    from mapdata.problems import Problems as Problems
+    from mapdata.problems import ProblemSet as ProblemSet
     from mapdata.problems import Random as Random
     from mapdata.problems import Route as Route
     from mapdata.search import Labels as Labels
@@ -54,14 +54,14 @@ _FACES = {
     "generators": (
         "Cave",
         "Forest",
-        "Generator",
+        "MapGenerator",
         "MapSpec",
         "Maps",
         "Maze",
         "generate",
         "identity",
     ),
-    "problems": ("Pairs", "Problems", "Random", "Route"),
+    "problems": ("Pairs", "ProblemSet", "Random", "Route"),
     "search": (
         "Labels",
         "SearchResult",

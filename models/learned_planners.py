@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import pandas as pd
 
-from mapdata import Movement, Problems, Sample, evaluate
+from mapdata import Movement, ProblemSet, Sample, evaluate
 from mapdata.arrays import Bytes, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
@@ -37,7 +37,7 @@ class LearnedPlanner(Batched, Model):
         # Ratios of costs need a path of more than one cell: -1 is no path, 0 is start = goal.
         has_path = search_batch("astar", grids, starts, goals, self.movement).cost > 0
         if has_path.any():
-            problems = Problems(grids[has_path], starts[has_path], goals[has_path], self.movement)
+            problems = ProblemSet(grids[has_path], starts[has_path], goals[has_path], self.movement)
             self.batch_scores.append(evaluate([planner], problems, bootstrap=1).iloc[0])
 
     def on_validation_epoch_end(self) -> None:

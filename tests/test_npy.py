@@ -61,7 +61,7 @@ def test_arrays_are_those_that_numpy_reads(save: Callable[..., None], tmp_path: 
 
 
 def test_a_text_is_read(tmp_path: Path) -> None:
-    """As `Problems.save` writes one: without axes, of limited length."""
+    """As `ProblemSet.save` writes one: without axes, of limited length."""
     np.savez_compressed(tmp_path / "a.npz", about="{'höhe': 5}", none="", numbers=np.arange(3))
     archive = Npz(tmp_path / "a.npz")
     assert archive.text("about") == "{'höhe': 5}"

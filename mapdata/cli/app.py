@@ -65,7 +65,7 @@ def build_command(
         scheduler: build with Dask: tcp://HOST:PORT of a scheduler
         part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
     """
-    from mapdata.generators import Generator
+    from mapdata.generators import MapGenerator
     from mapdata.shards import Recipe, build
     from mapdata.shards.cluster import executor_of
 
@@ -76,7 +76,7 @@ def build_command(
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
     if recipe is None:
-        spec = Generator.preset(preset or "paper")
+        spec = MapGenerator.preset(preset or "paper")
         wanted = Recipe(spec if map_size is None else replace(spec, map_size=map_size))
     else:
         wanted = Recipe.load(recipe)
@@ -266,9 +266,9 @@ def list_command() -> None:
     """
     import json
 
-    from mapdata.generators import PRESETS, Generator
+    from mapdata.generators import PRESETS, MapGenerator
 
-    shared = {parameter.name for parameter in fields(Generator)}
+    shared = {parameter.name for parameter in fields(MapGenerator)}
     for name, spec in PRESETS.items():
         rows, columns = spec.map_size
         changes = [

@@ -10,7 +10,7 @@ from mapdata.movement import Movement
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mapdata.problems import Problems
+    from mapdata.problems import ProblemSet
 
 
 def given_problems(
@@ -19,29 +19,29 @@ def given_problems(
     seed: int | None,
     maps: int | None,
     **how: Any,
-) -> Problems:
+) -> ProblemSet:
     """Return one problem a map, of new maps or of the test split of a dataset, or those of a file.
 
     Of a .scen, ``maps`` is the number of problems, all without; of another file all are taken.
 
     Raises:
-        ValueError: what would do nothing beside a root or a file; what `Problems.sample`,
-            `Problems.read` and `read_problems` refuse.
+        ValueError: what would do nothing beside a root or a file; what `ProblemSet.sample`,
+            `ProblemSet.read` and `read_problems` refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     from mapdata.formats import Limits, read_problems
-    from mapdata.generators import Generator
-    from mapdata.problems import Problems
+    from mapdata.generators import MapGenerator
+    from mapdata.problems import ProblemSet
 
     if not root:
-        return Problems.sample(
-            Generator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how
+        return ProblemSet.sample(
+            MapGenerator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how
         )
     is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npz", ".scen")
     if preset is not None or (seed is not None and not is_file):
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
     if not is_file:
-        return Problems.read(root, maps, **how)
+        return ProblemSet.read(root, maps, **how)
     given = {"count": maps, "seed": seed, "until_hard": how.get("until_hard")}
     options = {name: value for name, value in given.items() if value is not None}
     problems = read_problems(root[0], Limits(progress=True), **options)

@@ -13,7 +13,7 @@ from mapdata.checks import check_count, check_seed
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform, arguments_of
 from mapdata.datasets.fields import Paths
-from mapdata.generators.generator import Generator, check_spec, generate
+from mapdata.generators.generator import MapGenerator, check_spec, generate
 from mapdata.generators.maps import Maps
 from mapdata.generators.splits import maps_of_split
 from mapdata.movement import Movement
@@ -45,7 +45,7 @@ class OnlineMapDataset(ProblemDataset):
 
     def __init__(
         self,
-        spec: Generator,
+        spec: MapGenerator,
         seed: int = 0,
         length: int = 10_000,
         split: str | None = None,

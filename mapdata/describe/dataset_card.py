@@ -17,7 +17,7 @@ import numpy as np
 
 from mapdata._version import __version__
 from mapdata.describe.statistics import DatasetStatistics, Repeats, dataset_statistics
-from mapdata.generators.generator import PRESETS, Generator, UnknownFamily
+from mapdata.generators.generator import PRESETS, MapGenerator, UnknownFamily
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.lattice import HARD
@@ -177,7 +177,7 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
     }
 
 
-def _rebuild(name: str, manifest: Manifest, spec: Generator) -> Section:
+def _rebuild(name: str, manifest: Manifest, spec: MapGenerator) -> Section:
     module = type(spec).__module__
     text = (
         "Map i is a pure function of the spec, the seed and i, so these lines make the same maps "
@@ -312,7 +312,7 @@ def _use(of: DatasetStatistics, copied: bool) -> Section:
 
 
 def _whom_to_cite(of: DatasetStatistics) -> str:
-    imported = f"Cite the source of the maps. {Generator.citation}"
+    imported = f"Cite the source of the maps. {MapGenerator.citation}"
     specs = [manifest.spec for manifest in of.root.manifests]
     texts = [imported if spec is None else spec.citation for spec in specs]
     return " ".join(dict.fromkeys(texts))  # each once

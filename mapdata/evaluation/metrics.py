@@ -17,7 +17,7 @@ import pandas as pd
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.checks import check_choice, check_count
 from mapdata.limits import Cell
-from mapdata.problems.problem_set import Problems
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import check_path
 from mapdata.search.lattice import HARD
 
@@ -64,7 +64,7 @@ class BatchPlanner(Planner, Protocol):
 
 def evaluate(
     planners: Sequence[Planner],
-    problems: Problems,
+    problems: ProblemSet,
     *,
     baseline: str | None = None,
     bootstrap: int = 1000,
@@ -209,7 +209,7 @@ class _Run(NamedTuple):
     ms_batched: float
 
 
-def _run(planner: Planner, problems: Problems) -> _Run:
+def _run(planner: Planner, problems: ProblemSet) -> _Run:
     """Plan and check every problem."""
     costs, expansions, ms = np.empty((3, len(problems)))
     for k in (0, *range(len(problems))):  # the first twice: kernels compile and caches fill
@@ -225,7 +225,7 @@ def _run(planner: Planner, problems: Problems) -> _Run:
     return _Run(costs, expansions, ms, ms_batched)
 
 
-def _outcomes(run: _Run, problems: Problems, reference: Floats | Ints) -> Floats:
+def _outcomes(run: _Run, problems: ProblemSet, reference: Floats | Ints) -> Floats:
     """Return what is averaged of each problem, (N, 5), with ``reference`` (N,) for E*.
 
     Success and opt, 0 or 1; L / L*, 0 in a failure; E / E*; max(0, 1 - E / E*).
@@ -237,7 +237,7 @@ def _outcomes(run: _Run, problems: Problems, reference: Floats | Ints) -> Floats
     return np.column_stack([cost_ratio > 0, run.costs == optimal, cost_ratio, ratio, saved])
 
 
-def _batched(planner: BatchPlanner, problems: Problems) -> float:
+def _batched(planner: BatchPlanner, problems: ProblemSet) -> float:
     """Return the milliseconds a problem in batches."""
     seconds = []
     for first in (0, *range(0, len(problems), _BATCH)):
@@ -255,7 +255,7 @@ def _batched(planner: BatchPlanner, problems: Problems) -> float:
     return 1000 * sum(seconds[1:]) / len(problems)  # without the first call, as in `_run`
 
 
-def _cost(plan: Plan, problems: Problems, k: int) -> float:
+def _cost(plan: Plan, problems: ProblemSet, k: int) -> float:
     """Return the cost of a plan's path, NaN if it does not solve problem k."""
     path = np.asarray(plan.path)
     try:

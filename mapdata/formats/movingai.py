@@ -34,7 +34,7 @@ from mapdata.formats.registry import Format
 from mapdata.limits import MAX_ROOMS, Cell, Size
 from mapdata.movement import Movement
 from mapdata.npy import FormatError
-from mapdata.problems.problem_set import Problems
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.files import StrPath
@@ -304,7 +304,7 @@ def _step(total: int, count: int) -> int:
 
 def problems(
     source: Path, limits: Limits = LIMITS, *, count: int | None = None, maps: Path | None = None
-) -> Problems:
+) -> ProblemSet:
     """Return the problems of a .scen, to compare planners on.
 
     Those without a path are left out, and those from a cell to itself. The description says how
@@ -329,7 +329,7 @@ def problems(
     grids = [grid for grid, _ in report.solved]
     shared = grids[0]
     ends = np.array([(problem.start, problem.goal) for _, problem in report.solved])
-    return Problems(
+    return ProblemSet(
         # mostly all problems are on one map, which is kept once
         np.broadcast_to(shared, (len(grids), *shared.shape))
         if all(grid is shared for grid in grids)

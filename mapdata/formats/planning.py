@@ -45,7 +45,7 @@ from mapdata.formats.registry import Format
 from mapdata.limits import SPLITS
 from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.npy import FormatError, Npz, StoredArray
-from mapdata.problems.problem_set import Problems
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
@@ -280,7 +280,7 @@ def starts_of(values: Float32s) -> list[Ints]:
     return starts if all(map(len, starts)) else []
 
 
-def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problems:
+def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> ProblemSet:
     """Return the problems of the test split, to compare planners on.
 
     The goals are the file's. The loader draws a start in one of its three intervals; here a map has
@@ -306,7 +306,7 @@ def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> Problem
         raise FormatError(f"{source}: has no map of a test split with a problem")
     grids, starts, goals = map(np.array, zip(*found, strict=True))
     text = f"{len(found)} problems of {source}, starts by seed {seed}"
-    return Problems(grids, starts, goals, file.movement, text)
+    return ProblemSet(grids, starts, goals, file.movement, text)
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:

@@ -13,7 +13,7 @@ from mapdata.formats.collection import Collection
 from mapdata.formats.files import LIMITS, Limits, files_of
 from mapdata.npy import FormatError
 from mapdata.options import options_of
-from mapdata.problems.problem_set import Problems
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
 from mapdata.shards.root import Places, Root, local_path
 
@@ -29,8 +29,8 @@ class Format:
             written.
         write: called with a target, a `Root` and whether to show a progress bar, returns notes for
             the user; None if it can only be read.
-        problems: called with a path and `Limits`, returns the `Problems` of a file; None if it has
-            none.
+        problems: called with a path and `Limits`, returns the `ProblemSet` of a file; None if
+            it has none.
         is_mine: whether a file with one of the endings is of this format.
         beside: endings of files that belong to it where they lie beside its own: the pictures of a
             ROS map.
@@ -41,7 +41,7 @@ class Format:
     endings: tuple[str, ...] = ()
     read: Callable[..., Collection] | None = None
     write: Callable[..., list[str]] | None = None
-    problems: Callable[..., Problems] | None = None
+    problems: Callable[..., ProblemSet] | None = None
     is_mine: Callable[[Path], bool] = Path.is_file
     beside: tuple[str, ...] = ()
     target_ending: str = ""
@@ -123,10 +123,10 @@ def read_any(
     return found
 
 
-def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> Problems:
+def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
     """Read the problems of a file, to compare planners on.
 
-    That is a MovingAI .scen, an .npz of planning-datasets, or one that `Problems.save` wrote.
+    That is a MovingAI .scen, an .npz of planning-datasets, or one that `ProblemSet.save` wrote.
 
     Args:
         source: the file.
@@ -138,11 +138,11 @@ def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -
     """
     name = recognise(source)
     if name in functions("problems"):
-        found: Problems = _checked("problems", name, options)(Path(source), limits, **options)
+        found: ProblemSet = _checked("problems", name, options)(Path(source), limits, **options)
         return found
     if options:
         raise ValueError(f"{', '.join(options)}: would do nothing beside a saved set of problems")
-    return Problems.load(source)
+    return ProblemSet.load(source)
 
 
 def export(

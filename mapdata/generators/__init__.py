@@ -1,4 +1,4 @@
-"""Where maps come from: families of maps, each a `Generator` in its own file, and their `Maps`."""
+"""Where maps come from: families, each a `MapGenerator` in a file of its own, and their `Maps`."""
 
 from mapdata.generators import caves, forests, mazes, rooms
 from mapdata.generators.caves import Cave
@@ -6,7 +6,7 @@ from mapdata.generators.forests import Forest
 from mapdata.generators.generator import (
     GENERATORS,
     PRESETS,
-    Generator,
+    MapGenerator,
     UnknownFamily,
     generate,
     identity,
@@ -29,7 +29,7 @@ __all__ = [
     "WORD",
     "Cave",
     "Forest",
-    "Generator",
+    "MapGenerator",
     "MapSpec",
     "Maps",
     "Maze",

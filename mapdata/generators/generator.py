@@ -1,4 +1,4 @@
-"""What a family of maps is: a `Generator` with a name; the registry of families; the identity.
+"""What a family of maps is: a `MapGenerator` with a name; the registry of families; the identity.
 
 Stored maps of a family that is not registered have an `UnknownFamily` as their generator.
 """
@@ -29,7 +29,7 @@ from mapdata.hashing import canonical_json, hash_of, parsed_json
 from mapdata.limits import MAX_ROOMS, Size, least_version
 from mapdata.movement import Movement
 
-G = TypeVar("G", bound="Generator")
+G = TypeVar("G", bound="MapGenerator")
 
 _FIRST = "rooms"
 """The generator that version 1 of the format knows: its specs say no name."""
@@ -48,7 +48,7 @@ _MAX_DEPTH = 32
 
 
 @dataclass(frozen=True, kw_only=True)
-class Generator(ABC):
+class MapGenerator(ABC):
     """A distribution of maps: a frozen dataclass of plain values that can be written as JSON.
 
     A family of maps is a subclass in a file of its own, which `register` makes known;
@@ -119,14 +119,16 @@ class Generator(ABC):
 
     @classmethod
     def preset(cls: type[G], name: str) -> G:
-        """Return the preset ``name`` of this family, or, as `Generator.preset`, of any.
+        """Return the preset ``name`` of this family, or, as `MapGenerator.preset`, of any.
 
         Raises:
             ValueError: no such preset.
         """
         known = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
         if name in PRESETS and name not in known:
-            raise ValueError(f"preset: {name!r} is of another family: Generator.preset({name!r})")
+            raise ValueError(
+                f"preset: {name!r} is of another family: MapGenerator.preset({name!r})"
+            )
         check_choice("preset", name, known)
         return known[name]
 
@@ -170,7 +172,7 @@ class Generator(ABC):
 
 
 @dataclass(frozen=True)
-class UnknownFamily(Generator):
+class UnknownFamily(MapGenerator):
     """The generator of stored maps whose family is not registered in this process.
 
     It says what the dataset states, so that its maps can be read and have the same identity and the
@@ -233,7 +235,7 @@ class UnknownFamily(Generator):
 
 
 @lru_cache(maxsize=16)  # all shards of a dataset state the same one
-def stored_generator(text: str) -> Generator:
+def stored_generator(text: str) -> MapGenerator:
     """Return the generator that the JSON of a shard or manifest states.
 
     That of a family which is not registered is an `UnknownFamily`.
@@ -244,7 +246,7 @@ def stored_generator(text: str) -> Generator:
     values = parsed_json("spec", text)
     name = values.get("generator", _FIRST) if isinstance(values, dict) else _FIRST
     if not isinstance(name, str) or family_named(name) is not None:
-        return Generator.from_dict(values)
+        return MapGenerator.from_dict(values)
     shared = ("map_size", "resolution", "movement", "splits")
     missing = [key for key in shared if key not in values]
     if missing:
@@ -274,14 +276,14 @@ def _depth(values: object) -> int:
     return 1 + max(map(_depth, values), default=0) if isinstance(values, list) else 0
 
 
-GENERATORS: dict[str, type[Generator]] = {}
+GENERATORS: dict[str, type[MapGenerator]] = {}
 """All families, by the name that JSON calls them."""
 
-PRESETS: dict[str, Generator] = {}
+PRESETS: dict[str, MapGenerator] = {}
 """Specs with a name, of all families."""
 
 
-def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> None:
+def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {}) -> None:
     """Make a family and its presets known by name, to recipes, manifests and shards.
 
     Raises:
@@ -307,7 +309,7 @@ def register(family: type[Generator], presets: Mapping[str, Generator] = {}) -> 
     stored_generator.cache_clear()
 
 
-def family_named(name: str) -> type[Generator] | None:
+def family_named(name: str) -> type[MapGenerator] | None:
     """Return the family of a name, None if it is not known.
 
     One that is not registered is looked for among the entry points of installed packages.
@@ -363,13 +365,13 @@ def check_spec(spec: object) -> None:
         ValueError: it is no family with its parameters, such as the name of a preset, or the family
             is not known.
     """
-    if not isinstance(spec, Generator):
-        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another Generator")
+    if not isinstance(spec, MapGenerator):
+        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another MapGenerator")
     if isinstance(spec, UnknownFamily):
         raise ValueError(f"spec: {why_unknown(spec.name)}")
 
 
-def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
+def generate(spec: MapGenerator, seed: int, indices: Iterable[int]) -> Maps:
     """Return the maps ``indices`` of (spec, seed).
 
     Map i is a pure function of (format version, spec, seed, i): the batch, its order and the
@@ -406,7 +408,7 @@ def generate(spec: Generator, seed: int, indices: Iterable[int]) -> Maps:
     return maps
 
 
-def identity(spec: Generator, seed: int) -> str:
+def identity(spec: MapGenerator, seed: int) -> str:
     """Return the identity of a dataset, as hex.
 
     The SHA-256 of the canonical JSON of format version, spec and seed. The number of maps is not in

@@ -8,7 +8,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
-from mapdata.generators.generator import Generator
+from mapdata.generators.generator import MapGenerator
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import Int, kernel
@@ -28,7 +28,7 @@ def check_seed_points(name: str, count: object, most: int = MAX_ROOMS) -> int:
     return points
 
 
-class Scattered(Generator):
+class Scattered(MapGenerator):
     """A family that draws grids, on which at most ``seed_points`` seed points are then scattered.
 
     A subclass has that field and says how one grid is drawn.
@@ -53,7 +53,7 @@ class Scattered(Generator):
         return with_seed_points(self, seed, indices, grids)
 
 
-def with_seed_points(spec: Generator, seed: int, indices: Ints, grids: Bytes) -> Maps:
+def with_seed_points(spec: MapGenerator, seed: int, indices: Ints, grids: Bytes) -> Maps:
     """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points.
 
     `spread_points` draws them among the free cells of the largest component, far apart, none twice:

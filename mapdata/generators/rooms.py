@@ -16,7 +16,7 @@ import numpy as np
 
 from mapdata.arrays import Ints, Words
 from mapdata.checks import check_integers, check_probability, check_range
-from mapdata.generators.generator import Generator
+from mapdata.generators.generator import MapGenerator
 from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.jit import kernel
@@ -27,7 +27,7 @@ _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @dataclass(frozen=True)
-class MapSpec(Generator):
+class MapSpec(MapGenerator):
     """The parameters of Algorithm 1; those of Table 1 of the paper are the defaults.
 
     All ranges are (lowest, highest), both included. See arXiv 2110.13242, sections 2 and 3.

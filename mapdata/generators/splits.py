@@ -8,7 +8,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints, Words
 from mapdata.checks import check_fractions, check_seed
-from mapdata.generators.generator import Generator
+from mapdata.generators.generator import MapGenerator
 from mapdata.jit import kernel
 from mapdata.limits import SPLITS
 from mapdata.rng import SPLIT, block, threshold
@@ -35,7 +35,7 @@ def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
     return codes
 
 
-def maps_of_split(spec: Generator, seed: int, split: str, count: int) -> Ints:
+def maps_of_split(spec: MapGenerator, seed: int, split: str, count: int) -> Ints:
     """Return the indices of the first ``count`` maps of (spec, seed) that belong to ``split``."""
     code = SPLITS.index(split)
     thresholds = split_thresholds(spec.splits)

@@ -1,13 +1,13 @@
 """What is asked of a map: problems sampled or read, and its symmetries. Without torch."""
 
-from mapdata.problems.problem_set import Problems
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Pairs, Random, Route, Source
 from mapdata.search.lattice import HARD
 
 __all__ = [
     "HARD",
     "Pairs",
-    "Problems",
+    "ProblemSet",
     "Random",
     "Route",
     "Source",

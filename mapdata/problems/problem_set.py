@@ -16,7 +16,7 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, summary
 from mapdata.checks import check_choice, check_count, check_seed
-from mapdata.generators.generator import Generator, check_spec, generate, identity
+from mapdata.generators.generator import MapGenerator, check_spec, generate, identity
 from mapdata.generators.maps import Maps
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
@@ -46,7 +46,7 @@ compared on reach some 10 to 160 times; a file that is made to fill the memory r
 
 
 @dataclass(frozen=True, eq=False)
-class Problems:
+class ProblemSet:
     """N problems that planners are compared on, each with a path.
 
     The arrays are copied and cannot be written to. A grid that `numpy.broadcast_to` has given to
@@ -138,7 +138,7 @@ class Problems:
         write_output(path, file.getvalue())
 
     @staticmethod
-    def load(path: StrPath) -> Problems:
+    def load(path: StrPath) -> ProblemSet:
         """Read what `save` wrote.
 
         The headers of the arrays are checked before anything is unpacked. All together may unpack
@@ -147,8 +147,8 @@ class Problems:
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: it holds no problems, too many for its size, or what `Problems` refuses; the
-                message names it.
+            ValueError: it holds no problems, too many for its size, or what `ProblemSet` refuses;
+                the message names it.
         """
         path = Path(path)
         limit = _max_unpacked(path.stat().st_size)
@@ -165,7 +165,7 @@ class Problems:
                     "with numpy.savez, uncompressed"
                 )
             grids, starts, goals = (array.read() for array in stored)
-            return Problems(
+            return ProblemSet(
                 grids,
                 starts,
                 goals,
@@ -178,7 +178,7 @@ class Problems:
 
     @staticmethod
     def sample(
-        spec: Generator,
+        spec: MapGenerator,
         seed: int,
         maps: int | None = None,
         *,
@@ -186,7 +186,7 @@ class Problems:
         until_hard: int | None = None,
         movement: Movement = Movement(8),
         radius: float = 0.0,
-    ) -> Problems:
+    ) -> ProblemSet:
         """Sample one problem on each map 0, 1, ... of (spec, seed).
 
         It is that of a dataset in epoch 0, where one of the first 32 draws meets the conditions.
@@ -212,7 +212,7 @@ class Problems:
                 not enough hard ones (without ``maps``: less than one on 1,000 maps).
 
         >>> from mapdata import MapSpec
-        >>> len(Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
+        >>> len(ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
         20
         """
         check_spec(spec)
@@ -241,7 +241,7 @@ class Problems:
         until_hard: int | None = None,
         movement: Movement = Movement(8),
         radius: float = 0.0,
-    ) -> Problems:
+    ) -> ProblemSet:
         """Sample one problem on each map of a split of a dataset: that which `sample` gives.
 
         Args:
@@ -311,7 +311,7 @@ def _collect(
     movement: Movement,
     where: str,
     least: int,
-) -> Problems:
+) -> ProblemSet:
     """Sample a problem on each of the first ``maps`` of what is chosen of some batches of maps.
 
     With ``until_hard``, the last problem is that which brings the hard ones to this number. Cells
@@ -361,4 +361,4 @@ def _collect(
     description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
     if least:
         description += f", inflated by {math.sqrt(least) / 2:.3g} cells"
-    return Problems(grid, ends[:, :2], ends[:, 2:], movement, description)
+    return ProblemSet(grid, ends[:, :2], ends[:, 2:], movement, description)

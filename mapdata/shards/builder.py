@@ -13,8 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from mapdata.checks import check_count, check_integers, check_seed
-from mapdata.generators.generator import Generator as MapGenerator
-from mapdata.generators.generator import check_spec, generate
+from mapdata.generators.generator import MapGenerator, check_spec, generate
 from mapdata.search.labels import label
 from mapdata.shards.errors import ShardError
 from mapdata.shards.files import StrPath, file_size, make_folder, write_file

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from mapdata.generators.generator import Generator, UnknownFamily, why_unknown
+from mapdata.generators.generator import MapGenerator, UnknownFamily, why_unknown
 from mapdata.shards.arrays import decode
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.content import content_hash
@@ -54,7 +54,7 @@ _STRANGE = "no file of this dataset: keep it elsewhere"
 _REPLACED = "replaced by a shard of more maps: the next build removes it"
 
 
-def _unlisted(spec: Generator | None) -> str:
+def _unlisted(spec: MapGenerator | None) -> str:
     """Return what is said of a sound shard that a build or import left before it was listed."""
     command = "import" if spec is None else "build"
     return f"finished, not listed yet: {command} again"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mapdata._version import __version__
-from mapdata.generators.generator import Generator, identity
+from mapdata.generators.generator import MapGenerator, identity
 from mapdata.hashing import canonical_json
 from mapdata.limits import FORMAT_VERSIONS, Size, least_version
 from mapdata.movement import Movement
@@ -54,7 +54,7 @@ class Origin:
         resolution: metres per cell.
     """
 
-    spec: Generator | None
+    spec: MapGenerator | None
     seed: int | None
     map_size: Size
     movement: Movement

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
-from mapdata.generators.generator import PRESETS, Generator, identity
+from mapdata.generators.generator import PRESETS, MapGenerator, identity
 from mapdata.hashing import parsed_json
 from mapdata.shards.header import check_version
 
@@ -27,7 +27,7 @@ class Recipe:
         content_hash: what the result must hash to, if known.
     """
 
-    spec: Generator
+    spec: MapGenerator
     seed: int = 0
     maps: int = 10_000
     content_hash: str | None = None
@@ -50,7 +50,7 @@ class Recipe:
             check_choice("recipe", name, known)
         check_version(values.get("format_version", 1), "recipe: ", ValueError)
         recipe = Recipe(
-            spec=Generator.from_dict(values.get("spec", {})),
+            spec=MapGenerator.from_dict(values.get("spec", {})),
             seed=check_seed(values.get("seed", 0)),
             maps=check_count("maps", values.get("maps", Recipe.maps)),
             content_hash=values.get("content_hash"),

@@ -5,7 +5,7 @@ from models.lego.comparison import compare, contenders, to_text
 from models.lego.sampler import Heatmap
 
 rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
-problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
+problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
 print(to_text(compare(rows, problems)))
 """
 
@@ -23,7 +23,7 @@ from pytorch_lightning import Callback, LightningModule, Trainer
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals, with_interval
 from mapdata.plotting import PALETTE
-from mapdata.problems import HARD, Problems
+from mapdata.problems import HARD, ProblemSet
 from models.lego.roadmap import SAMPLERS, MapSampler, halton, path_lengths, uniform
 from models.lego.sampler import Sampler
 
@@ -123,7 +123,7 @@ class RoadmapSuccess(Callback):
 
 def compare(
     rows: Mapping[str, Contender],
-    problems: Problems,
+    problems: ProblemSet,
     sizes: Sequence[int] = SIZES,
     *,
     bootstrap: int = 1000,
@@ -180,7 +180,7 @@ def compare(
 
 
 def _lengths(
-    contender: Contender, problems: Problems, n: int, first_seed: int = 0
+    contender: Contender, problems: ProblemSet, n: int, first_seed: int = 0
 ) -> tuple[Floats, float]:
     """Return path lengths (N,), inf without a path, and milliseconds of sampling a problem."""
     lengths = []

@@ -9,7 +9,7 @@ points.
     from mapdata import MapSpec, Problems
     from models.lego.roadmap import halton, roadmap_between
 
-    problems = Problems.sample(MapSpec.preset("dungeon"), seed=77, maps=1)
+    problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1)
     grid, start, goal = problems.grids[0], problems.starts[0], problems.goals[0]
     roadmap = roadmap_between(grid, start, goal, halton(grid, 100, seed=1))
     length, vertices = roadmap.shortest_path()  # the length is inf where there is no path

@@ -88,11 +88,11 @@ WALLED = np.array(
 """From (0, 0) five cells lead to (2, 0), and none to the last column."""
 
 
-def problems_on_walled(goals: list[tuple[int, int]]) -> paths.Problems:
+def problems_on_walled(goals: list[tuple[int, int]]) -> paths.ProblemSet:
     """Return the problems from (0, 0) to these goals."""
     grids = np.stack([WALLED] * len(goals))
     starts = np.zeros((len(goals), 2), np.int64)
-    return paths.Problems(grids, starts, np.array(goals), [0] * len(goals))
+    return paths.ProblemSet(grids, starts, np.array(goals), [0] * len(goals))
 
 
 @pytest.mark.parametrize("peer", paths.PEERS, ids=lambda peer: peer.name)

@@ -27,7 +27,7 @@ from mapdata import (
     Movement,
     OnlineMapDataset,
     Pairs,
-    Problems,
+    ProblemSet,
     Random,
     Route,
     Sample,
@@ -249,7 +249,7 @@ def test_stored_problems_are_solved_anew(
 def test_random_problems_are_sampled_on_the_inflated_map(
     roots: dict[str, str], online: bool, movement: Movement
 ) -> None:
-    """Those of the reference there, on the next map where it has none; the same as `Problems`."""
+    """Those of the reference there, on the next map where it has none; the same as `ProblemSet`."""
     problems = Random(distance=(4, None))
     how: dict[str, Any] = {"problems": problems, "movement": movement, "radius": 0.1}
     served: dict[str, Any] = {**how, "sampling_seed": SEED, "fields": samples.ALL_FIELDS}
@@ -272,16 +272,16 @@ def test_random_problems_are_sampled_on_the_inflated_map(
     assert MAPS / 2 < len(maps) < MAPS
 
     batch = dataset[maps]
-    sampled = Problems.sample(samples.SPEC, SEED, MAPS, **how)
+    sampled = ProblemSet.sample(samples.SPEC, SEED, MAPS, **how)
     assert sampled.description.endswith(", inflated by 1 cells")
     assert_problems_are(sampled, batch)
     in_test = [reference.reference_split(samples.SPEC, SEED, k) == 2 for k in maps]
     assert any(in_test)
-    read = Problems.read(roots["square"], seed=SEED, **how)
+    read = ProblemSet.read(roots["square"], seed=SEED, **how)
     assert_problems_are(read, dataset[[k for k, test in zip(maps, in_test, strict=True) if test]])
 
 
-def assert_problems_are(problems: Problems, batch: Sample) -> None:
+def assert_problems_are(problems: ProblemSet, batch: Sample) -> None:
     """Compare a set of problems with what a dataset serves."""
     np.testing.assert_array_equal(problems.grids, batch.map[:, 0])
     np.testing.assert_array_equal(problems.starts, batch.start)
@@ -390,8 +390,8 @@ DOORS: dict[str, Callable[[str, Any], object]] = {
     "stored": lambda root, radius: MapDataset(root, radius=radius),
     "online": lambda root, radius: OnlineMapDataset(samples.SPEC, radius=radius),
     "module": lambda root, radius: MapDataModule(root, radius=radius),
-    "sample": lambda root, radius: Problems.sample(samples.SPEC, 0, 5, radius=radius),
-    "read": lambda root, radius: Problems.read(root, radius=radius),
+    "sample": lambda root, radius: ProblemSet.sample(samples.SPEC, 0, 5, radius=radius),
+    "read": lambda root, radius: ProblemSet.read(root, radius=radius),
 }
 """All that take a radius."""
 
@@ -426,4 +426,4 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
         with pytest.raises(ValueError, match="none on one map after another"):
             dataset[0]
     with pytest.raises(ValueError, match="no map has a problem"):
-        Problems.sample(samples.SPEC, 0, 5, radius=5)
+        ProblemSet.sample(samples.SPEC, 0, 5, radius=5)

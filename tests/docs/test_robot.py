@@ -17,7 +17,7 @@ from helpers import pages
 from helpers.pages import DOCS, ROOT
 from PIL import Image
 
-from mapdata import Forest, Movement, Problems, astar, check_path, inflate
+from mapdata import Forest, Movement, ProblemSet, astar, check_path, inflate
 from mapdata.formats import read_any
 from models.path_predictor import PathPredictor
 
@@ -97,7 +97,7 @@ def test_maps_of_any_size(robot: dict[str, Any], shape: tuple[int, int]) -> None
 
 def test_without_the_network_it_is_a_star(robot: dict[str, Any]) -> None:
     """Paths are legal and optimal; predictions that are noise still give legal ones."""
-    problems = Problems.sample(Forest((24, 32)), seed=1, maps=20, movement=MOVEMENT)
+    problems = ProblemSet.sample(Forest((24, 32)), seed=1, maps=20, movement=MOVEMENT)
     source = np.random.default_rng(0)
     for grid, start, goal in zip(problems.grids, problems.starts, problems.goals, strict=True):
         walled = np.pad(grid, 1, constant_values=1)

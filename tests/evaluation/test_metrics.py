@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 from helpers.reference import Cell
 
-from mapdata import MapSpec, Plan, Problems, astar, build, evaluate
+from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate
 from mapdata.evaluation import METRICS, Planner, classical, to_text
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
@@ -56,7 +56,7 @@ GOALS = [(0, 2), (0, 3), (3, 0)]
 DETOUR = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2)]
 
 
-def three(movement: Movement = Movement()) -> Problems:
+def three(movement: Movement = Movement()) -> ProblemSet:
     """Return three problems from (0, 0): around a wall (L* 4, E* 5, hard), along the top (6, 7),
     down (3, 4).
     """
@@ -64,7 +64,7 @@ def three(movement: Movement = Movement()) -> Problems:
     grids[0, 0, 1] = 1
     grids[1, :3, 1] = 1
     starts = [(0, 0), (3, 1), (0, 0)]
-    return Problems(grids, np.array(starts), np.array(GOALS), movement)
+    return ProblemSet(grids, np.array(starts), np.array(GOALS), movement)
 
 
 def row(table: pd.DataFrame, planner: str, subset: str) -> dict[str, Any]:
@@ -141,7 +141,7 @@ CHEATS: dict[str, list[tuple[float, float]]] = {
 def test_cheats_fail(path: list[tuple[float, float]], movement: Movement) -> None:
     """Success 0, not optimal, no cost; what was expanded counts."""
     problems = three(movement)
-    one = Problems(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
+    one = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
     found = row(evaluate([Scripted([(path, 1)])], one, bootstrap=5), "scripted", "all")
     assert (found["success"], found["opt"], found["expansion_ratio"]) == (
         0,
@@ -165,7 +165,7 @@ def test_a_path_of_another_rank_fails() -> None:
 def test_the_row_of_astar_is_exact(movement: Movement) -> None:
     """Everything is measured with A*: 1, 1, 1, 1, 0, 0, and so are both ends of its intervals."""
     table = evaluate(
-        classical(movement), Problems.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20
+        classical(movement), ProblemSet.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20
     )
     for subset in ("all", "hard"):
         found = row(table, "A*", subset)
@@ -199,7 +199,7 @@ def test_the_table() -> None:
 
 def test_no_hard_problem() -> None:
     """The row is there, with n = 0 and NaN."""
-    easy = Problems(
+    easy = ProblemSet(
         np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement()
     )
     table = evaluate(classical(Movement()), easy, bootstrap=5)
@@ -213,7 +213,7 @@ def test_the_interval_is_that_of_a_share() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
     """
-    problems = Problems.sample(MapSpec(), 2, 400)
+    problems = ProblemSet.sample(MapSpec(), 2, 400)
     wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
 
     def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:
@@ -290,7 +290,7 @@ def test_the_classical_rows_are_where_they_were(
     other maps.
     """
     table = evaluate(
-        classical(movement), Problems.sample(DUNGEON, 77, 600, movement=movement), bootstrap=10
+        classical(movement), ProblemSet.sample(DUNGEON, 77, 600, movement=movement), bootstrap=10
     )
     for planner, expected in (
         ("greedy best-first", greedy),
@@ -358,7 +358,7 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
     build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
     run(str(tmp_path / "maps"), "--connectivity", "4", "--json", str(tmp_path / "out.json"))
     rows = json.loads((tmp_path / "out.json").read_text())
-    assert rows[0]["n"] == len(Problems.read(tmp_path / "maps", movement=Movement()))
+    assert rows[0]["n"] == len(ProblemSet.read(tmp_path / "maps", movement=Movement()))
     assert "connectivity=4" in capsys.readouterr().out
 
 
@@ -414,7 +414,7 @@ def test_the_script_says_what_is_wrong_in_one_line(
 
 def test_the_weights_go_by_the_problems(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A set where corners may be cut has rows of the predictor, without the flag."""
-    cut = Problems.sample(
+    cut = ProblemSet.sample(
         MapSpec.preset("dungeon"), 77, maps=4, movement=Movement(8, corner_cutting=True)
     )
     cut.save(tmp_path / "cut.npz")

@@ -15,7 +15,7 @@ from helpers import reference
 from helpers.grids import scipy_distances
 from helpers.reference import Cell
 
-from mapdata import MapSpec, Maze, Plan, Problems, astar, bfs, check_path, evaluate
+from mapdata import MapSpec, Maze, Plan, ProblemSet, astar, bfs, check_path, evaluate
 from mapdata.evaluation import BatchPlanner, BestFirst, Limit, Search, classical
 from mapdata.evaluation.planners import VanillaAstar
 from mapdata.movement import NEURAL_ASTAR, Movement
@@ -93,7 +93,7 @@ def assert_same(found: Plan, expected: Plan) -> None:
     assert type(found.expansions) is int
 
 
-def ends_of(problems: Problems) -> list[tuple[Cell, Cell]]:
+def ends_of(problems: ProblemSet) -> list[tuple[Cell, Cell]]:
     """Return start and goal of each problem."""
     ends = zip(problems.starts.tolist(), problems.goals.tolist(), strict=True)
     return [
@@ -101,7 +101,7 @@ def ends_of(problems: Problems) -> list[tuple[Cell, Cell]]:
     ]
 
 
-def plan_all(planner: BatchPlanner, problems: Problems) -> Sequence[Plan]:
+def plan_all(planner: BatchPlanner, problems: ProblemSet) -> Sequence[Plan]:
     """Return the plans of all problems, found in one call."""
     return planner.plan_batch(problems.grids, problems.starts, problems.goals)
 
@@ -126,7 +126,7 @@ def test_best_first_equals_the_reference(
 @movements
 def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
     """With f = g + h the generic search takes the very cells that the format's A* takes."""
-    problems = Problems.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
+    problems = ProblemSet.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
     generic = plan_all(BestFirst("A*", movement, 1), problems)
     own = plan_all(Search("A*", movement, "astar"), problems)
     for found, expected in zip(generic, own, strict=True):
@@ -150,7 +150,7 @@ def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
 @pytest.mark.parametrize("weight", [0, 0.5, 1, 1.5, 2, 5])
 def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
     """The cost is at most max(1, weight) times the optimal one."""
-    problems = Problems.sample(MapSpec.preset("dungeon"), 6, 100, movement=movement)
+    problems = ProblemSet.sample(MapSpec.preset("dungeon"), 6, 100, movement=movement)
     plans = plan_all(BestFirst("weighted", movement, weight), problems)
     costs = [
         check_path(grid, plan.path, movement)
@@ -166,7 +166,7 @@ def test_the_rows_that_come_along(movement: Movement) -> None:
     """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched
     answer the same.
     """
-    problems = Problems.sample(MapSpec(), 7, 30, movement=movement)
+    problems = ProblemSet.sample(MapSpec(), 7, 30, movement=movement)
     ends = ends_of(problems)
     rows = {planner.name: planner for planner in classical(movement)}
     assert list(rows) == [
@@ -254,7 +254,7 @@ def test_the_astar_of_neural_astar() -> None:
     movement = Movement(8, corner_cutting=True, diagonal_cost=1)
     (planner,) = (one for one in classical(movement) if one.name == "A* of Neural A*")
     counted = [380, 259, 43, 329, 258, 335, 18, 205, 115, 227, 281, 97]
-    drawn = Problems.sample(Maze((32, 32)), 3, len(counted), movement=movement)
+    drawn = ProblemSet.sample(Maze((32, 32)), 3, len(counted), movement=movement)
     table = evaluate([planner], drawn, bootstrap=1)
     assert table["opt"].tolist() == [1, 1]
     mean = np.mean(counted / drawn.optimal.iterations)

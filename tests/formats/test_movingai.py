@@ -15,7 +15,7 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import Problems, read_shard
+from mapdata import ProblemSet, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, read_problems
 from mapdata.formats.movingai import (
@@ -306,7 +306,7 @@ def test_all_problems_of_one_map_share_its_grid(
     assert "600/600" in capsys.readouterr().err
     with pytest.raises(ValueError, match="read-only"):
         problems.grids[0, 0, 0] = 1
-    copied = Problems(
+    copied = ProblemSet(
         problems.grids.copy(), problems.starts, problems.goals, Movement(8), problems.description
     )
     assert copied.content_hash == content_hash

@@ -14,7 +14,7 @@ from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import MapDataModule, MapDataset, Problems, Random, read_shard
+from mapdata import MapDataModule, MapDataset, ProblemSet, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
 from mapdata.formats.planning import hops, policy, read, starts_of
@@ -227,7 +227,7 @@ def test_other_peoples_mazes_feed_training_and_evaluation(
     rule = movement or NEURAL_ASTAR
     table = evaluate(
         classical(rule),
-        Problems.read(tmp_path / "mazes", problems=Random(), movement=rule),
+        ProblemSet.read(tmp_path / "mazes", problems=Random(), movement=rule),
         bootstrap=10,
     )
     best = table[(table["planner"] == "A*") & (table["subset"] == "all")].iloc[0]

@@ -10,7 +10,7 @@ from helpers.reference_families import reference_forest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapdata import Forest, Generator, generate
+from mapdata import Forest, MapGenerator, generate
 
 
 @st.composite
@@ -38,7 +38,7 @@ def test_cover_is_uniform_in_its_range() -> None:
     The bounds are five standard deviations of the mean.
     """
     for name, beyond in (("noise", 0.0), ("forest", 0.01)):
-        cover = generate(Generator.preset(name), 3, range(1000)).occupancy.mean(axis=(1, 2))
+        cover = generate(MapGenerator.preset(name), 3, range(1000)).occupancy.mean(axis=(1, 2))
         assert cover.mean() == pytest.approx(0.25 + beyond / 2, abs=5 * 0.3 / 12000**0.5 + beyond)
         assert 0.1 - 1 / 4096 <= cover.min() < 0.11
         assert 0.39 < cover.max() < 0.4 + 2 * beyond

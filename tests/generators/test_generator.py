@@ -23,14 +23,14 @@ from helpers.samples import ALL_FIELDS, assert_same
 from mapdata import (
     Cave,
     Forest,
-    Generator,
     MapDataset,
+    MapGenerator,
     Maps,
     MapSpec,
     Maze,
     Movement,
     OnlineMapDataset,
-    Problems,
+    ProblemSet,
     build,
     generate,
     identity,
@@ -51,7 +51,7 @@ from mapdata.shards import Recipe
 
 
 @dataclass(frozen=True)
-class Stripes(Generator):
+class Stripes(MapGenerator):
     """Horizontal stripes, open at one end: a family that somebody else writes."""
 
     name: ClassVar[str] = "stripes"
@@ -85,11 +85,11 @@ def stripes() -> Iterator[type[Stripes]]:
 
 def test_a_family_of_ones_own_is_built_and_verified(stripes: type[Stripes], tmp_path: Path) -> None:
     """Registered, it is known to recipes, manifests and shards."""
-    spec = Generator.preset("striped")
+    spec = MapGenerator.preset("striped")
     manifest = build(tmp_path / "maps", spec, maps=5, seed=2, shard_size=3)
     assert verify(tmp_path / "maps") == []
     assert json.loads(manifest.recipe())["spec"]["generator"] == "stripes"
-    assert Generator.from_dict({"generator": "stripes", "every": 3}) == stripes(every=3)
+    assert MapGenerator.from_dict({"generator": "stripes", "every": 3}) == stripes(every=3)
     maps = read_shard(tmp_path / "maps" / manifest.shards[0].name).maps
     np.testing.assert_array_equal(maps.occupancy, generate(spec, 2, range(3)).occupancy)
 
@@ -226,9 +226,9 @@ def test_an_installed_family_is_imported_when_it_is_needed(
     """By the entry point of its name, which names its class, or a module that registers it."""
     installed(f"pillars = {target}")
     assert type(stored_generator(Maze().to_json())) is Maze
-    assert Generator.from_dict({"generator": "cave"}) == Cave()
+    assert MapGenerator.from_dict({"generator": "cave"}) == Cave()
     assert "pillars" not in sys.modules
-    pillars = Generator.from_dict({"generator": "pillars", "side": 2})
+    pillars = MapGenerator.from_dict({"generator": "pillars", "side": 2})
     assert (pillars.name, pillars.map_size) == ("pillars", (9, 12))
     assert "pillars" in sys.modules
     assert type(stored_generator(pillars.to_json())) is type(pillars)
@@ -258,7 +258,7 @@ def test_a_broken_package_is_named_on_one_line(
     assert isinstance(stored_generator(json.dumps(stored)), UnknownFamily)
     what = f"the entry point '{line}' of the package halls {why}; known are rooms, maze, cave"
     with pytest.raises(ValueError, match=f"^generator: .*'pillars' is not known here; {what}"):
-        Generator.from_dict(stored)
+        MapGenerator.from_dict(stored)
 
 
 CELL = """
@@ -277,12 +277,12 @@ def test_a_cell_that_runs_again_takes_the_place_of_its_family(stripes: type[Stri
         exec(CELL.format(more=more), cell)
         family: Any = cell["Stripes"]
         assert [GENERATORS["stripes"]] == [family]
-        assert Generator.preset("striped") == family(more=more)
+        assert MapGenerator.preset("striped") == family(more=more)
         seven = family(more=7)
-        assert Generator.from_dict(seven.to_dict()) == seven
+        assert MapGenerator.from_dict(seven.to_dict()) == seven
     with pytest.raises(ValueError, match="the preset 'striped' is there already"):
         register(family, {"striped": family(more=9)})
-    assert Generator.preset("striped") == family(more=2)
+    assert MapGenerator.preset("striped") == family(more=2)
 
 
 def test_registering_refuses_what_cannot_work() -> None:
@@ -308,10 +308,10 @@ def test_registering_refuses_what_cannot_work() -> None:
         register(Maze, {"paper": Maze()})
     assert Plain.name == "stripes"
     with pytest.raises(ValueError, match="expected a frozen dataclass"):
-        register(Generator)  # type: ignore[type-abstract]
+        register(MapGenerator)  # type: ignore[type-abstract]
 
     @dataclass(frozen=True)
-    class Nameless(Generator):
+    class Nameless(MapGenerator):
         """It can be made, but nothing says what it is called."""
 
         @property
@@ -322,7 +322,7 @@ def test_registering_refuses_what_cannot_work() -> None:
             raise NotImplementedError
 
     @dataclass(frozen=True)
-    class Unfinished(Generator):
+    class Unfinished(MapGenerator):
         """It has a name, and nothing that draws."""
 
         name: ClassVar[str] = "unfinished"
@@ -334,11 +334,11 @@ def test_registering_refuses_what_cannot_work() -> None:
 
 
 def test_presets_of_one_family_and_of_all() -> None:
-    """A family knows its own, `Generator` all."""
+    """A family knows its own, `MapGenerator` all."""
     assert MapSpec.preset("dungeon").rooms == (8, 16)
-    assert Generator.preset("maze") == Maze.preset("maze") == Maze()
+    assert MapGenerator.preset("maze") == Maze.preset("maze") == Maze()
     with pytest.raises(
-        ValueError, match=r"preset: 'maze' is of another family: Generator.preset\('maze'\)"
+        ValueError, match=r"preset: 'maze' is of another family: MapGenerator.preset\('maze'\)"
     ):
         MapSpec.preset("maze")
 
@@ -367,7 +367,7 @@ def test_presets_of_one_family_and_of_all() -> None:
 def test_bad_specs_are_refused(values: object, why: str) -> None:
     """By naming what is wrong."""
     with pytest.raises(ValueError, match=why):
-        Generator.from_dict(values)
+        MapGenerator.from_dict(values)
 
 
 def test_version_1_says_what_it_always_said() -> None:
@@ -378,14 +378,14 @@ def test_version_1_says_what_it_always_said() -> None:
     )
     assert (MapSpec().format_version, Maze().format_version) == (1, 2)
     assert MapSpec.from_dict({"generator": "rooms"}) == MapSpec()
-    assert Generator.from_json(Maze(corridor=3).to_json()) == Maze(corridor=3)
+    assert MapGenerator.from_json(Maze(corridor=3).to_json()) == Maze(corridor=3)
 
 
 def test_a_spec_is_read_from_any_mapping() -> None:
     """With mappings in it; what is kept are plain values, and so the identity is the same."""
     movement = MappingProxyType({"connectivity": 8})
     values = {"map_size": UserList([40, 50]), "cover": UserList([0.1, 0.2]), "movement": movement}
-    spec = Generator.from_dict(MappingProxyType({"generator": "forest", **values}))
+    spec = MapGenerator.from_dict(MappingProxyType({"generator": "forest", **values}))
     assert spec == Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8))
     assert identity(spec, 3) == identity(
         Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8)), 3
@@ -393,7 +393,7 @@ def test_a_spec_is_read_from_any_mapping() -> None:
 
 
 SEEDED = {"seed_points": 4, "splits": (0.5, 0.25, 0.25)}
-GOLDEN: dict[Generator, tuple[str, str]] = {
+GOLDEN: dict[MapGenerator, tuple[str, str]] = {
     Cave((20, 31), occupied=0.4, steps=3, **SEEDED): (  # type: ignore[arg-type]
         "e7178de2e750b7b8e2c1eb57064c4b44af39a3890b5baec39a98ed323d7c78fe",
         "2d9bae2ece32e41fa6c3a5cafe553ea568c95a23674591211e44a2f664af45eb",
@@ -408,7 +408,7 @@ GOLDEN: dict[Generator, tuple[str, str]] = {
 
 @pytest.mark.parametrize("spec", GOLDEN, ids=lambda spec: spec.name)
 def test_a_family_is_a_dataset_like_any_other(
-    spec: Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    spec: MapGenerator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Golden hashes, that the page tells too; recipes, all fields, online maps, every verb."""
     root = tmp_path / "maps"
@@ -425,7 +425,7 @@ def test_a_family_is_a_dataset_like_any_other(
     fields = ("map", "start", "goal", "path")
     stored = MapDataset(root, None, fields, problems="random")[:]
     assert_same(stored, OnlineMapDataset(spec, 7, 30, fields=fields, problems="random")[:])
-    assert len(Problems.sample(spec, seed=3, maps=5)) == 5
+    assert len(ProblemSet.sample(spec, seed=3, maps=5)) == 5
     for line in (
         f"info {root}",
         f"verify {root}",

@@ -23,7 +23,7 @@ from mapdata import (
     Maze,
     Movement,
     OnlineMapDataset,
-    Problems,
+    ProblemSet,
     build,
     generate,
     identity,
@@ -193,7 +193,7 @@ def test_labels_of_perfect_mazes_have_one_path() -> None:
 
 def test_planners_are_compared_on_mazes() -> None:
     """Problems are drawn on them as on any maps."""
-    assert len(Problems.sample(Maze(reopened=0.1), seed=3, maps=5)) == 5
+    assert len(ProblemSet.sample(Maze(reopened=0.1), seed=3, maps=5)) == 5
 
 
 def test_every_verb_takes_mazes(

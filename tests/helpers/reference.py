@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from mapdata import Generator, MapSpec
+    from mapdata import MapGenerator, MapSpec
     from mapdata.movement import Movement
 
 Cell: TypeAlias = tuple[int, int]
@@ -141,7 +141,7 @@ def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
     return ReferenceMap(grid, passage, seed_points, sizes, directions, split)
 
 
-def reference_split(spec: Generator, seed: int, index: int) -> int:
+def reference_split(spec: MapGenerator, seed: int, index: int) -> int:
     """Draw a map's split: 0 train, 1 val, 2 test."""
     word = block(seed, index, 0, SPLIT, 0)[0]
     train, validation, _ = spec.splits

@@ -19,7 +19,7 @@ from pathlib import Path
 import aiohttp  # noqa: F401  # what a fetch imports is not its memory
 import fsspec.implementations.http  # noqa: F401
 
-from mapdata import MapDataset, Problems
+from mapdata import MapDataset, ProblemSet
 from mapdata.formats import FormatError, read_any
 from mapdata.shards import Recipe, open_shard, read_manifest
 from models.path_predictor import PathPredictor
@@ -67,7 +67,7 @@ LOADERS: dict[str, Callable[[str], object]] = {
     "url": fetch_endless,
     "recipe": Recipe.load,
     "format": read_format,
-    "problems": Problems.load,
+    "problems": ProblemSet.load,
     "model": PathPredictor.load,
 }
 

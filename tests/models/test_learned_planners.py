@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.reference import Cell, neighbours
 
-from mapdata import Forest, Movement, Problems, check_path
+from mapdata import Forest, Movement, ProblemSet, check_path
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
 from models.learned_planners import GuidedSearch
@@ -36,7 +36,7 @@ class Answers:
         return self.scores, self.costs
 
 
-def answers(problems: Problems, seed: int) -> Answers:
+def answers(problems: ProblemSet, seed: int) -> Answers:
     """Return random answers to all problems."""
     source = np.random.default_rng(seed)
     moves = problems.movement.connectivity
@@ -98,7 +98,7 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
     """The same path and as many expansions, for random answers and for those that decide nothing,
     where the order among equals is all.
     """
-    problems = Problems.sample(Forest((12, 14)), 1, 30, movement=movement)
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 30, movement=movement)
     model = answers(problems, 2)
     if all_tie:
         model.scores.fill(0)
@@ -119,7 +119,7 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
 @pytest.mark.parametrize("cut", [(1, 8, 12, 14), (5, 4, 12, 14), (5, 8, 11, 14), (5, 8, 12, 1)])
 def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
     """Compiled code would read past their end."""
-    problems = Problems.sample(Forest((12, 14)), 1, 5)
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 5)
     model = answers(problems, 3)
     count, moves, rows, columns = cut
     asked = problems.grids, problems.starts, problems.goals
@@ -135,7 +135,7 @@ def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("value", [-np.inf, np.inf, np.nan])
 def test_there_is_a_path_whatever_is_predicted(value: float, share: float) -> None:
     """Some or all scores, and as many costs, are no finite numbers."""
-    problems = Problems.sample(Forest((12, 14)), 1, 100)
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 100)
     model = answers(problems, 3)
     source = np.random.default_rng(4)
     for array in (model.scores, model.costs):

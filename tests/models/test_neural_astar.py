@@ -12,11 +12,11 @@ import torch
 from scipy.ndimage import label
 
 from mapdata import (
-    Generator,
+    MapGenerator,
     Maze,
     Movement,
     OnlineMapDataset,
-    Problems,
+    ProblemSet,
     Random,
     check_path,
     distance_field,
@@ -113,7 +113,7 @@ def test_the_search_expands_what_a_slow_one_does(movement: Movement) -> None:
 
 def test_without_guidance_it_is_the_search_that_it_is_compared_with() -> None:
     """Equal costs: as many expansions as A* of Neural A*, but for ties in floats of 32 bits."""
-    problems = Problems.sample(Generator.preset("maze"), 5, maps=12, movement=NEURAL_ASTAR)
+    problems = ProblemSet.sample(MapGenerator.preset("maze"), 5, maps=12, movement=NEURAL_ASTAR)
     vanilla = classical(NEURAL_ASTAR)[-1]
     assert vanilla.name == "A* of Neural A*"
     grids, starts, goals = map(
@@ -174,7 +174,7 @@ def test_the_gradient_is_that_of_the_shares() -> None:
 @pytest.mark.parametrize("movement", [NEURAL_ASTAR, Movement(8), Movement(4)])
 def test_random_paths_are_shortest(movement: Movement) -> None:
     """Each leads from start to goal over cells of shortest paths, one for each distance."""
-    caves = Generator.preset("cave")
+    caves = MapGenerator.preset("cave")
     fields = ("map", "start", "goal", "optimal_moves")
     data = OnlineMapDataset(caves, length=20, fields=fields, problems="random", movement=movement)
     batch = data[:]
@@ -274,7 +274,7 @@ def test_it_plans_where_there_is_a_path(trained: NeuralAstar, tmp_path: Path) ->
 @pytest.mark.slow
 def test_its_row_stands_in_the_table(trained: NeuralAstar) -> None:
     """Sixty steps bring it below A*, on mazes that it has not seen."""
-    problems = Problems.sample(Maze((15, 15)), 77, maps=40, movement=NEURAL_ASTAR)
+    problems = ProblemSet.sample(Maze((15, 15)), 77, maps=40, movement=NEURAL_ASTAR)
     table = evaluate([trained], problems, bootstrap=1).set_index("planner")
     row = table[table["subset"] == "all"].loc["Neural A*"]
     assert row["success"] == 1

@@ -26,12 +26,12 @@ from torch.utils.data import DataLoader
 
 from mapdata import (
     DatasetNotFoundError,
-    Generator,
     MapDataModule,
+    MapGenerator,
     MapSpec,
     Movement,
     OnlineMapDataset,
-    Problems,
+    ProblemSet,
     Random,
     Route,
     Sample,
@@ -98,13 +98,13 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
 
 
 @cache
-def problems(name: str, hard: int) -> Problems:
+def problems(name: str, hard: int) -> ProblemSet:
     """Return problems that no training has seen."""
-    spec = WIDE if name == "wide" else Generator.preset(name)
-    return Problems.sample(spec, seed=314159, until_hard=hard)
+    spec = WIDE if name == "wide" else MapGenerator.preset(name)
+    return ProblemSet.sample(spec, seed=314159, until_hard=hard)
 
 
-def scores(rows: Sequence[Planner], on: Problems) -> pd.DataFrame:
+def scores(rows: Sequence[Planner], on: ProblemSet) -> pd.DataFrame:
     """Return the hard rows of the table, by planner."""
     table = evaluate(rows, on, bootstrap=1)
     return table[table["subset"] == "hard"].set_index("planner")
@@ -188,7 +188,7 @@ def test_costs_to_go_are_those_of_the_moves_that_follow(movement: Movement) -> N
 def test_predicted_costs_to_go_are_those_of_both_views() -> None:
     """They follow the mean scores, to the mean ratio."""
     model = confused()
-    drawn = Problems.sample(DUNGEON, 8, 4)
+    drawn = ProblemSet.sample(DUNGEON, 8, 4)
     scores, costs = model.predict(drawn.grids, drawn.goals)
     occupied, goals = model.tensors(drawn.grids[:, None], drawn.goals)
     with model.inference():
@@ -316,7 +316,7 @@ def test_the_loss_is_zero_for_any_optimal_policy(
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
     """A model with random answers gives valid paths, and expands every cell of them."""
-    drawn = Problems.sample(DUNGEON, 8, 40, movement=movement)
+    drawn = ProblemSet.sample(DUNGEON, 8, 40, movement=movement)
     model = confused(movement)
     for planner in planners(model):
         for plan, grid, *ends in zip(
@@ -364,7 +364,7 @@ def walked_by_the_book(
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_walk_is_depth_first(movement: Movement) -> None:
     """It expands as many cells as a plain one in Python that goes back where it is stuck."""
-    drawn = Problems.sample(DUNGEON, 8, 8, movement=movement)
+    drawn = ProblemSet.sample(DUNGEON, 8, 8, movement=movement)
     model = confused(movement)
     plans = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
     scores, _ = model.predict(drawn.grids, drawn.goals)
@@ -380,7 +380,7 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     spec = MapSpec(
         size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
     )
-    drawn = Problems.sample(spec, 9, 12)
+    drawn = ProblemSet.sample(spec, 9, 12)
     for planner in planners(PathPredictor.load(WEIGHTS)):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
         alone = [
@@ -394,7 +394,7 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
 def test_the_predicted_path_is_that_of_the_walk() -> None:
     """Of tensors of one map, as of a batch of arrays."""
     model = confused()
-    drawn = Problems.sample(DUNGEON, 8, 40)
+    drawn = ProblemSet.sample(DUNGEON, 8, 40)
     walks = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
     for plan, grid, start, goal in zip(walks, drawn.grids, drawn.starts, drawn.goals, strict=True):
         path = model.predict_path(torch.tensor(grid)[None], torch.tensor(start), goal)
@@ -660,7 +660,7 @@ def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None
     grids, starts, goals = (each.numpy() for each in (batch.map[:, 0], batch.start, batch.goal))
     cost = search_batch("astar", grids, starts, goals, Movement(8)).cost
     assert (cost == -1).any() == unsolvable
-    asked = Problems(grids[cost > 0], starts[cost > 0], goals[cost > 0], Movement(8))
+    asked = ProblemSet(grids[cost > 0], starts[cost > 0], goals[cost > 0], Movement(8))
     table = evaluate(planners(model)[1:], asked, bootstrap=1)
     assert logged["val_opt"] == pytest.approx(table["opt"][0], abs=0.02)
     assert logged["val_hmean"] == pytest.approx(table["hmean"][0], abs=0.02)

@@ -17,8 +17,8 @@ import pytest
 from helpers import reference
 from helpers.pages import DOCS
 
-from mapdata import MapSpec, Problems, Random, astar, build
-from mapdata.generators import Generator
+from mapdata import MapSpec, ProblemSet, Random, astar, build
+from mapdata.generators import MapGenerator
 from mapdata.movement import Movement
 from mapdata.problems import HARD
 
@@ -46,7 +46,7 @@ NARROW = Random(distance=(6, 12), hardness=(1.05, 2), length=(None, 11))
 """Conditions that the first draw on a map rarely meets."""
 
 
-def assert_same(one: Problems, other: Problems) -> None:
+def assert_same(one: ProblemSet, other: ProblemSet) -> None:
     """Compare maps, ends and movement of two sets of problems."""
     assert one.movement == other.movement
     np.testing.assert_array_equal(one.grids, other.grids)
@@ -54,9 +54,9 @@ def assert_same(one: Problems, other: Problems) -> None:
     np.testing.assert_array_equal(one.goals, other.goals)
 
 
-def chosen(problems: Problems, which: slice | list[int]) -> Problems:
+def chosen(problems: ProblemSet, which: slice | list[int]) -> ProblemSet:
     """Return some problems of a set."""
-    return Problems(
+    return ProblemSet(
         problems.grids[which], problems.starts[which], problems.goals[which], problems.movement
     )
 
@@ -87,7 +87,7 @@ def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None
         if spec == TINY:
             assert 0 < len(problems) < maps
 
-        found = Problems.sample(spec, seed, maps, problems=conditions, movement=movement)
+        found = ProblemSet.sample(spec, seed, maps, problems=conditions, movement=movement)
         assert found.grids.tolist() == grids
         assert found.starts.tolist() == [list(problem.start) for problem in problems]
         assert found.goals.tolist() == [list(problem.goal) for problem in problems]
@@ -113,11 +113,11 @@ def test_the_first_problems_do_not_depend_on_how_many() -> None:
     """A longer sample begins with the shorter one, over the border of a chunk (256 maps); another
     seed gives others.
     """
-    longer = Problems.sample(DUNGEON, 1, 270)
-    shorter = Problems.sample(DUNGEON, 1, 258)
+    longer = ProblemSet.sample(DUNGEON, 1, 270)
+    shorter = ProblemSet.sample(DUNGEON, 1, 258)
     assert len(shorter) == 258
     assert_same(shorter, chosen(longer, slice(258)))
-    others = Problems.sample(DUNGEON, 2, 258)
+    others = ProblemSet.sample(DUNGEON, 2, 258)
     assert not np.array_equal(others.grids, shorter.grids)
     assert not np.array_equal(others.starts, shorter.starts)
     assert not np.array_equal(others.goals, shorter.goals)
@@ -128,19 +128,19 @@ def test_until_hard_stops_at_the_last_hard_problem() -> None:
 
     Every map of this preset has a problem, so that the set has as many maps as problems.
     """
-    problems = Problems.sample(DUNGEON, 4, until_hard=20)
+    problems = ProblemSet.sample(DUNGEON, 4, until_hard=20)
     maps = len(problems)
     assert problems.hard.sum() == 20
     assert problems.hard[-1]
-    assert_same(problems, Problems.sample(DUNGEON, 4, maps))
-    assert_same(problems, Problems.sample(DUNGEON, 4, maps, until_hard=20))
+    assert_same(problems, ProblemSet.sample(DUNGEON, 4, maps))
+    assert_same(problems, ProblemSet.sample(DUNGEON, 4, maps, until_hard=20))
     with pytest.raises(ValueError, match="until_hard: got 20, found only 19"):
-        Problems.sample(DUNGEON, 4, maps - 1, until_hard=20)
+        ProblemSet.sample(DUNGEON, 4, maps - 1, until_hard=20)
 
 
 def test_a_sample_of_hard_problems_alone() -> None:
     """By the condition on hardness: no other is among them."""
-    problems = Problems.sample(DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)))
+    problems = ProblemSet.sample(DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)))
     assert problems.hard.all()
 
 
@@ -151,11 +151,11 @@ def test_hardness_is_cost_over_heuristic() -> None:
     grids = np.stack([grid, grid, grid])
     starts = np.array([(0, 0), (0, 0), (3, 0)])
     goals = np.array([(0, 2), (3, 3), (3, 2)])
-    manhattan = Problems(grids, starts, goals, Movement())
+    manhattan = ProblemSet(grids, starts, goals, Movement())
     assert manhattan.hardness.tolist() == [4 / 2, 6 / 6, 2 / 2]
     assert manhattan.hard.tolist() == [True, False, False]
 
-    octile = Problems(grids, starts, goals, Movement(8))
+    octile = ProblemSet(grids, starts, goals, Movement(8))
     root = 2**0.5
     costs = [4, 2 + 2 * root, 2]
     heuristics = [2, 3 * root, 2]
@@ -167,7 +167,7 @@ def test_hardness_of_sampled_problems() -> None:
     reference's.
     """
     movement = Movement(8)
-    problems = Problems.sample(DUNGEON, 8, 20)
+    problems = ProblemSet.sample(DUNGEON, 8, 20)
     for k in range(20):
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
@@ -184,20 +184,20 @@ def test_hardness_of_sampled_problems() -> None:
 def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
     """On the test split of a root stand the problems that its spec and seed give on these maps."""
     build(tmp_path, DUNGEON, maps=120, seed=9, shard_size=50, workers=1)
-    every = Problems.sample(DUNGEON, 9, 120)
+    every = ProblemSet.sample(DUNGEON, 9, 120)
     assert len(every) == 120  # problem k is on map k
     test = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 2]
     train = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 0]
     assert len(test) > 3
     assert len(train) > 60
-    assert_same(Problems.read(tmp_path), chosen(every, test))
-    assert_same(Problems.read(tmp_path, 2), chosen(every, test[:2]))
-    assert_same(Problems.read(str(tmp_path), split="train"), chosen(every, train))
-    others = Problems.read(tmp_path, seed=1)
+    assert_same(ProblemSet.read(tmp_path), chosen(every, test))
+    assert_same(ProblemSet.read(tmp_path, 2), chosen(every, test[:2]))
+    assert_same(ProblemSet.read(str(tmp_path), split="train"), chosen(every, train))
+    others = ProblemSet.read(tmp_path, seed=1)
     np.testing.assert_array_equal(others.grids, every.grids[test])
     assert not np.array_equal(others.starts, every.starts[test])
     with pytest.raises(ValueError, match="split"):
-        Problems.read(tmp_path, split="validation")
+        ProblemSet.read(tmp_path, split="validation")
 
 
 def test_the_arrays_cannot_be_written() -> None:
@@ -205,7 +205,7 @@ def test_the_arrays_cannot_be_written() -> None:
     grids = np.zeros((1, 2, 3), np.uint8)
     starts = np.array([[0, 0]])
     goals = np.array([[1, 2]])
-    problems = Problems(grids, starts, goals, Movement())
+    problems = ProblemSet(grids, starts, goals, Movement())
     grids[:] = 1
     starts[:] = 1
     goals[:] = 1
@@ -222,7 +222,7 @@ def test_the_arrays_have_one_type() -> None:
     grids = np.zeros((1, 2, 3), np.int64)
     starts = np.array([[0, 0]], np.int8)
     goals = np.array([[1, 2]], np.int32)
-    problems = Problems(grids, starts, goals, Movement())  # type: ignore[arg-type]
+    problems = ProblemSet(grids, starts, goals, Movement())  # type: ignore[arg-type]
     assert problems.grids.dtype == np.uint8
     assert problems.starts.dtype == np.int64
     assert problems.goals.dtype == np.int64
@@ -247,30 +247,30 @@ def test_what_cannot_be_evaluated_is_refused(
     made.
     """
     with pytest.raises(ValueError, match=why):
-        Problems(np.array(grids), np.array(starts), np.array(goals), Movement())
+        ProblemSet(np.array(grids), np.array(starts), np.array(goals), Movement())
 
 
 def test_a_sample_without_problems_is_refused() -> None:
     """No number, none of the maps large enough, numbers below 1."""
     with pytest.raises(ValueError, match="neither maps nor until_hard"):
-        Problems.sample(DUNGEON, 0)
+        ProblemSet.sample(DUNGEON, 0)
     with pytest.raises(ValueError, match="maps: got 0"):
-        Problems.sample(DUNGEON, 0, 0)
+        ProblemSet.sample(DUNGEON, 0, 0)
     with pytest.raises(ValueError, match="until_hard: got -1"):
-        Problems.sample(DUNGEON, 0, until_hard=-1)
+        ProblemSet.sample(DUNGEON, 0, until_hard=-1)
     too_small = replace(TINY, map_size=(5, 5))
     why = r"no map has a problem that meets Random\(distance=\(10.0, inf\)"
     with pytest.raises(ValueError, match=why):
-        Problems.sample(too_small, 0, 3)
+        ProblemSet.sample(too_small, 0, 3)
 
 
 @pytest.mark.parametrize("movement", [Movement(), CUTTING], ids=["4", "cutting"])
 def test_a_saved_set_is_the_same(movement: Movement, tmp_path: Path) -> None:
     """To the last array, with movement and words; its bytes and hash are those of the problems."""
-    problems = Problems.sample(DUNGEON, 77, 20, movement=movement)
+    problems = ProblemSet.sample(DUNGEON, 77, 20, movement=movement)
     path = tmp_path / "set.npz"
     problems.save(path)
-    again = Problems.load(path)
+    again = ProblemSet.load(path)
     assert_same(again, problems)
     assert again.description == problems.description
     assert again.content_hash == problems.content_hash
@@ -289,11 +289,11 @@ def test_a_set_may_unpack_to_200_times_its_file(
     count = 50
     grids = np.zeros((count, 120, 120), np.uint8)
     starts = np.stack([np.arange(count), np.zeros(count, np.int64)], axis=1)
-    problems = Problems(grids, starts, starts + 5, Movement())
+    problems = ProblemSet(grids, starts, starts + 5, Movement())
     path = tmp_path / "set.npz"
     problems.save(path)
     assert path.stat().st_size > grids.nbytes
-    assert_same(Problems.load(path), problems)
+    assert_same(ProblemSet.load(path), problems)
     with np.load(path) as file:
         np.savez_compressed(path, **file)
     size = grids.nbytes + 2 * starts.nbytes
@@ -301,17 +301,17 @@ def test_a_set_may_unpack_to_200_times_its_file(
     assert size > limit
     says = rf"unpack to {size} bytes, expected at most {limit}: .* save its arrays with numpy.savez"
     with pytest.raises(ValueError, match=says):
-        Problems.load(path)
-    walls = Problems.sample(DUNGEON, 77, 20)  # some 30 times its file
+        ProblemSet.load(path)
+    walls = ProblemSet.sample(DUNGEON, 77, 20)  # some 30 times its file
     walls.save(path)
     assert walls.grids.nbytes > 10 * path.stat().st_size
-    assert_same(Problems.load(path), walls)
+    assert_same(ProblemSet.load(path), walls)
     monkeypatch.setattr("mapdata.problems.problem_set.MAX_BYTES", 2**16)
     with pytest.raises(ValueError, match="expected at most 65536: "):
-        Problems.load(path)
+        ProblemSet.load(path)
     walls.save(path)
     assert walls.grids.nbytes < path.stat().st_size
-    assert_same(Problems.load(path), walls)
+    assert_same(ProblemSet.load(path), walls)
 
 
 def test_a_full_disk_leaves_the_set_that_was_there(
@@ -319,7 +319,7 @@ def test_a_full_disk_leaves_the_set_that_was_there(
 ) -> None:
     """Nothing half-written under the name, and no other file."""
     path = tmp_path / "set.npz"
-    problems = Problems.sample(DUNGEON, 77, 5)
+    problems = ProblemSet.sample(DUNGEON, 77, 5)
     problems.save(path)
 
     def full(descriptor: int) -> None:
@@ -327,14 +327,14 @@ def test_a_full_disk_leaves_the_set_that_was_there(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space"):
-        Problems.sample(DUNGEON, 77, 20).save(path)
-    assert_same(Problems.load(path), problems)
+        ProblemSet.sample(DUNGEON, 77, 20).save(path)
+    assert_same(ProblemSet.load(path), problems)
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_save_removes_what_a_killed_one_left(tmp_path: Path) -> None:
     """In the same folder, of a set of any name; what a living writer has locked stays."""
-    problems = Problems.sample(DUNGEON, 77, 5)
+    problems = ProblemSet.sample(DUNGEON, 77, 5)
     left = tmp_path / ".set.npz.0123456789abcdef.mapdata.tmp"
     living = tmp_path / ".set.npz.fedcba9876543210.mapdata.tmp"
     left.write_bytes(b"half")
@@ -347,7 +347,7 @@ def test_a_save_removes_what_a_killed_one_left(tmp_path: Path) -> None:
 def test_the_hash_tells_sets_apart() -> None:
     """By maps, ends and movement; not by words. One is golden."""
     grid = np.array([[0, 0, 0], [0, 1, 0]])
-    problems = Problems(grid[None], np.array([[0, 0]]), np.array([[1, 2]]), Movement())
+    problems = ProblemSet(grid[None], np.array([[0, 0]]), np.array([[1, 2]]), Movement())
     golden = "1bf9f5c51756f669d05ec4ffbeb97619ba32f691e8c76b05aa62cc8bbf2c8ad1"
     assert problems.content_hash == golden
     assert replace(problems, description="others").content_hash == golden
@@ -375,18 +375,18 @@ def test_what_is_no_saved_set_is_refused(arrays: dict[str, Any], tmp_path: Path)
     path = tmp_path / "set.npz"
     np.savez(path, **arrays)
     with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
-        Problems.load(path)
+        ProblemSet.load(path)
 
 
 def test_problems_that_cannot_be_are_refused_by_the_name_of_their_file(tmp_path: Path) -> None:
     """As where others wrote 255 for 1."""
     path = tmp_path / "set.npz"
-    Problems.sample(MapSpec(), 0, 3).save(path)
+    ProblemSet.sample(MapSpec(), 0, 3).save(path)
     with np.load(path) as file:
         arrays = dict(file)
     np.savez(path, **arrays | {"grids": arrays["grids"] * 255})
     with pytest.raises(ValueError, match=r"set\.npz: .*grid: got"):
-        Problems.load(path)
+        ProblemSet.load(path)
 
 
 def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
@@ -395,23 +395,23 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     for text in ("text", ""):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"set\.npz: holds no saved problems"):
-            Problems.load(path)
+            ProblemSet.load(path)
     with pytest.raises(FileNotFoundError):
-        Problems.load(tmp_path / "none.npz")
+        ProblemSet.load(tmp_path / "none.npz")
 
 
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # numpy's
 def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
     """Whatever numpy, zip and zlib raise; a file that is read holds the same problems."""
     path = tmp_path / "set.npz"
-    problems = Problems.sample(DUNGEON, 77, 3)
+    problems = ProblemSet.sample(DUNGEON, 77, 3)
     problems.save(path)
     sound = path.read_bytes()
     refused = 0
     for k in range(len(sound)):
         path.write_bytes(sound[:k] + bytes([sound[k] ^ 0xFF]) + sound[k + 1 :])
         try:
-            assert_same(Problems.load(path), problems)
+            assert_same(ProblemSet.load(path), problems)
         except ValueError:
             refused += 1
     assert refused > len(sound) / 2
@@ -420,9 +420,9 @@ def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
 def test_conditions_that_are_no_random_problems_are_refused() -> None:
     """A name, or problems of another kind."""
     with pytest.raises(ValueError, match=r"problems: got 'random', expected mapdata\.Random"):
-        Problems.sample(DUNGEON, 0, 3, problems="random")  # type: ignore[arg-type]
+        ProblemSet.sample(DUNGEON, 0, 3, problems="random")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="spec: got 'dungeon', expected a MapSpec or another"):
-        Problems.sample("dungeon", 0, 3)  # type: ignore[arg-type]
+        ProblemSet.sample("dungeon", 0, 3)  # type: ignore[arg-type]
 
 
 class Row(NamedTuple):
@@ -466,8 +466,8 @@ def test_the_sets_behind_the_tables_are_what_their_recipes_give(row: Row) -> Non
     hard = int(words[words.index("--until-hard") + 1])
     connectivity = 4 if "--connectivity" in words else 8
     movement = Movement(connectivity, corner_cutting="--corner-cutting" in words)
-    spec = Generator.preset(preset)
-    found = Problems.sample(spec, seed=77, until_hard=hard, movement=movement)
+    spec = MapGenerator.preset(preset)
+    found = ProblemSet.sample(spec, seed=77, until_hard=hard, movement=movement)
     assert f"{len(found):,}" == row.problems
     assert f"{found.hard.sum():,}" == row.hard
     assert row.name.endswith(f"-hard-{found.hard.sum()}")

@@ -17,11 +17,11 @@ from hypothesis.extra import numpy as arrays
 from scipy import stats
 
 from mapdata import (
-    Generator,
     MapDataset,
+    MapGenerator,
     Movement,
     OnlineMapDataset,
-    Problems,
+    ProblemSet,
     Random,
     astar,
     bfs,
@@ -224,7 +224,7 @@ def test_the_problems_stay_what_they_are(
     preset: str, connectivity: int, conditions: Random, golden: str
 ) -> None:
     """On every machine, in every version."""
-    grids = generate(Generator.preset(preset), 77, range(50)).occupancy
+    grids = generate(MapGenerator.preset(preset), 77, range(50)).occupancy
     found = sample(grids, 77, 3, conditions, Movement(connectivity))
     assert hashlib.sha256(found.astype("<i8").tobytes()).hexdigest() == golden
 
@@ -258,7 +258,7 @@ def test_goals_are_uniform(movement: Movement) -> None:
 @pytest.mark.parametrize("to_first", [False, True])
 def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) -> None:
     """Datasets in epoch 0 have the problems of a set of problems with their seed, map by map."""
-    spec = Generator.preset("dungeon")
+    spec = MapGenerator.preset("dungeon")
     conditions = Random(distance=(10, None), to_first_seed_point=to_first)
     movement = Movement(8)
     build(tmp_path, spec, maps=30, seed=5)
@@ -271,7 +271,7 @@ def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) ->
     online = OnlineMapDataset(spec, 5, 30, **how)[:]
     stored = MapDataset(tmp_path, **how)[:]
     assert_same(online, stored)
-    problems = Problems.sample(spec, 5, 30, problems=conditions, movement=movement)
+    problems = ProblemSet.sample(spec, 5, 30, problems=conditions, movement=movement)
     np.testing.assert_array_equal(online.map[:, 0], problems.grids)
     np.testing.assert_array_equal(online.start, problems.starts)
     np.testing.assert_array_equal(online.goal, problems.goals)
@@ -284,7 +284,7 @@ def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) ->
 
 def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
     """An inflated map may have none; of the others the goal is the first seed point."""
-    spec = Generator.preset("narrow")
+    spec = MapGenerator.preset("narrow")
     conditions = Random(to_first_seed_point=True)
     served = OnlineMapDataset(
         spec, 3, 200, fields=("map", "goal", "seed_points"), problems=conditions, radius=0.6
@@ -294,7 +294,7 @@ def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
     rows, columns = sample.goal.unbind(1)
     occupied = sample.map[torch.arange(200), 0, rows, columns]
     assert not occupied.any()
-    alone = Problems.sample(spec, 3, 200, problems=conditions, radius=0.6)
+    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6)
     assert len(alone) < 200
 
 
@@ -302,7 +302,7 @@ def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, search: str) -> None:
     """Conditions need them; a rare one also takes maps in place of those without a problem."""
-    spec = Generator.preset("paper")
+    spec = MapGenerator.preset("paper")
     served = OnlineMapDataset(
         spec,
         5,
@@ -334,7 +334,7 @@ def test_a_substitute_has_draws_of_its_own() -> None:
     have as many free cells in as many places.
     """
     near = OnlineMapDataset(
-        Generator.preset("maze"),
+        MapGenerator.preset("maze"),
         length=40,
         fields=("start", "goal", "cost"),
         problems=Random(distance=(None, 3)),

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from mapdata import Generator, clearance, generate, inflate
+from mapdata import MapGenerator, clearance, generate, inflate
 from mapdata.search.footprint import least_squared
 
 Grid = npt.NDArray[np.uint8]
@@ -41,7 +41,7 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
     Each cell becomes 3 x 3 of them. The nearest of an obstacle lies half a fine cell inside its
     edge, or a corner: at most 0.71 / 3 of a cell beyond the nearest point.
     """
-    for grid in generate(Generator.preset(name), 5, range(20)).occupancy:
+    for grid in generate(MapGenerator.preset(name), 5, range(20)).occupancy:
         walled = np.kron(np.pad(grid, 1, constant_values=1), np.ones((3, 3)))
         fine = ndimage.distance_transform_edt(walled == 0)[4:-4:3, 4:-4:3] / 3
         excess = fine - clearance(grid)

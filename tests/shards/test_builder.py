@@ -33,8 +33,8 @@ from helpers.builds import (
 )
 
 from mapdata import (
-    Generator,
     MapDataset,
+    MapGenerator,
     MapSpec,
     Maze,
     ShardError,
@@ -223,7 +223,7 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
 
 @pytest.mark.parametrize("spec", [SPEC, MapSpec.preset("dungeon"), Maze((21, 21))])
 def test_the_bar_moves_within_a_shard(
-    spec: Generator, root: Path, monkeypatch: pytest.MonkeyPatch
+    spec: MapGenerator, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Labels of pieces, joined, are those of all maps at once."""
     monkeypatch.setattr("mapdata.search.labels._CELLS_AT_ONCE", 1)

@@ -19,8 +19,8 @@ from helpers.pages import ROOT
 from helpers.specs import Noted, movements
 
 from mapdata import (
-    Generator,
     MapDataset,
+    MapGenerator,
     Movement,
     ShardError,
     build,
@@ -71,7 +71,7 @@ def test_kept_shards_read_as_by_h5py(path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_built_shards_read_as_by_h5py(name: str, movement: Movement, tmp_path: Path) -> None:
     """All presets, all rules of moving."""
-    spec = Generator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
+    spec = MapGenerator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
     manifest = build(tmp_path, spec, maps=2)
     assert_reads_as_h5py(tmp_path / manifest.shards[0].name)
 
@@ -84,7 +84,7 @@ def test_imported_shards_read_as_by_h5py(tmp_path: Path) -> None:
     assert_reads_as_h5py(path)
 
 
-def header_of(spec: Generator, maps: int) -> Header:
+def header_of(spec: MapGenerator, maps: int) -> Header:
     """Return the header of the first maps of a spec."""
     return Header(
         spec=spec,
@@ -97,7 +97,7 @@ def header_of(spec: Generator, maps: int) -> Header:
     )
 
 
-def image_of(spec: Generator, maps: int) -> bytes:
+def image_of(spec: MapGenerator, maps: int) -> bytes:
     """Return the bytes of a shard."""
     labels = label(generate(spec, SOUND_SEED, range(maps)))
     return shard_image(labels, header_of(spec, maps))[0]

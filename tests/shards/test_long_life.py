@@ -15,7 +15,7 @@ import pytest
 from h5py import h5a
 
 import mapdata
-from mapdata import Generator, MapDataset, MapSpec, ShardError, build, read_shard, verify
+from mapdata import MapDataset, MapGenerator, MapSpec, ShardError, build, read_shard, verify
 from mapdata.hashing import canonical_json
 from mapdata.limits import FORMAT_VERSIONS
 from mapdata.shards import MANIFEST, content_hash, open_shard, read_manifest
@@ -80,7 +80,7 @@ def test_a_kept_recipe_gives_the_kept_content(name: str, tmp_path: Path) -> None
     recipe = json.loads(manifest.recipe())
     build(
         tmp_path / "maps",
-        Generator.from_dict(recipe["spec"]),
+        MapGenerator.from_dict(recipe["spec"]),
         maps=recipe["maps"],
         seed=recipe["seed"],
     )

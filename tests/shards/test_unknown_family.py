@@ -35,7 +35,7 @@ from mapdata import (
 )
 from mapdata.cli import main
 from mapdata.describe import card
-from mapdata.generators import Generator, UnknownFamily
+from mapdata.generators import MapGenerator, UnknownFamily
 from mapdata.hashing import canonical_json
 from mapdata.shards import MANIFEST, Recipe, open_shard, read_manifest
 from mapdata.shards.reader import map_shard
@@ -380,4 +380,4 @@ def test_a_recipe_keeps_to_families_that_are_known() -> None:
     """What is stored may be of an unknown family; what is asked for may not."""
     values = {"generator": "pillars", "map_size": [9, 12]}
     with pytest.raises(ValueError, match=f"^generator: {NOT_KNOWN}$"):
-        Generator.from_dict(values)
+        MapGenerator.from_dict(values)

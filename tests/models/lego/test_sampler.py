@@ -22,7 +22,7 @@ import pytorch_lightning as pl
 import torch
 from scipy.sparse.csgraph import dijkstra
 
-from mapdata import MapDataModule, MapSpec, Problems, inflate
+from mapdata import MapDataModule, MapSpec, ProblemSet, inflate
 from models.lego.comparison import (
     DENSE,
     DENSE_SEED,
@@ -75,9 +75,9 @@ def load(file: str | Path) -> Sampler:
 
 
 @cache
-def unseen_problems(maps: int = 12) -> Problems:
+def unseen_problems(maps: int = 12) -> ProblemSet:
     """Return problems that were in no training."""
-    return Problems.sample(DUNGEON, seed=2718, maps=maps)
+    return ProblemSet.sample(DUNGEON, seed=2718, maps=maps)
 
 
 def small_model(model_class: type[Any], **arguments: Any) -> Any:
@@ -134,7 +134,7 @@ def two_doors() -> npt.NDArray[np.uint8]:
     return grid
 
 
-def first_path(problems: Problems, k: int) -> Points:
+def first_path(problems: ProblemSet, k: int) -> Points:
     """Return the shortest path that is mined for a problem, both ends included."""
     grid = problems.grids[k]
     return near_optimal_paths(grid, problems.starts[k], problems.goals[k], Mining(), k)[0]
@@ -656,7 +656,7 @@ def test_a_batch_without_targets_has_a_finite_loss() -> None:
 # --- the table ----------------------------------------------------------------------------------
 
 
-def shortest(grid: npt.NDArray[np.uint8], problems: Problems, k: int, points: Points) -> float:
+def shortest(grid: npt.NDArray[np.uint8], problems: ProblemSet, k: int, points: Points) -> float:
     """Return the length of the shortest path of problem k on a roadmap of these points."""
     ends = [problems.starts[k] + 0.5, problems.goals[k] + 0.5]
     max_length = connection_radius(len(points), grid.shape)
