@@ -133,17 +133,21 @@ def test_the_reference_has_every_public_name() -> None:
 
 
 def lookup(name: str) -> object:
-    """Return what a public name names, ``mapdata.<folder>.<name>`` or an attribute of it; a
-    dataclass's field is.
+    """Return what a dotted public name names: a module, or something in one.
+
+    A field of a dataclass without a default counts as an attribute of its class.
     """
-    package, folder, *parts = name.split(".")
-    found: object = import_module(f"{package}.{folder}")
-    for part in parts:
-        assert not part.startswith("_"), name
-        if not hasattr(found, part) and part in getattr(found, "__dataclass_fields__", {}):
-            return found
-        found = getattr(found, part)
-    return found
+    parts = name.split(".")
+    assert not any(part.startswith("_") for part in parts), name
+    target: object = import_module(parts[0])
+    for k, part in enumerate(parts[1:], start=2):
+        if not hasattr(target, part):
+            if part in getattr(target, "__dataclass_fields__", {}):
+                return target
+            target = import_module(".".join(parts[:k]))
+        else:
+            target = getattr(target, part)
+    return target
 
 
 def test_the_paper_page_names_what_exists() -> None:

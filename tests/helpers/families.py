@@ -14,12 +14,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from mapdata.generators import Generator, register, with_seed_points
+from mapdata.generators import MapGenerator, register, with_seed_points
 from mapdata.checks import check_integers
 
 
 @dataclass(frozen=True)
-class Pillars(Generator):
+class Pillars(MapGenerator):
     name: ClassVar[str] = "pillars"
     description: ClassVar[str] = "halls with pillars"
 
