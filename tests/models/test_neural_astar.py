@@ -97,7 +97,7 @@ def test_the_search_expands_what_a_slow_one_does(movement: Movement) -> None:
         torch.from_numpy(starts),
         torch.from_numpy(goals),
         movement,
-        most=13 * 13,
+        max_expansions=13 * 13,
     )
     solved = 0
     for k in range(60):
