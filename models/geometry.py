@@ -15,7 +15,16 @@ from mapdata.search import STEPS
 
 
 def offsets(cells: Tensor, shape: torch.Size) -> tuple[Tensor, Tensor]:
-    """Return how far each row and each column is from cells (B, 2): (B, H, 1) and (B, 1, W)."""
+    """Return the distances of all rows and columns from cells, (B, H, 1) and (B, 1, W).
+
+    Args:
+        cells: (B, 2), row and column.
+        shape: (H, W).
+
+    Returns:
+        How far each row lies below the cell, and each column to its right; negative above and to
+        the left.
+    """
     rows, columns = shape
     down = torch.arange(rows, device=cells.device) - cells[:, :1]  # (B, H)
     right = torch.arange(columns, device=cells.device) - cells[:, 1:]  # (B, W)
@@ -23,7 +32,13 @@ def offsets(cells: Tensor, shape: torch.Size) -> tuple[Tensor, Tensor]:
 
 
 def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
-    """Return the cost of going so far on an empty map: Manhattan, octile or Chebyshev distance."""
+    """Return the cost on an empty map: the Manhattan, octile or Chebyshev distance, in cells.
+
+    Args:
+        down: rows between two cells, of any shape and sign.
+        right: columns between the cells; both are broadcast.
+        movement: how one moves.
+    """
     down = down.abs()
     right = right.abs()
     if movement.connectivity == 4:
@@ -32,23 +47,36 @@ def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
 
 
 def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
-    """Return (B, moves, H, W) bool: which moves are allowed from each cell of (B, 1, H, W).
+    """Return which moves are legal from each cell, (B, moves, H, W) bool.
 
-    The rule of `mapdata.search.is_legal` once more, for all cells at once on the device.
+    This is the rule of `mapdata.search.is_legal`, for all cells at once, on the device of the map.
+
+    Args:
+        occupied: (B, 1, H, W), 0 free and anything else occupied.
+        movement: how one moves.
     """
-    free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))  # (B, H + 2, W + 2), a wall around the map
+    # A border of occupied cells, so that no move leaves the map.
+    free = F.pad(occupied[:, 0] == 0, (1, 1, 1, 1))  # (B, H + 2, W + 2)
     legal = []
-    for row, column in STEPS[: movement.connectivity].tolist():
-        # rolled, so that each cell has what its neighbour is; over the border come walls
-        allowed = free.roll((-row, -column), (1, 2))
-        if row and column and not movement.corner_cutting:  # diagonal: both sides must be free
-            allowed = allowed & free.roll(-row, 1) & free.roll(-column, 2)
-        legal.append(allowed[:, 1:-1, 1:-1])
+    for down, right in STEPS[: movement.connectivity].tolist():
+        # A plane that is rolled against the move has at each cell the value of its neighbour.
+        is_legal = free.roll((-down, -right), (1, 2))
+        is_diagonal = down != 0 and right != 0
+        if is_diagonal and not movement.corner_cutting:
+            is_legal = is_legal & free.roll(-down, 1) & free.roll(-right, 2)
+        legal.append(is_legal[:, 1:-1, 1:-1])
     return torch.stack(legal, dim=1)
 
 
 def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
-    """Return the number row * columns + column of each point's cell, (M,), of maps (B, 1, H, W)."""
+    """Return the number of the cell in which each point lies, row * columns + column, (M,).
+
+    Points outside the map count as points in its nearest cell.
+
+    Args:
+        points: (M, 2), row and column; the cells themselves may be given, too.
+        occupied: (B, 1, H, W), maps of the size in question.
+    """
     rows, columns = occupied.shape[2:]
     row, column = points.floor().long().unbind(1)  # (M,) both
     return row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
@@ -57,7 +85,15 @@ def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
 def check_problems(
     maps: ArrayLike, starts: ArrayLike, goals: ArrayLike
 ) -> tuple[Bytes, Ints, Ints]:
-    """Return one problem or B of them as new arrays: (B, H, W) of 0 and 1, starts, goals (B, 2).
+    """Return one problem or B problems as new arrays.
+
+    Args:
+        maps: (H, W) or (B, H, W), 0 free and anything else occupied.
+        starts: (2,) or (B, 2), cells.
+        goals: (2,) or (B, 2), cells.
+
+    Returns:
+        Maps (B, H, W) of 0 and 1, starts (B, 2) and goals (B, 2).
 
     Raises:
         ValueError: a map without a free cell, a start or goal outside its map or on an occupied
@@ -67,18 +103,22 @@ def check_problems(
     grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
     if grids.all(axis=(1, 2)).any():
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
-    ends = []
-    for name, given in (("start", starts), ("goal", goals)):
-        end = np.atleast_2d(given)
-        if end.dtype.kind not in "iu":
-            raise ValueError(f"{name}: got {given!r}, expected whole numbers")
-        end = end.astype(np.int64)
-        # of order 0, the value of a cell itself; outside the map all is occupied
-        occupied = map_coordinates(grids, [np.arange(len(grids)), *end.T], order=0, cval=1)  # (B,)
-        if occupied.any():
-            raise ValueError(
-                f"{name}: got {end[occupied.argmax()].tolist()}, outside its map or on an occupied "
-                f"cell, expected a free cell of a map of {grids.shape[1:]}"
-            )
-        ends.append(end)
-    return grids, ends[0], ends[1]
+    return grids, _checked_ends("start", starts, grids), _checked_ends("goal", goals, grids)
+
+
+def _checked_ends(name: str, ends: ArrayLike, grids: Bytes) -> Ints:
+    """Return starts or goals as a new array (B, 2), after checking that their cells are free."""
+    cells = np.atleast_2d(ends)
+    if cells.dtype.kind not in "iu":
+        raise ValueError(f"{name}: got {ends!r}, expected whole numbers")
+    cells = cells.astype(np.int64)
+    # Interpolation of order 0 is the value of the cell itself; all is occupied outside the map.
+    coordinates = [np.arange(len(grids)), cells[:, 0], cells[:, 1]]
+    is_occupied = map_coordinates(grids, coordinates, order=0, cval=1)  # (B,)
+    if is_occupied.any():
+        wrong = cells[is_occupied.argmax()].tolist()
+        raise ValueError(
+            f"{name}: got {wrong}, outside its map or on an occupied cell, expected a free cell of "
+            f"a map of {grids.shape[1:]}"
+        )
+    return cells

@@ -1,4 +1,8 @@
-"""The layers of the sample models: a network that gives every cell features from near and far."""
+"""The layers of the sample models: a network whose features of a cell depend on cells near and far.
+
+`Trunk` works at several strides, as a U-Net does: a feature at stride 4 stands for 4 x 4 cells, so
+that a convolution there sees four times as far as on the cells themselves.
+"""
 
 from __future__ import annotations
 
@@ -9,32 +13,47 @@ import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 
 STRIDE = 16
-"""`Trunk` takes maps whose sides are multiples of this."""
+"""The coarsest stride; `Trunk` takes maps whose sides are multiples of it."""
 
 
 class Residual(nn.Module):
-    """x + two 3 x 3 convolutions. Without a norm, so that no statistic depends on the map size."""
+    """A residual block: its input plus the output of two 3 x 3 convolutions.
+
+    It has no normalization, so that no statistic depends on the size of the map.
+    """
 
     def __init__(self, width: int, dilation: int = 1) -> None:
-        """Make both convolutions; the second sees ``dilation`` times as far."""
+        """Make both convolutions.
+
+        Args:
+            width: channels in and out.
+            dilation: dilation of the second convolution.
+        """
         super().__init__()
         self.first = nn.Conv2d(width, width, 3, padding=1)
         self.second = nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation)
         nn.init.kaiming_normal_(self.first.weight, nonlinearity="relu")
-        nn.init.zeros_(self.second.weight)  # the block begins as the identity, but for a bias
+        # With these weights the block is the identity plus a bias, from which deep networks train
+        # well.
+        nn.init.zeros_(self.second.weight)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (B, width, H, W) for the same."""
+        """Return features (B, width, H, W) for features of the same shape."""
         inner = F.relu(self.first(F.relu(x)))
-        out: Tensor = x + self.second(inner)
-        return out
+        output: Tensor = x + self.second(inner)
+        return output
 
 
 class Pass(nn.Module):
-    """One pass down to the coarsest resolution and back; a convolution there reaches further."""
+    """One pass of information from the finest stride to the coarsest one and back."""
 
     def __init__(self, widths: Sequence[int], dilation: int = 1) -> None:
-        """Take the channels at each stride, the finest first."""
+        """Make the layers of this stride and, recursively, of the coarser ones.
+
+        Args:
+            widths: channels at each stride, the finest first.
+            dilation: dilation of the residual block at the finest stride.
+        """
         super().__init__()
         width, *deeper = widths
         self.local = Residual(width, dilation)
@@ -45,19 +64,24 @@ class Pass(nn.Module):
             self.up = nn.Conv2d(deeper[0], 4 * width, 1)
 
     def forward(self, states: list[Tensor]) -> list[Tensor]:
-        """Return the states of all strides: (B, width, H, W), then (B, next width, H/2, W/2)."""
+        """Return the features of all strides, for features of the same shapes.
+
+        Args:
+            states: features at each stride, the finest first: (B, width, H, W), then (B, next
+                width, H/2, W/2) and so on.
+        """
         fine, *coarser = states
         fine = self.local(fine)
         if self.deeper is None:
             return [fine]
         coarser[0] = self.down(F.relu(fine)) + coarser[0]
         coarser = self.deeper(coarser)
-        back = self.up(F.relu(coarser[0]))  # (B, 4 width, H/2, W/2)
-        return [fine + F.pixel_shuffle(back, 2), *coarser]
+        up = self.up(F.relu(coarser[0]))  # (B, 4 width, H/2, W/2)
+        return [fine + F.pixel_shuffle(up, 2), *coarser]
 
 
 class Trunk(nn.Module):
-    """Features of every cell from near and far, for maps of any size once they are `padded`."""
+    """A network from planes of a map to features of every cell, for maps of any `padded` size."""
 
     def __init__(
         self, inputs: int, outputs: int, widths: Sequence[int], passes: int, refinements: int = 0
@@ -68,13 +92,13 @@ class Trunk(nn.Module):
             inputs: channels in.
             outputs: channels out.
             widths: channels at strides 2, 4, 8 and 16; the last two may be left out.
-            passes: how many `Pass`.
-            refinements: how many `Residual` at stride 2 follow them.
+            passes: number of `Pass` modules.
+            refinements: number of `Residual` blocks at stride 2 after them.
         """
         super().__init__()
         shallow, width = widths[:2]
         self.coarser = len(widths) - 2
-        # the first and the last convolution work on blocks of 2 x 2 cells: half the time
+        # The first and the last convolution work on blocks of 2 x 2 cells, which halves the time.
         self.stem = nn.Sequential(nn.Conv2d(4 * inputs, shallow, 3, padding=1), Residual(shallow))
         self.down = nn.Conv2d(shallow, width, 2, stride=2)
         self.passes = nn.ModuleList(Pass(widths[1:]) for _ in range(passes))
@@ -85,17 +109,17 @@ class Trunk(nn.Module):
         self.head = nn.Conv2d(shallow, 4 * outputs, 1)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, seen: Tensor) -> Tensor:
+    def forward(self, planes: Tensor) -> Tensor:
         """Return features (B, outputs, H, W).
 
         Args:
-            seen: (B, inputs, H, W), H and W multiples of ``STRIDE``.
+            planes: (B, inputs, H, W), H and W multiples of ``STRIDE``.
         """
-        skip = F.relu(self.stem(F.pixel_unshuffle(seen, 2)))  # (B, shallow, H/2, W/2)
-        # the coarser strides begin with nothing
-        states = [self.down(skip)] + [seen.new_zeros(())] * self.coarser
-        for each in self.passes:
-            states = each(states)
+        skip = F.relu(self.stem(F.pixel_unshuffle(planes, 2)))  # (B, shallow, H/2, W/2)
+        # The features of the coarser strides are 0 before the first pass; () broadcasts.
+        states = [self.down(skip)] + [planes.new_zeros(())] * self.coarser
+        for exchange in self.passes:
+            states = exchange(states)
         up = self.up(F.relu(self.end(states[0])))  # (B, 4 shallow, H/4, W/4)
         up = F.pixel_shuffle(F.relu(up), 2)  # (B, shallow, H/2, W/2)
         fine = self.refine(self.join(torch.cat([up, skip], dim=1)))  # (B, shallow, H/2, W/2)
@@ -103,7 +127,10 @@ class Trunk(nn.Module):
 
 
 def padded(occupied: Tensor) -> Tensor:
-    """Return maps (B, 1, H, W) walled in below and to the right, up to a multiple of `STRIDE`."""
+    """Return maps (B, 1, H, W) with occupied cells added below and to the right.
+
+    Afterwards H and W are multiples of `STRIDE`.
+    """
     below = -occupied.shape[2] % STRIDE
     right = -occupied.shape[3] % STRIDE
     return F.pad(occupied, (0, right, 0, below), value=1)

@@ -15,11 +15,13 @@ guidance cost in (0, 1). A* with these costs should expand the cells of the path
         problems="random",
         movement=model.movement,
         batch_size=100,
-    )  # docs/planners.md has the command that its table is of
+    )
     pl.Trainer(max_epochs=50).fit(model, data)
 
-This file reads from top to bottom: search, network, training, planner. All of it is torch: a step
-of the search is a few operations on tensors of B maps, so that gradients flow through it.
+docs/planners.md compares it with the published results, and has the command.
+
+This file reads from top to bottom: search, network, training, planner. All of it is torch: each
+step of the search is a few operations on tensors of B maps, so that gradients flow through it.
 """
 
 from __future__ import annotations
@@ -41,24 +43,38 @@ from models.learned_planners import LearnedPlanner
 from models.model import Tensors
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves")
+"""The fields of a training batch."""
 
 FAR = 1e9
-"""More than any way costs."""
+"""More than the cost of any path."""
 
 # --- search -------------------------------------------------------------------------------------
 
 
 def search(
-    costs: Tensor, occupied: Tensor, starts: Tensor, goals: Tensor, movement: Movement, most: int
+    costs: Tensor,
+    occupied: Tensor,
+    starts: Tensor,
+    goals: Tensor,
+    movement: Movement,
+    max_expansions: int,
 ) -> tuple[Tensor, Tensor]:
-    """Search B maps at once with guidance costs (section 3.2).
+    """Search B maps at once with guidance costs (section 3.2 of the paper).
 
-    f = (g + h + cost) / 2, half as in the authors' code, where g is the sum of the guidance costs
-    of the cells that the way leaves, each times the length of the step. The cell of least f is
-    taken from the frontier, as a softmax whose largest value counts as 1 (equation 3): g has no
-    gradient, the choices have one.
-    A finished map keeps choosing its goal until all maps of the batch are finished; its other
-    cells get gradients from that, as in the authors' code.
+    The cell of least f in the frontier is expanded next:
+
+        f = (g + h + cost) / 2
+
+        g       sum over the moves of a path to the cell of (guidance cost of the cell that the move
+                leaves) * (length of the move)
+        h       cost to the goal on an empty map, plus 0.001 * straight distance to the goal
+        cost    guidance cost of the cell
+
+    The factor 1/2 is that of the authors' code. The choice of a cell is a softmax over the frontier
+    whose largest element counts as 1 (equation 3): g has no gradient, but the choices have one.
+
+    A map that is finished keeps choosing its goal until all maps of the batch are finished. Its
+    other cells get gradients from that, as in the authors' code.
 
     Args:
         costs: (B, H, W), guidance costs.
@@ -66,82 +82,92 @@ def search(
         starts: (B, 2), cells.
         goals: (B, 2), cells.
         movement: how one moves.
-        most: how many cells may be expanded.
+        max_expansions: largest number of cells that are expanded.
 
     Returns:
-        Which cells were expanded, (B, H, W), 0 or 1 and differentiable in ``costs``; the number of
-        each cell's parent, or -1, (B, H * W + 1).
+        Which cells were expanded, (B, H, W), 0 or 1 and differentiable in ``costs``; and the number
+        of each cell's parent, or -1, (B, H * W + 1).
     """
     rows, columns = costs.shape[1:]
-    # Cells are numbered row by row. One more stands for nowhere: illegal moves lead there, and it
-    # is taken when nothing else is left.
+    # Cells are numbered row by row. One more number stands for nowhere: illegal moves lead there,
+    # and it is chosen when the frontier has no other cell.
     nowhere = rows * columns
-    each = torch.arange(len(costs), device=costs.device)  # (B,)
-    first = cell_numbers(starts, occupied)  # (B,)
-    last = cell_numbers(goals, occupied)  # (B,)
+    batch = torch.arange(len(costs), device=costs.device)  # (B,)
+    start = cell_numbers(starts, occupied)  # (B,)
+    goal = cell_numbers(goals, occupied)  # (B,)
     legal = F.pad(legal_moves(occupied, movement).flatten(2), (0, 1))  # (B, moves, cells)
     moves = torch.tensor(STEPS[: movement.connectivity], device=costs.device)  # (moves, 2)
     lengths = torch.where(moves.prod(dim=1) == 0, 1.0, movement.diagonal_cost)  # (moves,)
-    jumps = moves[:, 0] * columns + moves[:, 1]  # (moves,)
+    steps = moves[:, 0] * columns + moves[:, 1]  # (moves,), in cell numbers
 
-    down, right = offsets(goals, occupied.shape[2:])
-    # the straight distance decides among cells that are equally far, as in the paper's code
-    to_go = heuristic(down, right, movement) + 0.001 * torch.hypot(down, right)  # (B, H, W)
-    ahead = F.pad((to_go + costs).flatten(1), (0, 1))  # (B, cells)
+    down, right = offsets(goals, occupied.shape[2:])  # (B, H, 1) and (B, 1, W)
+    # Of cells with equal cost to the goal, those that are nearer in a straight line come first, as
+    # in the authors' code.
+    h = heuristic(down, right, movement) + 0.001 * torch.hypot(down, right)  # (B, H, W)
+    h_and_costs = F.pad((h + costs).flatten(1), (0, 1))  # (B, cells)
     guidance = F.pad(costs.detach().flatten(1), (0, 1))  # (B, cells)
-    way = torch.full_like(guidance, math.inf)  # g, (B, cells)
-    way[:, nowhere] = FAR
-    way[each, first] = 0
-    frontier = way < math.inf  # (B, cells)
-    parents = torch.full_like(way, -1, dtype=torch.long)  # (B, cells)
+    g = torch.full_like(guidance, math.inf)  # (B, cells)
+    g[:, nowhere] = FAR
+    g[batch, start] = 0
+    frontier = g < math.inf  # (B, cells)
+    parents = torch.full_like(g, -1, dtype=torch.long)  # (B, cells)
     expanded = torch.zeros_like(guidance)  # (B, cells)
-    for _ in range(most):
-        scores = (way + ahead) / (-2 * math.sqrt(columns))  # temperature as in the authors' code
+    temperature = math.sqrt(columns)  # as in the authors' code
+    for _ in range(max_expansions):
+        scores = (g + h_and_costs) / (-2 * temperature)  # (B, cells), -f / temperature
         shares = scores.masked_fill(~frontier, -math.inf).softmax(dim=1)  # (B, cells)
         cell = shares.argmax(dim=1)  # (B,)
-        chosen = F.one_hot(cell, nowhere + 1)  # (B, cells)
-        # the value is that of ``chosen``, the gradient that of ``shares``
-        expanded = (expanded + chosen - shares.detach() + shares).clamp(0, 1)
-        done = (cell == last) | (cell == nowhere)
-        if done.all():
+        choice = F.one_hot(cell, nowhere + 1)  # (B, cells)
+        # What is added has the value of ``choice`` and the gradient of ``shares``.
+        expanded = (expanded + choice - shares.detach() + shares).clamp(0, 1)
+        is_finished = (cell == goal) | (cell == nowhere)  # (B,)
+        if is_finished.all():
             break
-        frontier[each, cell] = done
+        # An expanded cell leaves the frontier, except for the last one of a finished map, which is
+        # chosen again in the next step.
+        frontier[batch, cell] = is_finished
 
-        to = (cell[:, None] + jumps).clamp(0, nowhere)  # (B, moves)
-        reached = way[each, cell, None] + lengths * guidance[each, cell, None]  # (B, moves)
-        known = way.gather(1, to)  # (B, moves)
-        is_open = frontier.gather(1, to) | (known == math.inf)
-        better = legal[each, :, cell] & is_open & (reached < known)
-        to = to.where(better, nowhere)
-        way.scatter_(1, to, reached.where(better, FAR))
-        parents.scatter_(1, to, cell[:, None].expand_as(to))
-        frontier.scatter_(1, to, True)
+        neighbours = (cell[:, None] + steps).clamp(0, nowhere)  # (B, moves)
+        move_costs = lengths * guidance[batch, cell, None]  # (B, moves)
+        new_g = g[batch, cell, None] + move_costs  # (B, moves)
+        old_g = g.gather(1, neighbours)  # (B, moves)
+        # A neighbour that was reached but left the frontier was expanded: it is not opened again.
+        is_open = frontier.gather(1, neighbours) | (old_g == math.inf)
+        is_better = legal[batch, :, cell] & is_open & (new_g < old_g)  # (B, moves)
+        neighbours = neighbours.where(is_better, nowhere)
+        g.scatter_(1, neighbours, new_g.where(is_better, FAR))
+        parents.scatter_(1, neighbours, cell[:, None].expand_as(neighbours))
+        frontier.scatter_(1, neighbours, True)
     return expanded[:, :nowhere].unflatten(1, (rows, columns)), parents
 
 
 def random_paths(starts: Tensor, optimal_moves: Tensor) -> Tensor:
     """Return the cells of a shortest path of each problem, (B, H, W), 1 there and 0 elsewhere.
 
-    Of several optimal moves a cell takes a random one, as in the authors' data.
+    Where several moves of a cell are optimal the path makes a random one of them, as in the
+    authors' data.
 
     Args:
         starts: (B, 2), cells.
         optimal_moves: (B, 1, H, W), bit k of a cell is set where move k is optimal.
     """
-    steps = torch.tensor(STEPS, device=starts.device)  # (8, 2)
-    numbers = torch.arange(len(steps), device=starts.device)
-    optimal = (optimal_moves[:, 0, :, :, None].int() >> numbers) & 1  # (B, H, W, 8), 0 or 1
-    move = (optimal * (1 + torch.rand(optimal.shape, device=starts.device))).argmax(dim=3)
-    step = steps[move] * optimal.any(dim=3, keepdim=True)  # (B, H, W, 2), none at the goal
-    paths = torch.zeros_like(optimal[..., 0], dtype=torch.float)  # (B, H, W)
-    each = torch.arange(len(starts), device=starts.device)  # (B,)
+    moves = torch.tensor(STEPS, device=starts.device)  # (8, 2)
+    numbers = torch.arange(len(moves), device=starts.device)  # (8,)
+    is_optimal = (optimal_moves[:, 0, :, :, None].int() >> numbers) & 1  # (B, H, W, 8), 0 or 1
+    # Optimal moves get a random number of 1 to 2, all others 0.
+    priorities = is_optimal * (1 + torch.rand(is_optimal.shape, device=starts.device))
+    move = priorities.argmax(dim=3)  # (B, H, W)
+    has_move = is_optimal.any(dim=3, keepdim=True)  # (B, H, W, 1), not at the goal
+    steps = moves[move] * has_move  # (B, H, W, 2), (0, 0) at the goal
+    paths = torch.zeros_like(is_optimal[..., 0], dtype=torch.float)  # (B, H, W)
+    batch = torch.arange(len(starts), device=starts.device)  # (B,)
     cells = starts
     while True:
-        at = (each, *cells.unbind(1))
-        if paths[at].all():
-            return paths  # all stand at their goals
-        paths[at] = 1
-        cells = cells + step[at]
+        index = (batch, *cells.unbind(1))
+        if paths[index].all():
+            return paths  # all paths have reached their goals, where they stay
+        paths[index] = 1
+        cells = cells + steps[index]
 
 
 # --- network and training -----------------------------------------------------------------------
@@ -150,13 +176,14 @@ def random_paths(starts: Tensor, optimal_moves: Tensor) -> Tensor:
 class NeuralAstar(LearnedPlanner):
     """Predicts a guidance cost in (0, 1) for every cell, and plans with it.
 
-    A batch has the fields ``TRAINING_FIELDS``; its paths move as the model does.
+    A batch has the fields `TRAINING_FIELDS`, with the movement of the model.
 
     Args:
-        connectivity: 4 or 8 moves.
-        corner_cutting: whether diagonal moves pass beside occupied cells.
-        diagonal_cost: of a diagonal move, sqrt(2) or 1; the paper's rule is 8, True, 1.
-        learning_rate: of RMSprop.
+        connectivity: number of moves, 4 or 8.
+        corner_cutting: whether diagonal moves may pass beside occupied cells.
+        diagonal_cost: cost of a diagonal move, sqrt(2) or 1; the movement of the paper is 8, True
+            and 1.
+        learning_rate: learning rate of RMSprop.
     """
 
     name = "Neural A*"
@@ -178,31 +205,39 @@ class NeuralAstar(LearnedPlanner):
         self.encoder = nn.Sequential(*layers[:-1])
 
     def forward(self, occupied: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
-        """Return guidance costs (B, H, W), for maps (B, 1, H, W) and cells (B, 2)."""
-        ends = torch.zeros_like(occupied[:, 0], dtype=torch.float)  # (B, H, W)
-        each = torch.arange(len(ends), device=ends.device)
+        """Return guidance costs (B, H, W).
+
+        Args:
+            occupied: (B, 1, H, W), 0 free and anything else occupied.
+            starts: (B, 2), cells.
+            goals: (B, 2), cells.
+        """
+        free = (occupied[:, 0] == 0).float()  # (B, H, W)
+        ends = torch.zeros_like(free)  # (B, H, W), 1 at start and goal, 2 where they are one cell
+        batch = torch.arange(len(ends), device=ends.device)  # (B,)
         for cells in (starts, goals):
-            ends[each, cells[:, 0], cells[:, 1]] += 1
-        seen = torch.stack([(occupied[:, 0] == 0).float(), ends], dim=1)  # (B, 2, H, W)
-        return torch.sigmoid(self.encoder(seen)[:, 0].float())
+            ends[batch, cells[:, 0], cells[:, 1]] += 1
+        planes = torch.stack([free, ends], dim=1)  # (B, 2, H, W)
+        return torch.sigmoid(self.encoder(planes)[:, 0].float())
 
     def losses(self, batch: Sample) -> Tensors:
-        """Return ``loss``: the mean absolute difference of expanded cells and a shortest path's.
+        """Return ``loss``: the mean absolute difference of expanded cells and cells of a path.
 
         The authors' path leaves out the goal, which every search expands; ours includes it.
         """
         problems = (batch.map, batch.start, batch.goal)
-        costs = self(*problems)
-        most = costs[0].numel() // 4  # as in the authors' training
-        expanded, _ = search(costs, *problems, self.movement, most)
-        return {"loss": F.l1_loss(expanded, random_paths(batch.start, batch.optimal_moves))}
+        costs = self(*problems)  # (B, H, W)
+        max_expansions = costs[0].numel() // 4  # as in the authors' training
+        expanded, _ = search(costs, *problems, self.movement, max_expansions)
+        paths = random_paths(batch.start, batch.optimal_moves)  # (B, H, W)
+        return {"loss": F.l1_loss(expanded, paths)}
 
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Search: `on_validation_epoch_end` logs the results."""
+        """Plan the problems of a batch; `on_validation_epoch_end` logs how well that went."""
         self.score(self, batch)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Return the paper's optimizer."""
+        """Return the optimizer of the paper, without a schedule."""
         return torch.optim.RMSprop(self.parameters(), self.hparams["learning_rate"])
 
     # --- planner --------------------------------------------------------------------------------
@@ -214,20 +249,37 @@ class NeuralAstar(LearnedPlanner):
             ValueError: a start or goal outside its map or on an occupied cell.
         """
         grids, starts, goals = check_problems(grids, starts, goals)
-        occupied, first, last = self.tensors(grids[:, None], starts, goals)
+        # The same as tensors, on the device of the model.
+        occupied, start_cells, goal_cells = self.tensors(grids[:, None], starts, goals)
         with self.inference():
-            costs = self(occupied, first, last)
-            most = costs[0].numel()
-            expanded, parents = search(costs, occupied, first, last, self.movement, most)
-        ends = [cell_numbers(end, occupied).tolist() for end in (first, last)]
-        counts = expanded.sum(dim=(1, 2)).round().int().tolist()
+            costs = self(occupied, start_cells, goal_cells)  # (B, H, W)
+            max_expansions = costs[0].numel()  # all cells
+            expanded, parents = search(
+                costs, occupied, start_cells, goal_cells, self.movement, max_expansions
+            )
+        expansions = expanded.sum(dim=(1, 2)).round().int().tolist()
+        columns = grids.shape[2]
+        start_numbers = starts[:, 0] * columns + starts[:, 1]
+        goal_numbers = goals[:, 0] * columns + goals[:, 1]
         plans = []
-        for start, goal, each, count in zip(*ends, parents.tolist(), counts, strict=True):
-            path = [goal]
-            while path[-1] not in (start, -1):  # -1: nothing leads there
-                path.append(each[path[-1]])
-            if path[-1] == -1:
-                path.clear()
-            cells = np.array(path[::-1], np.int64)
-            plans.append(Plan(np.column_stack(np.divmod(cells, occupied.shape[3])), count))
+        for k, parent in enumerate(parents.tolist()):
+            path = _trace(parent, int(start_numbers[k]), int(goal_numbers[k]))
+            cells = np.column_stack(np.divmod(path, columns))
+            plans.append(Plan(cells, expansions[k]))
         return plans
+
+
+def _trace(parent: list[int], start: int, goal: int) -> Ints:
+    """Return the numbers of the cells from start to goal, (k,), or (0,) where there is no path.
+
+    Args:
+        parent: number of each cell's parent, or -1 for cells that were not reached and the start.
+        start: number of the start.
+        goal: number of the goal.
+    """
+    path = [goal]
+    while path[-1] != start:
+        if parent[path[-1]] == -1:
+            return np.empty(0, np.int64)
+        path.append(parent[path[-1]])
+    return np.array(path[::-1], np.int64)

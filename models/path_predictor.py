@@ -1,7 +1,8 @@
 """A CNN that learns to plan from examples: maps with a start, a goal and a shortest path.
 
-For every cell of a map it predicts the moves that lead to the goal, and how far the heuristic is
-below the true cost. Following the most probable moves gives a path:
+For every cell of a map it predicts which moves are the first of a shortest path to the goal, and
+the heuristic ratio: the cost on an empty map over the true cost. Following the most probable moves
+gives a path:
 
     import pytorch_lightning as pl
     from mapdata import MapDataModule
@@ -13,22 +14,25 @@ below the true cost. Following the most probable moves gives a path:
     sample = data.datasets["val"][0]
     path = model.predict_path(sample.map, sample.start, sample.goal)  # (k, 2) cells
 
-A path labels its own cells alone, and in an open room it is one of very many that are equally
-short. With the fields of ``TRAINING_FIELDS`` every cell knows all of its optimal moves, which
-teaches more:
+A path labels only its own cells, and in an open room it is one of very many that are equally
+short. With the fields of ``TRAINING_FIELDS`` every cell is labelled with all of its optimal moves,
+which teaches more:
 
     data = MapDataModule(
         "data/maps", fields=TRAINING_FIELDS, problems="random", augment=True, batch_size=64
     )
 
-So the weights that ship were made, with OMP_NUM_THREADS=1, by `python
-scripts/train_path_predictor.py fit --weights models/weights/path_predictor.pt`: 7,000 steps of 39
-maps of all families and 4 larger ones, 50 minutes of one core; then 1,000 steps, 10 minutes more,
-with what scripts/refine_path_predictor.yaml adds. Those of other rules, path_predictor_cut.pt and
-path_predictor_4.pt, are by its side (docs/planners.md).
-`torch.export.export(model, (map, goal))` and ONNX take the network as it is.
+The weights that ship were trained in this way, by
 
-This file reads from top to bottom: targets, what the network sees, network, loss, training,
+    OMP_NUM_THREADS=1 python scripts/train_path_predictor.py fit --weights FILE
+
+in 7,000 steps of 39 maps of all families and 4 larger ones, which take 50 minutes of one core. Then
+came 1,000 steps with the additions of scripts/refine_path_predictor.yaml, 10 minutes more. The
+files path_predictor_cut.pt and path_predictor_4.pt are for other movements (docs/planners.md).
+
+`torch.export.export(model, (map, goal))` and the export to ONNX take the network as it is.
+
+This file reads from top to bottom: targets, input of the network, network, loss, training,
 prediction. The layers are in layers.py, the moves on a map in geometry.py, the optimizer in
 optimizer.py, the training step and the files of weights in model.py; learned_planners.py searches
 with predictions.
@@ -53,61 +57,69 @@ from models.learned_planners import GuidedSearch, LearnedPlanner
 from models.model import Tensors
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
-"""The richer fields, which teach more than ``map, start, goal, path``."""
+"""The fields that teach more than ``map, start, goal, path``."""
 
 PRIOR = 3.0
-"""How much less probable a move is, in log, for each cell of its detour, before any training."""
+"""How much the log probability of a move falls for each cell of its detour, before training."""
 
 HALF_TURN = [2, 3, 0, 1, 6, 7, 4, 5]
-"""What each move is after half a turn: N is S, E is W, NE is SW, and so on."""
+"""The number of each move on a map after half a turn: N becomes S, E becomes W, NE becomes SW."""
 
-# --- data: what each cell should predict --------------------------------------------------------
+MIN_RATIO = 0.05
+"""Predicted heuristic ratios below this count as this, since costs are divided by them."""
+
+# --- targets ------------------------------------------------------------------------------------
 
 
 def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return the targets that a path gives its own cells, as `targets` does."""
+    """Return the targets that a path gives its own cells, in the form of `targets`."""
     cells = batch.path[:, :-1]  # (B, T - 1, 2)
     steps = batch.path.diff(dim=1)  # (B, T - 1, 2)
-    # (moves, 2): N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k
-    moves = torch.tensor(STEPS[: movement.connectivity], device=cells.device)
-    made = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
-    made[batch.path[:, 1:, 0] < 0] = False  # not into the padding: from (0, 0) to (-1, -1) is NW
-    labelled = made.any(dim=2)  # (B, T - 1): all cells of a path but its goal
-    # the true cost to the goal: of all steps that follow, each of which costs its own heuristic
+    # N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k.
+    moves = torch.tensor(STEPS[: movement.connectivity], device=cells.device)  # (moves, 2)
+    is_move = (steps[:, :, None] == moves).all(dim=3)  # (B, T - 1, moves), one-hot
+    # A goal at (0, 0) is followed by padding, (-1, -1), which looks like a move to the north-west.
+    is_move[batch.path[:, 1:, 0] < 0] = False
+    has_target = is_move.any(dim=2)  # (B, T - 1), all cells of a path but its goal
+    # The true cost to the goal is the sum over the steps that follow. The heuristic of a step is
+    # its cost.
     down, right = steps.unbind(2)  # (B, T - 1) both
-    costs = heuristic(down, right, movement) * labelled  # (B, T - 1)
+    costs = heuristic(down, right, movement) * has_target  # (B, T - 1)
     to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
     down, right = (cells - batch.goal[:, None]).unbind(2)  # (B, T - 1) both
     ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
-    bits = 2 ** made.long().argmax(dim=2)  # (B, T - 1)
-    problem, _ = labelled.nonzero(as_tuple=True)  # (n,), of the cells of all paths
-    at = (problem, *cells[labelled].unbind(1))  # (n,) each: map, row and column of each of them
+    bits = 2 ** is_move.long().argmax(dim=2)  # (B, T - 1)
+    # Map, row and column of the n cells of all paths that have a target.
+    problem, _ = has_target.nonzero(as_tuple=True)  # (n,)
+    index = (problem, *cells[has_target].unbind(1))  # (n,) each
     optimal = torch.zeros_like(batch.map[:, 0], dtype=torch.long)  # (B, H, W)
-    optimal[at] = bits[labelled]
+    optimal[index] = bits[has_target]
     ratio = torch.zeros_like(optimal, dtype=torch.float)  # (B, H, W)
-    ratio[at] = ratios[labelled]
+    ratio[index] = ratios[has_target]
     return optimal, ratio
 
 
 def targets(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return what each cell should predict, (B, H, W) both; cells without a target have no move.
+    """Return the targets of each cell, (B, H, W) both.
 
-    - optimal moves, a bit set: bit k says that move k starts a shortest path to the goal.
-    - the heuristic ratio in [0, 1]: heuristic over true cost to the goal.
+    - optimal moves, int64: bit k is set where move k is the first of a shortest path to the goal; 0
+      for cells without a target.
+    - heuristic ratio in [0, 1], float: the heuristic over the true cost to the goal.
     """
     if "optimal_moves" in batch._fields:
         return batch.optimal_moves[:, 0].long(), batch.heuristic_ratio[:, 0]
     return targets_on_path(batch, movement)
 
 
-# --- what the network sees ----------------------------------------------------------------------
+# --- input of the network -----------------------------------------------------------------------
 
 
 def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return what the network sees, (B, 8, H, W), and the detours of the moves, (B, moves, H, W).
+    """Return the input of the network, (B, 8, H, W), and detours of the moves, (B, moves, H, W).
 
-    A move's detour is its cost plus the change of the heuristic: 0 for the moves that are optimal
-    on an empty map. Scores start from it, so that only what walls change is left to learn.
+    The detour of a move is its cost plus the change of the heuristic, in cells: 0 for the moves
+    that are optimal on an empty map. The scores of moves start from it, so that the network has to
+    learn only what obstacles change.
 
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.
@@ -115,17 +127,24 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
         movement: how one moves.
     """
     down, right = offsets(goals, occupied.shape[2:])  # from the goal: (B, H, 1) and (B, 1, W)
-    least = heuristic(down, right, movement)  # (B, H, W)
+    h = heuristic(down, right, movement)  # (B, H, W)
     detours = []
-    for row, column in STEPS[: movement.connectivity].tolist():
-        cost = movement.diagonal_cost if row and column else 1.0
-        detours.append(cost + heuristic(down + row, right + column, movement) - least)
-    free = (occupied[:, 0] == 0).float()
-    at_goal = (least == 0).float()
-    # finer ones, near the goal's row, its column and its diagonals
-    fine = [(each / 4).clamp(-1, 1) for each in (down, right, down.abs() - right.abs())]
-    # divisors bring all planes to a size of about 1
-    planes = torch.broadcast_tensors(free, at_goal, least / 64, down / 32, right / 32, *fine)
+    for rows, columns in STEPS[: movement.connectivity].tolist():
+        is_diagonal = rows != 0 and columns != 0
+        cost = movement.diagonal_cost if is_diagonal else 1.0
+        next_h = heuristic(down + rows, right + columns, movement)  # (B, H, W)
+        detours.append(cost + next_h - h)
+    free = (occupied[:, 0] == 0).float()  # (B, H, W)
+    is_goal = (h == 0).float()  # (B, H, W)
+    # These three tell neighbouring cells apart near the row, the column and the diagonals of the
+    # goal; farther away they are -1 or 1.
+    near_row = (down / 4).clamp(-1, 1)  # (B, H, 1)
+    near_column = (right / 4).clamp(-1, 1)  # (B, 1, W)
+    near_diagonal = ((down.abs() - right.abs()) / 4).clamp(-1, 1)  # (B, H, W)
+    # The divisors bring all planes to a size of about 1.
+    planes = torch.broadcast_tensors(
+        free, is_goal, h / 64, down / 32, right / 32, near_row, near_column, near_diagonal
+    )
     return torch.stack(planes, dim=1), torch.stack(detours, dim=1)
 
 
@@ -135,20 +154,20 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
 class PathPredictor(LearnedPlanner):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
-    A batch has the fields ``map, start, goal, path`` or ``TRAINING_FIELDS``; its paths move as the
-    model does. A list of batches, of several map sizes even, is one step.
+    A batch has the fields ``map, start, goal, path`` or `TRAINING_FIELDS`, with the movement of the
+    model. A list of batches, even with maps of several sizes, is one training step.
 
     Args:
-        connectivity: 4 or 8 moves.
-        corner_cutting: whether diagonal moves pass beside occupied cells.
-        diagonal_cost: of a diagonal move, sqrt(2) or 1.
-        widths: channels at strides 2, 4, 8 and so on; 16 is the last.
-        passes: exchanges between strides from 4 on: how far information travels.
-        refinements: residual blocks at stride 2 after them: how well it decides where single cells
+        connectivity: number of moves, 4 or 8.
+        corner_cutting: whether diagonal moves may pass beside occupied cells.
+        diagonal_cost: cost of a diagonal move, sqrt(2) or 1.
+        widths: channels at strides 2, 4, 8 and 16; the last two may be left out.
+        passes: number of exchanges between strides from 4 on. Each lets information travel farther.
+        refinements: number of residual blocks at stride 2 after them. They help where single cells
             matter, as in noise.
-        learning_rate: the highest; it rises over 100 steps and falls until the last step.
-        ratio_weight: weight of the heuristic ratio's squared error.
-        detour_weight: how much more cells count where the heuristic is more than 2 % too low.
+        learning_rate: the highest of the schedule.
+        ratio_weight: weight of the squared error of the heuristic ratio.
+        detour_weight: additional weight of cells where the heuristic is more than 2 % too low.
     """
 
     def __init__(
@@ -178,127 +197,155 @@ class PathPredictor(LearnedPlanner):
             goals: (B, 2), cells.
         """
         rows, columns = occupied.shape[2:]
-        seen, detour = encode(padded(occupied), goals, self.movement)
-        out = self.network(seen)  # (B, moves + 1, H, W) and up to 15 cells more
-        out = out[..., :rows, :columns].float()
-        # before it has learned anything, the most probable moves lead straight to the goal
-        scores = out[:, :-1] - PRIOR * detour[..., :rows, :columns]
-        return scores, torch.sigmoid(out[:, -1])
+        planes, detours = encode(padded(occupied), goals, self.movement)
+        output = self.network(planes)  # (B, moves + 1, H, W), up to 15 rows and columns more
+        output = output[..., :rows, :columns].float()
+        # Before training the most probable moves are those that lead straight to the goal.
+        scores = output[:, :-1] - PRIOR * detours[..., :rows, :columns]
+        return scores, torch.sigmoid(output[:, -1])
 
     def losses(self, batch: Sample | list[Sample]) -> Tensors:
-        """Return ``loss``, its part for ``moves``, and ``accuracy``.
+        """Return ``loss``, its part ``moves``, and ``accuracy``.
 
-        Accuracy is the share of cells whose most probable legal move is optimal.
+        - ``moves``: weighted mean of the loss of the moves.
+        - ``loss``: ``moves`` plus ``ratio_weight`` times the mean squared error of the ratio.
+        - ``accuracy``: share of the cells whose most probable legal move is optimal.
+
+        Cells without a target do not count.
         """
-        # maps of one size together: the network takes half the time for one large batch
-        sizes: dict[torch.Size, list[list[Tensor]]] = defaultdict(list)
-        for each in batch if isinstance(batch, list) else [batch]:
-            optimal, ratio = targets(each, self.movement)  # (B, H, W) both
-            sizes[each.map.shape[2:]].append([each.map, each.goal, optimal, ratio])
-        cells = [
-            self.cell_losses(*map(torch.cat, zip(*parts, strict=True))) for parts in sizes.values()
-        ]
-        move_loss, squared_error, right, weight = torch.cat(cells, dim=1)  # (n,) each
+        batches = batch if isinstance(batch, list) else [batch]
+        # Maps of one size go through the network together, in half the time of several batches.
+        by_size: dict[torch.Size, list[list[Tensor]]] = defaultdict(list)
+        for part in batches:
+            optimal, ratio = targets(part, self.movement)  # (B, H, W) both
+            by_size[part.map.shape[2:]].append([part.map, part.goal, optimal, ratio])
+        cell_losses = []
+        for parts in by_size.values():
+            maps, goals, optimal, ratio = map(torch.cat, zip(*parts, strict=True))
+            cell_losses.append(self.cell_losses(maps, goals, optimal, ratio))
+        move_loss, squared_error, is_right, weight = torch.cat(cell_losses, dim=1)  # (n,) each
         moves = (weight * move_loss).sum() / weight.sum()
         loss = moves + self.hparams["ratio_weight"] * squared_error.mean()
-        return {"loss": loss, "moves": moves, "accuracy": right.mean()}
+        return {"loss": loss, "moves": moves, "accuracy": is_right.mean()}
 
     def cell_losses(
         self, occupied: Tensor, goals: Tensor, optimal: Tensor, ratio: Tensor
     ) -> Tensor:
-        """Return (4, n) of the n cells that have a target, of `targets`.
+        """Return (4, n) for the n cells that have a target.
 
-        Loss of the moves, squared error of the ratio, 1 where the answer is right, weight.
+        The rows are: loss of the moves; squared error of the ratio; 1 where the most probable legal
+        move is optimal and 0 elsewhere; weight of the cell.
+
+        Args:
+            occupied: (B, 1, H, W), 0 free and anything else occupied.
+            goals: (B, 2), cells.
+            optimal: (B, H, W), optimal moves of `targets`.
+            ratio: (B, H, W), heuristic ratio of `targets`.
         """
         scores, ratios = self(occupied, goals)  # (B, moves, H, W) and (B, H, W)
         scores = scores.masked_fill(~legal_moves(occupied, self.movement), -math.inf)
-        cells = optimal.nonzero(as_tuple=True)  # the n cells that have a target
+        cells = optimal.nonzero(as_tuple=True)  # map, row and column of the n cells
         scores = scores.permute(0, 2, 3, 1)[cells]  # (n, moves)
         ratio = ratio[cells]  # (n,)
         bits = 2 ** torch.arange(scores.shape[1], device=scores.device)  # (moves,)
-        good = (optimal[cells][:, None] & bits) != 0  # (n, moves)
-        # -log of the probability of making any of the optimal moves: ties need no decision
-        good_scores = scores.masked_fill(~good, -math.inf)
-        move_loss = scores.logsumexp(1) - good_scores.logsumexp(1)  # (n,)
+        is_optimal = (optimal[cells][:, None] & bits) != 0  # (n, moves)
+        # The loss is -log of the probability of making any optimal move, so that the network need
+        # not decide among optimal moves.
+        optimal_scores = scores.masked_fill(~is_optimal, -math.inf)  # (n, moves)
+        move_loss = scores.logsumexp(1) - optimal_scores.logsumexp(1)  # (n,)
         squared_error = (ratios[cells] - ratio) ** 2  # (n,)
-        right = good.gather(1, scores.argmax(1, keepdim=True))[:, 0].float()  # (n,)
+        most_probable = scores.argmax(1, keepdim=True)  # (n, 1)
+        is_right = is_optimal.gather(1, most_probable)[:, 0].float()  # (n,)
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)  # (n,)
-        return torch.stack([move_loss, squared_error, right, weight])
+        return torch.stack([move_loss, squared_error, is_right, weight])
 
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Log the losses, and search: `on_validation_epoch_end` logs what comes of it."""
-        values = {f"val_{name}": value for name, value in self.losses(batch).items()}
-        self.log_dict(values, batch_size=len(batch.map))
+        """Log the losses, and plan; `on_validation_epoch_end` logs how well that went."""
+        losses = {f"val_{name}": loss for name, loss in self.losses(batch).items()}
+        self.log_dict(losses, batch_size=len(batch.map))
         self.score(GuidedSearch("search", self), batch)
 
     # --- prediction -----------------------------------------------------------------------------
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return scores of the moves (B, moves, H, W) and the costs to go (B, H, W), in cells.
+        """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells.
 
-        A score is a log probability, up to a constant a cell. Scores and ratios are means over two
-        views, the map and the map after half a turn, which takes twice the time: shorter paths for
-        no more expansions. `costs_to_go` makes costs of the ratios.
+        A score is a log probability, up to a constant for each cell. `costs_to_go` derives the
+        costs from the heuristic ratios.
+
+        Scores and ratios are means over two views: the map, and the map after half a turn. That
+        takes twice the time, and makes paths shorter for no more expansions.
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
         occupied, cells = self.tensors(np.not_equal(grids, 0)[:, None], goals)
-        last = torch.tensor(occupied.shape[2:], device=self.device) - 1
+        last_cell = torch.tensor(occupied.shape[2:], device=self.device) - 1  # (2,)
         with self.inference():
             scores, ratios = self(occupied, cells)
-            turned_scores, turned_ratios = self(occupied.flip(2, 3), last - cells)
+            turned_scores, turned_ratios = self(occupied.flip(2, 3), last_cell - cells)
             scores += turned_scores[:, HALF_TURN[: scores.shape[1]]].flip(2, 3)
+            scores /= 2
             ratios += turned_ratios.flip(1, 2)
-            costs = self.costs_to_go(occupied, cells, scores, ratios / 2)
-        return (scores / 2).cpu().contiguous().numpy(), costs.cpu().numpy()
+            ratios /= 2
+            costs = self.costs_to_go(occupied, cells, scores, ratios)
+        return scores.cpu().contiguous().numpy(), costs.cpu().numpy()
 
     def costs_to_go(
         self, occupied: Tensor, goals: Tensor, scores: Tensor, ratios: Tensor
     ) -> Tensor:
-        """Return the predicted cost from each cell to the goal, (B, H, W), as an n-step return.
+        """Return the predicted cost from each cell to the goal, (B, H, W), as a 32-step return.
 
-        That is what the 32 most probable moves from the cell cost, each the most probable of the
-        cell that it starts from, and the cost to go that the network predicts where they end.
-        Neighbours whose ways meet have nearly the same error, so that a search is not led astray by
-        the difference. Ways are followed, never compared. No expansions are counted for it:
-        docs/planners.md says what it is worth, and how often it reaches the goal.
+            cost = sum of the costs of the next 32 moves + h / ratio at the cell where they end
 
-        Sutton and Barto, Reinforcement Learning: An Introduction, 2nd edition, section 7.1.
+            cost      in cells
+            h         heuristic, in cells
+            ratio     predicted heuristic ratio, in [0, 1]
+
+        Each move is the most probable legal one of the cell that it starts from (Sutton and Barto,
+        Reinforcement Learning: An Introduction, 2nd edition, section 7.1). Neighbouring cells whose
+        moves soon lead to the same cell share the error of the ratio there, so that the difference
+        of their costs, which decides in a search, is nearly exact.
+
+        These moves are followed and not compared with others, so no expansions are counted for
+        them. docs/planners.md says how much they gain, and how often they reach the goal.
 
         Args:
             occupied: (B, 1, H, W), 0 free and anything else occupied.
             goals: (B, 2), cells.
             scores: (B, moves, H, W).
-            ratios: (B, H, W), of heuristic and cost to go; one below 0.05 counts as that.
+            ratios: (B, H, W), in [0, 1].
         """
-        least = heuristic(*offsets(goals, ratios.shape[1:]), self.movement)  # (B, H, W)
-        # the goal has no moves, so that a way which reaches it ends there
-        legal = legal_moves(occupied, self.movement) & (least > 0)[:, None]  # (B, moves, H, W)
-        best, move = torch.where(legal, scores, -math.inf).max(dim=1)  # (B, H, W) both
-        goes_on = best > -math.inf
+        h = heuristic(*offsets(goals, ratios.shape[1:]), self.movement)  # (B, H, W)
+        # The goal has no moves, so a path that reaches the goal ends there.
+        legal = legal_moves(occupied, self.movement) & (h > 0)[:, None]  # (B, moves, H, W)
+        best_score, move = torch.where(legal, scores, -math.inf).max(dim=1)  # (B, H, W) both
+        has_move = best_score > -math.inf  # (B, H, W)
         down, right = torch.tensor(STEPS[: scores.shape[1]], device=self.device).T  # (moves,) both
-        cost = heuristic(down, right, self.movement)[move] * goes_on
-        jump = (down * ratios.shape[2] + right)[move] * goes_on
-        # the cell that the move leads to, numbered through all maps of the batch
-        to = torch.arange(move.numel(), device=self.device).view_as(move) + jump
-        for _ in range(5):  # of 1, 2, 4, 8 and 16 moves it makes twice as many
-            cost = cost + cost.take(to)
-            to = to.take(to)
-        return cost + (least / ratios.clamp(min=0.05)).take(to)
+        # Cells are numbered through all maps of the batch, row by row.
+        cost = heuristic(down, right, self.movement)[move] * has_move  # (B, H, W), of one move
+        step = (down * ratios.shape[2] + right)[move] * has_move  # (B, H, W)
+        numbers = torch.arange(move.numel(), device=self.device).view_as(move)  # (B, H, W)
+        end = numbers + step  # (B, H, W), number of the cell where the move ends
+        # Path doubling: from n moves of each cell to 2 n moves, for n = 1, 2, 4, 8 and 16.
+        for _ in range(5):
+            cost = cost + cost.take(end)
+            end = end.take(end)
+        predicted = h / ratios.clamp(min=MIN_RATIO)  # (B, H, W)
+        return cost + predicted.take(end)
 
     def predict_path(self, map: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Ints:
-        """Return the predicted path, (k, 2) cells; (0, 2) where there is none.
+        """Return the predicted path, (k, 2) cells, or (0, 2) where there is no path.
 
-        From the start on, the most probable legal move to a cell that the walk has not been to;
-        where it is stuck it goes on from the cell before. The path is the shortest way that the
-        walk has seen.
+        The path is that of a walk from the start, which always makes the most probable legal move
+        to a cell where it has not been, and goes back to the cell before where there is no such
+        move. The path takes the shortest way over the moves that the walk has looked at.
 
         Args:
             map: (H, W) or (1, H, W), 0 free and 1 occupied.
-            start: its cell.
-            goal: its cell.
+            start: (2,), cell.
+            goal: (2,), cell.
 
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell.

@@ -1,4 +1,4 @@
-"""What the training scripts share: a command line that writes weights, and mixed batches."""
+"""What all training scripts need: a command line that writes weights, and mixed batches."""
 
 from __future__ import annotations
 
@@ -18,7 +18,13 @@ class TrainingCli(LightningCLI):
     """LightningCLI with ``--weights`` and ``--start_from``, files of a `models.model.Model`."""
 
     def __init__(self, model: type[Model], config: Path, arguments: ArgsType) -> None:
-        """Run the command line: a subclass of ``model`` on any data, by default as a file says."""
+        """Run the command line.
+
+        Args:
+            model: the class of which --model names a subclass.
+            config: file with the default arguments of ``fit``.
+            arguments: the arguments; None takes those of the process.
+        """
         with stoppable("stopped; fit --ckpt_path FILE goes on from a checkpoint"):
             super().__init__(
                 model,
@@ -32,11 +38,11 @@ class TrainingCli(LightningCLI):
             )
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Add the flags."""
+        """Add ``--start_from`` and ``--weights``."""
         parser.add_argument(
             "--start_from",
             type=str | None,
-            help="file of weights to begin with, of the same network or one with fewer layers "
+            help="file of weights to begin with, of the same network or of one with fewer layers "
             "(path predictors that ship have --model.refinements 1)",
         )
         parser.add_argument(
@@ -46,25 +52,25 @@ class TrainingCli(LightningCLI):
         )
 
     def before_instantiate_classes(self) -> None:
-        """Refuse a file that could not be written after the training."""
+        """Refuse a file for the weights that could not be written after hours of training."""
         file = self.config[self.subcommand].weights
         if file is not None and (Path(file).is_dir() or not Path(file).parent.is_dir()):
             raise SystemExit(f"weights: got {file}, expected a file in a folder that exists")
 
     def instantiate_classes(self) -> None:
-        """Begin with the weights of ``--start_from``, whatever is to be done."""
+        """Load the weights of ``--start_from``, for training and validation alike."""
         super().instantiate_classes()
         file = self.config[self.subcommand].start_from
         if file is not None:
-            # layers that the file lacks, such as refinements, keep what they begin with
+            # Layers that the file lacks, such as refinements, keep their initial weights.
             weights = self.model.state_dict() | self.model.load(file).state_dict()
             self.model.load_state_dict(weights)
 
     def before_fit(self) -> None:
-        """Let limits of 1 be one batch.
+        """Make a limit of 1 mean one batch.
 
-        The command line makes them 1.0, which Lightning takes for all batches: 10,000 of online
-        maps. All of them are null.
+        The command line turns 1 into 1.0, which Lightning takes for all batches: 10,000 batches of
+        online maps. A limit of null means all batches.
         """
         for limit in ("limit_train_batches", "limit_val_batches"):
             if self.config.fit.trainer[limit] == 1:
@@ -78,19 +84,22 @@ class TrainingCli(LightningCLI):
 
 
 class MixedBatches(pl.LightningDataModule):
-    """Several data modules at once: a training step gets a list with a batch of each.
+    """Several data modules at once: a training step gets a list with one batch of each.
 
-    Validation sees them one after another. What loggers say of the data is of the last part: all
-    parts are in the config.yaml beside it.
+    Validation takes them one after another. Loggers get the hyperparameters of the last part only;
+    the config.yaml beside their files has those of all parts.
+
+    Args:
+        parts: the data modules.
     """
 
     def __init__(self, parts: list[MapDataModule]) -> None:
-        """Keep the parts."""
+        """Keep the data modules."""
         super().__init__()
         self.parts = parts
 
     def prepare_data(self) -> None:
-        """Build what is missing."""
+        """Build the datasets that are missing."""
         for part in self.parts:
             part.prepare_data()
 
@@ -101,9 +110,9 @@ class MixedBatches(pl.LightningDataModule):
             part.setup(stage)
 
     def train_dataloader(self) -> CombinedLoader:
-        """Return what yields lists of batches, until the first part ends."""
+        """Return a loader of lists of batches, which ends with the shortest part."""
         return CombinedLoader([part.train_dataloader() for part in self.parts], "min_size")
 
     def val_dataloader(self) -> list[DataLoader[Sample]]:
-        """Return a loader a part."""
+        """Return a loader for each part."""
         return [part.val_dataloader() for part in self.parts]

@@ -57,10 +57,10 @@ class Cli(TrainingCli):
         for part in getattr(self.datamodule, "parts", [self.datamodule]):
             if not isinstance(part, MapDataModule):
                 continue
-            data_movement = part.serving.movement
-            if data_movement not in (None, movement):
+            part_movement = part.serving.movement
+            if part_movement not in (None, movement):
                 raise SystemExit(
-                    f"movement: got {data_movement} for the data, {movement} for the model"
+                    f"movement: got {part_movement} for the data, {movement} for the model"
                 )
             part.serving = replace(part.serving, movement=movement)
             part.hparams["movement"] = astuple(movement)

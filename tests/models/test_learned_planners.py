@@ -1,4 +1,4 @@
-"""The search that follows predictions: that of a slow one in Python, whatever is predicted."""
+"""The search that follows predictions equals a slow one in Python, whatever is predicted."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ MOVEMENTS = [
 
 
 @dataclass
-class Answers:
-    """A predictor that gives the same answers to all problems."""
+class FixedPredictor:
+    """A predictor with fixed predictions, which do not depend on the problems."""
 
     movement: Movement
     scores: Float32s
     costs: Float32s
 
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return the answers."""
+        """Return the predictions."""
         return self.scores, self.costs
 
 
-def answers(problems: ProblemSet, seed: int) -> Answers:
-    """Return random answers to all problems."""
-    source = np.random.default_rng(seed)
+def random_predictor(problems: ProblemSet, seed: int) -> FixedPredictor:
+    """Return a predictor with random predictions for these problems."""
+    rng = np.random.default_rng(seed)
     moves = problems.movement.connectivity
     count, rows, columns = problems.grids.shape
-    scores = source.normal(0, 2, (count, moves, rows, columns)).astype(np.float32)
-    costs = source.uniform(0, 30, (count, rows, columns)).astype(np.float32)
-    return Answers(problems.movement, scores, costs)
+    scores = rng.normal(0, 2, (count, moves, rows, columns)).astype(np.float32)
+    costs = rng.uniform(0, 30, (count, rows, columns)).astype(np.float32)
+    return FixedPredictor(problems.movement, scores, costs)
 
 
-def searched_by_the_book(
+def slow_search(
     grid: Bytes,
     scores: Float32s,
     costs: Float32s,
@@ -55,11 +55,14 @@ def searched_by_the_book(
     movement: Movement,
     trust: float,
 ) -> tuple[list[Cell], int]:
-    """Return the path and the number of expansions, as the docstring of `GuidedSearch` says."""
+    """Return path and number of expansions by the formulas in the docstring of `GuidedSearch`.
+
+    Here ``trust`` is the penalty of a move whose odds squared are 2 on this map.
+    """
     moves = [tuple(move) for move in STEPS[: movement.connectivity].tolist()]
-    parent: dict[Cell, Cell] = {}
-    way = {start: 0.0}  # of the path by parents
-    cost = {start: 0.0}  # of the way and its improbable moves
+    parents: dict[Cell, Cell] = {}
+    lengths = {start: 0.0}
+    path_costs = {start: 0.0}
     frontier = [(0.0, 0, start)]
     expanded: set[Cell] = set()
     pushes = 0
@@ -69,25 +72,25 @@ def searched_by_the_book(
             continue
         expanded.add(cell)
         legal = []
-        for to, step in neighbours(grid.tolist(), cell, movement):
-            move = moves.index((to[0] - cell[0], to[1] - cell[1]))
-            length = movement.diagonal_cost if step[1] else 1.0
-            legal.append((to, length, float(scores[move, cell[0], cell[1]])))
-        best = max(score for _, _, score in legal)
-        for to, length, score in legal:
-            if way[cell] + length < way.get(to, math.inf):
-                way[to] = way[cell] + length
-                parent[to] = cell
-            odds = math.exp(min(best - score, 10))
-            so_far = cost[cell] + length + trust * (odds**2 - 1)
-            if to not in expanded and so_far < cost.get(to, math.inf):
-                cost[to] = so_far
+        for neighbour, (_, diagonal_moves) in neighbours(grid.tolist(), cell, movement):
+            move = moves.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
+            length = movement.diagonal_cost if diagonal_moves else 1.0
+            legal.append((neighbour, length, float(scores[move, cell[0], cell[1]])))
+        best_score = max(score for _, _, score in legal)
+        for neighbour, length, score in legal:
+            if lengths[cell] + length < lengths.get(neighbour, math.inf):
+                lengths[neighbour] = lengths[cell] + length
+                parents[neighbour] = cell
+            odds = math.exp(min(best_score - score, 10))
+            path_cost = path_costs[cell] + length + trust * (odds**2 - 1)
+            if neighbour not in expanded and path_cost < path_costs.get(neighbour, math.inf):
+                path_costs[neighbour] = path_cost
                 pushes += 1
-                f = so_far + float(costs[to]) - 0.001 * way[to]
-                heapq.heappush(frontier, (f, -pushes, to))
+                f = path_cost + float(costs[neighbour]) - 0.001 * lengths[neighbour]
+                heapq.heappush(frontier, (f, -pushes, neighbour))
     path = [goal]
     while path[-1] != start:
-        path.append(parent[path[-1]])
+        path.append(parents[path[-1]])
     return path[::-1], len(expanded)
 
 
@@ -95,11 +98,11 @@ def searched_by_the_book(
 @pytest.mark.parametrize("trust", [0.0, 0.4, 5.0])
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: bool) -> None:
-    """The same path and as many expansions, for random answers and for those that decide nothing,
-    where the order among equals is all.
+    """Both have the same paths and numbers of expansions, for random predictions, and for equal
+    ones, where only the order among cells of equal f decides.
     """
     problems = ProblemSet.sample(Forest((12, 14)), 1, 30, movement=movement)
-    model = answers(problems, 2)
+    model = random_predictor(problems, 2)
     if all_tie:
         model.scores.fill(0)
         model.costs.fill(1)
@@ -109,37 +112,37 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
     for k, plan in enumerate(plans):
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
-        given = problems.grids[k], model.scores[k], model.costs[k], start, goal, movement
-        # trust is what a move costs on 64 x 64 cells; these maps have 12 x 14, a mean side of 13
-        path, expansions = searched_by_the_book(*given, trust * 64 / 13)
+        arguments = (problems.grids[k], model.scores[k], model.costs[k], start, goal, movement)
+        # ``trust`` is a penalty on maps of 64 x 64; the mean side of these maps, 12 x 14, is 13.
+        path, expansions = slow_search(*arguments, trust * 64 / 13)
         assert plan.path.tolist() == [list(cell) for cell in path]
         assert plan.expansions == expansions
 
 
 @pytest.mark.parametrize("cut", [(1, 8, 12, 14), (5, 4, 12, 14), (5, 8, 11, 14), (5, 8, 12, 1)])
 def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
-    """Compiled code would read past their end."""
+    """The compiled search would read past the end of arrays that are too small."""
     problems = ProblemSet.sample(Forest((12, 14)), 1, 5)
-    model = answers(problems, 3)
+    model = random_predictor(problems, 3)
     count, moves, rows, columns = cut
-    asked = problems.grids, problems.starts, problems.goals
+    problem_arrays = problems.grids, problems.starts, problems.goals
     wrong = replace(model, scores=model.scores[:count, :moves, :rows, :columns])
     with pytest.raises(ValueError, match=r"predict gave shapes .* expected .*5, 8, 12, 14"):
-        GuidedSearch("search", wrong).plan_batch(*asked)
+        GuidedSearch("search", wrong).plan_batch(*problem_arrays)
     wrong = replace(model, costs=model.costs[:, 1:])
     with pytest.raises(ValueError, match="search: predict gave shapes"):
-        GuidedSearch("search", wrong).plan_batch(*asked)
+        GuidedSearch("search", wrong).plan_batch(*problem_arrays)
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0])
-@pytest.mark.parametrize("value", [-np.inf, np.inf, np.nan])
-def test_there_is_a_path_whatever_is_predicted(value: float, share: float) -> None:
-    """Some or all scores, and as many costs, are no finite numbers."""
+@pytest.mark.parametrize("number", [-np.inf, np.inf, np.nan])
+def test_there_is_a_path_whatever_is_predicted(number: float, share: float) -> None:
+    """A path is found even if some or all of the predicted scores and costs are not finite."""
     problems = ProblemSet.sample(Forest((12, 14)), 1, 100)
-    model = answers(problems, 3)
-    source = np.random.default_rng(4)
+    model = random_predictor(problems, 3)
+    rng = np.random.default_rng(4)
     for array in (model.scores, model.costs):
-        array[source.random(array.shape) < share] = value
+        array[rng.random(array.shape) < share] = number
     for trust in (0.4, math.inf):
         plans = GuidedSearch("search", model, trust).plan_batch(
             problems.grids, problems.starts, problems.goals

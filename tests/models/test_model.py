@@ -1,4 +1,4 @@
-"""Files of weights: a damaged one is refused, and a new one is complete."""
+"""Files of weights: damaged files are refused, and a file is written as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from models.path_predictor import PathPredictor
 
 
 def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:
-    """By the checksums of the file; torch compares none."""
+    """The checksums of the archive tell; torch does not compare them."""
     file = tmp_path / "weights.pt"
     PathPredictor(widths=(8, 8, 8), passes=1).save(file)
     sound = file.read_bytes()
     load_model(file, PathPredictor)
-    for place in range(len(sound) // 4, len(sound) // 2, len(sound) // 40):
+    for position in range(len(sound) // 4, len(sound) // 2, len(sound) // 40):
         flipped = bytearray(sound)
-        flipped[place] ^= 64
+        flipped[position] ^= 64
         file.write_bytes(flipped)
         with pytest.raises(ValueError, match=r"weights\.pt: holds no saved PathPredictor"):
             load_model(file, PathPredictor)
@@ -46,17 +46,17 @@ def test_an_entry_marked_as_a_folder_is_refused(tmp_path: Path) -> None:
 def test_saving_replaces_the_whole_file_or_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it fails, the weights of before are there."""
+    """Where saving fails, the file still holds the weights that were saved before."""
     file = tmp_path / "weights.pt"
     model = PathPredictor(widths=(8, 8, 8), passes=1)
     model.save(file)
     sound = file.read_bytes()
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
         with pytest.raises(OSError, match="File too large"):
             model.save(file)
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert file.read_bytes() == sound
-    assert [each.name for each in tmp_path.iterdir()] == ["weights.pt"]
+    assert [path.name for path in tmp_path.iterdir()] == ["weights.pt"]

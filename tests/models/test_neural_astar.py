@@ -1,4 +1,4 @@
-"""Neural A*: its search beside a slow one, what it learns, and its row in the table."""
+"""Neural A*: its search is compared with a slow one, it learns, and it has a row in the table."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOVEMENTS = [NEURAL_ASTAR, Movement(8), Movement(4)]
 
 
 def random_grids(count: int, side: int) -> Bytes:
-    """Return maps with a quarter of their cells occupied, but for two opposite corners."""
+    """Return maps with a quarter of their cells occupied; two opposite corners are free."""
     grids = (np.random.default_rng(3).random((count, side, side)) < 0.25).astype(np.uint8)
     grids[:, 0, 0] = 0
     grids[:, -1, -1] = 0
@@ -47,38 +47,43 @@ def random_grids(count: int, side: int) -> Bytes:
 def slow_search(
     grid: Bytes, costs: np.ndarray, start: Cell, goal: Cell, movement: Movement
 ) -> tuple[set[Cell], list[Cell]]:
-    """Return the cells that the paper's search expands, and its path: sets and dictionaries."""
-    way = {start: 0.0}
+    """Return the cells that the search of the paper expands, and its path, empty without one.
+
+    It works on sets and dictionaries.
+    """
+    g = {start: 0.0}
     parent: dict[Cell, Cell] = {}
     frontier = {start}
     expanded: set[Cell] = set()
 
     def estimate(cell: Cell) -> float:
-        down, right = abs(cell[0] - goal[0]), abs(cell[1] - goal[1])
+        down = abs(cell[0] - goal[0])
+        right = abs(cell[1] - goal[1])
         if movement.connectivity == 4:
-            least = float(down + right)
+            h = float(down + right)
         else:
-            least = max(down, right) + (movement.diagonal_cost - 1) * min(down, right)
-        return float(way[cell] + least + 0.001 * math.hypot(down, right) + costs[cell])
+            h = max(down, right) + (movement.diagonal_cost - 1) * min(down, right)
+        return float(g[cell] + h + 0.001 * math.hypot(down, right) + costs[cell])
 
     while frontier and goal not in expanded:
         cell = min(frontier, key=estimate)
         frontier.remove(cell)
         expanded.add(cell)
         for row, column in STEPS[: movement.connectivity].tolist():
-            to = (cell[0] + row, cell[1] + column)
-            if not (0 <= to[0] < len(grid) and 0 <= to[1] < len(grid)) or grid[to]:
+            neighbour = (cell[0] + row, cell[1] + column)
+            is_inside = 0 <= neighbour[0] < len(grid) and 0 <= neighbour[1] < len(grid)
+            if not is_inside or grid[neighbour]:
                 continue
-            diagonal = row != 0 and column != 0
-            sides = grid[cell[0] + row, cell[1]] or grid[cell[0], cell[1] + column]
-            if diagonal and sides and not movement.corner_cutting:
+            is_diagonal = row != 0 and column != 0
+            cuts_corner = grid[cell[0] + row, cell[1]] or grid[cell[0], cell[1] + column]
+            if is_diagonal and cuts_corner and not movement.corner_cutting:
                 continue
-            length = movement.diagonal_cost if diagonal else 1.0
-            reached = way[cell] + length * costs[cell]
-            if to not in expanded and reached < way.get(to, math.inf):
-                way[to] = reached
-                parent[to] = cell
-                frontier.add(to)
+            length = movement.diagonal_cost if is_diagonal else 1.0
+            new_g = g[cell] + length * costs[cell]
+            if neighbour not in expanded and new_g < g.get(neighbour, math.inf):
+                g[neighbour] = new_g
+                parent[neighbour] = cell
+                frontier.add(neighbour)
     path = [goal] if goal in expanded else []
     while path and path[-1] != start:
         path.append(parent[path[-1]])
@@ -87,7 +92,9 @@ def slow_search(
 
 @pytest.mark.parametrize("movement", MOVEMENTS, ids=str)
 def test_the_search_expands_what_a_slow_one_does(movement: Movement) -> None:
-    """In batches, with and without a path: the same cells, and the same parents."""
+    """In a batch of maps with and without a path, both searches expand the same cells and have the
+    same parents.
+    """
     grids = random_grids(60, 13)
     costs = np.random.default_rng(4).random(grids.shape, np.float32)
     starts = np.zeros((60, 2), np.int64)
@@ -98,7 +105,7 @@ def test_the_search_expands_what_a_slow_one_does(movement: Movement) -> None:
         torch.from_numpy(starts),
         torch.from_numpy(goals),
         movement,
-        most=13 * 13,
+        max_expansions=13 * 13,
     )
     solved = 0
     for k in range(60):
@@ -112,27 +119,30 @@ def test_the_search_expands_what_a_slow_one_does(movement: Movement) -> None:
 
 
 def test_without_guidance_it_is_the_search_that_it_is_compared_with() -> None:
-    """Equal costs: as many expansions as A* of Neural A*, but for ties in floats of 32 bits."""
+    """With equal guidance costs it expands as many cells as the row "A* of Neural A*", except where
+    ties are broken otherwise in 32-bit floats.
+    """
     problems = ProblemSet.sample(MapGenerator.preset("maze"), 5, maps=12, movement=NEURAL_ASTAR)
     vanilla = classical(NEURAL_ASTAR)[-1]
     assert vanilla.name == "A* of Neural A*"
     grids, starts, goals = map(
         torch.tensor, (problems.grids[:, None], problems.starts, problems.goals)
     )
-    most = grids[0].numel()
-    expanded, _ = neural_astar.search(
-        torch.ones(grids[:, 0].shape), grids, starts, goals, NEURAL_ASTAR, most
-    )
+    costs = torch.ones(grids[:, 0].shape)
+    max_expansions = grids[0].numel()
+    expanded, _ = neural_astar.search(costs, grids, starts, goals, NEURAL_ASTAR, max_expansions)
     counts = expanded.sum(dim=(1, 2)).numpy()
     for k, count in enumerate(counts):
-        start, goal = tuple(problems.starts[k].tolist()), tuple(problems.goals[k].tolist())
-        assert count == pytest.approx(
-            vanilla.plan(problems.grids[k], start, goal).expansions, rel=0.02, abs=2
-        )
+        start = tuple(problems.starts[k].tolist())
+        goal = tuple(problems.goals[k].tolist())
+        expected = vanilla.plan(problems.grids[k], start, goal).expansions
+        assert count == pytest.approx(expected, rel=0.02, abs=2)
 
 
 def test_the_gradient_is_that_of_the_shares() -> None:
-    """Of the softmax at each choice (equation 3), with the ways so far and the choices fixed."""
+    """It is the gradient of the softmax at each choice (equation 3), where g and the choices count
+    as constants.
+    """
     torch.manual_seed(0)
     grid = torch.from_numpy(random_grids(1, 6)[:, None])
     start, goal = torch.tensor([[0, 0]]), torch.tensor([[5, 5]])
@@ -142,38 +152,46 @@ def test_the_gradient_is_that_of_the_shares() -> None:
     (expanded * weights).sum().backward()
     assert costs.grad is not None
 
-    # the frontier and the ways of each step, from the values of shorter searches
-    fixed = costs.detach()[0].numpy()
-    cells, _ = slow_search(grid[0, 0].numpy(), fixed, (0, 0), (5, 5), NEURAL_ASTAR)
-    taken: list[Cell] = []
-    way = {(0, 0): 0.0}
+    # The same search step by step. ``constants`` are the costs in g, ``variables`` those in the
+    # choices, which get the gradient.
+    constants = costs.detach()[0].numpy()
+    variables = costs.detach().clone().requires_grad_()
+    cells, _ = slow_search(grid[0, 0].numpy(), constants, (0, 0), (5, 5), NEURAL_ASTAR)
+    expanded_cells: list[Cell] = []
+    g = {(0, 0): 0.0}
     total = torch.zeros(())
-    free = costs.detach().clone().requires_grad_()
-    while (5, 5) not in taken:
-        frontier = sorted(set(way) - set(taken))
+    while (5, 5) not in expanded_cells:
+        frontier = sorted(set(g) - set(expanded_cells))
         scores = []
         for row, column in frontier:
-            down, right = 5 - row, 5 - column
-            least = max(down, right) + 0.001 * math.hypot(down, right)
-            scores.append(-(way[row, column] + least + free[0, row, column]) / (2 * math.sqrt(6)))
+            down = 5 - row
+            right = 5 - column
+            h = max(down, right) + 0.001 * math.hypot(down, right)
+            f = (g[row, column] + h + variables[0, row, column]) / 2
+            scores.append(-f / math.sqrt(6))
         shares = torch.stack(scores).softmax(dim=0)
         for share, cell in zip(shares, frontier, strict=True):
-            # every cell of the frontier gets the gradient of its share, chosen or not
+            # All cells of the frontier get the gradient of their shares, not only the chosen one.
             total = total + weights[0, cell[0], cell[1]] * share
         cell = frontier[int(shares.argmax())]
-        taken.append(cell)
+        expanded_cells.append(cell)
         for row, column in STEPS.tolist():
-            to = (cell[0] + row, cell[1] + column)
-            if min(to) >= 0 and max(to) < 6 and not grid[0, 0, to[0], to[1]] and to not in taken:
-                way[to] = min(way.get(to, math.inf), way[cell] + float(fixed[cell]))
-    assert set(taken) == cells
+            neighbour = (cell[0] + row, cell[1] + column)
+            if min(neighbour) < 0 or max(neighbour) >= 6 or neighbour in expanded_cells:
+                continue
+            if not grid[0, 0, neighbour[0], neighbour[1]]:
+                new_g = g[cell] + float(constants[cell])
+                g[neighbour] = min(g.get(neighbour, math.inf), new_g)
+    assert set(expanded_cells) == cells
     total.backward()
-    torch.testing.assert_close(costs.grad, free.grad, rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(costs.grad, variables.grad, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("movement", [NEURAL_ASTAR, Movement(8), Movement(4)])
 def test_random_paths_are_shortest(movement: Movement) -> None:
-    """Each leads from start to goal over cells of shortest paths, one for each distance."""
+    """Their cells, ordered by the distance from the start, are a path from start to goal, and its
+    cost is the distance between both.
+    """
     caves = MapGenerator.preset("cave")
     fields = ("map", "start", "goal", "optimal_moves")
     data = OnlineMapDataset(caves, length=20, fields=fields, problems="random", movement=movement)
@@ -185,34 +203,36 @@ def test_random_paths_are_shortest(movement: Movement) -> None:
         start, goal = (tuple(end[k].tolist()) for end in (batch.start, batch.goal))
         from_start, to_goal = (distance_field(grid, end, movement) for end in (start, goal))
         cells = np.argwhere(path)
-        at = (cells[:, 0], cells[:, 1])
-        np.testing.assert_allclose(from_start[at] + to_goal[at], to_goal[start], rtol=1e-6)
-        in_order = cells[np.argsort(from_start[at])]
+        index = (cells[:, 0], cells[:, 1])
+        np.testing.assert_allclose(from_start[index] + to_goal[index], to_goal[start], rtol=1e-6)
+        in_order = cells[np.argsort(from_start[index])]
         assert check_path(grid, in_order, movement) == pytest.approx(float(to_goal[start]))
         assert tuple(in_order[0]) == start
         assert tuple(in_order[-1]) == goal
 
 
-def test_random_paths_take_every_way() -> None:
-    """Each of three first moves that are equally good in a third of 3,000 paths."""
+def test_random_paths_make_all_optimal_moves() -> None:
+    """Three first moves are optimal, and each of them is made by a third of 3,000 paths."""
     grid = np.zeros((3, 3), np.uint8)
     to_goal = distance_field(grid, (1, 2), NEURAL_ASTAR)
     moves = np.zeros((3, 3), np.uint8)
     for (row, column), bit in product(np.ndindex(3, 3), range(8)):
-        to = row + STEPS[bit, 0], column + STEPS[bit, 1]
-        if min(to) >= 0 and max(to) < 3 and to_goal[to] == to_goal[row, column] - 1:
+        neighbour = row + STEPS[bit, 0], column + STEPS[bit, 1]
+        is_inside = min(neighbour) >= 0 and max(neighbour) < 3
+        if is_inside and to_goal[neighbour] == to_goal[row, column] - 1:
             moves[row, column] |= 1 << bit
-    many = torch.from_numpy(moves).expand(3000, 1, 3, 3)
+    optimal_moves = torch.from_numpy(moves).expand(3000, 1, 3, 3)
     starts = torch.tensor([1, 0]).expand(3000, 2)
     torch.manual_seed(0)
-    middle = neural_astar.random_paths(starts, many)[:, :, 1].sum(dim=0)  # of three rows
+    paths = neural_astar.random_paths(starts, optimal_moves)
+    middle = paths[:, :, 1].sum(dim=0)  # (3,), paths through each row of the middle column
     assert middle.sum() == 3000
     np.testing.assert_allclose(middle, 1000, atol=5 * math.sqrt(3000 * 2 / 9))
 
 
 @pytest.fixture(scope="module")
 def trained() -> NeuralAstar:
-    """A model after 60 steps of the same 24 mazes."""
+    """Return a model that was trained for 60 steps on 24 mazes."""
     torch.manual_seed(1)
     data = OnlineMapDataset(
         Maze((15, 15)),
@@ -237,43 +257,45 @@ def trained() -> NeuralAstar:
 
 @pytest.mark.slow
 def test_it_plans_where_there_is_a_path(trained: NeuralAstar, tmp_path: Path) -> None:
-    """Alone and in batches, and after a file; without a path it has expanded all it can reach."""
+    """Plans are equal in batches and one by one, and before and after saving. Without a path all
+    cells that can be reached are expanded.
+    """
     trained.save(tmp_path / "weights.pt")
     again = load_model(tmp_path / "weights.pt", PathPredictor, NeuralAstar)
     assert isinstance(again, NeuralAstar)
     grids = random_grids(20, 21)
     starts = np.zeros((20, 2), np.int64)
     goals = np.full((20, 2), 20)
-    found = search.search_batch("bfs", grids, starts, goals, NEURAL_ASTAR)
+    searches = search.search_batch("bfs", grids, starts, goals, NEURAL_ASTAR)
     for planner in (trained, again):
         for k, plan in enumerate(planner.plan_batch(grids, starts, goals)):
             alone = planner.plan(grids[k], (0, 0), (20, 20))
             assert np.array_equal(alone.path, plan.path)
             assert alone.expansions == plan.expansions
-            if found.cost[k] < 0:
+            if searches.cost[k] < 0:
                 assert plan.path.shape == (0, 2)
-                parts, _ = label(grids[k] == 0, np.ones((3, 3)))
-                assert plan.expansions == (parts == parts[0, 0]).sum()
+                components, _ = label(grids[k] == 0, np.ones((3, 3)))
+                assert plan.expansions == (components == components[0, 0]).sum()
             else:
                 assert plan.path[0].tolist() == [0, 0]
                 assert plan.path[-1].tolist() == [20, 20]
-                assert check_path(grids[k], plan.path, NEURAL_ASTAR) >= found.cost[k]
-    # after `fit` a model is in training mode, in which a batch norm depends on the batch
+                assert check_path(grids[k], plan.path, NEURAL_ASTAR) >= searches.cost[k]
+    # After `fit` a model is in training mode, in which a batch norm depends on the batch.
     trained.train()
-    before = {name: value.clone() for name, value in trained.state_dict().items()}
+    before = {name: tensor.clone() for name, tensor in trained.state_dict().items()}
     in_training = trained.plan(grids[0], (0, 0), (20, 20))
     assert trained.training
     trained.eval()
     assert in_training.expansions == trained.plan(grids[0], (0, 0), (20, 20)).expansions
-    for name, value in trained.state_dict().items():
-        assert torch.equal(value, before[name]), name
+    for name, tensor in trained.state_dict().items():
+        assert torch.equal(tensor, before[name]), name
     with pytest.raises(ValueError, match="start: got"):
         trained.plan(np.eye(5, dtype=np.uint8), (0, 0), (4, 3))
 
 
 @pytest.mark.slow
-def test_its_row_stands_in_the_table(trained: NeuralAstar) -> None:
-    """Sixty steps bring it below A*, on mazes that it has not seen."""
+def test_its_row_is_in_the_table(trained: NeuralAstar) -> None:
+    """After 60 steps it expands fewer cells than A* on mazes that were not in its training."""
     problems = ProblemSet.sample(Maze((15, 15)), 77, maps=40, movement=NEURAL_ASTAR)
     table = evaluate([trained], problems, bootstrap=1).set_index("planner")
     row = table[table["subset"] == "all"].loc["Neural A*"]

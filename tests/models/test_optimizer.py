@@ -1,4 +1,4 @@
-"""The optimizer: each step against torch's own linear algebra and Adam, and the learning rate."""
+"""The optimizer: steps are compared with torch's linear algebra and Adam; the learning rate."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from models.optimizer import Muon, _orthogonal, one_cycle
 
 @pytest.mark.parametrize("shape", [(8, 20), (20, 8), (6, 3, 3, 3), (4, 16, 3, 3)])
 def test_a_step_of_muon_is_near_orthogonal(shape: tuple[int, ...]) -> None:
-    """The first step of each matrix is U V^T of its slope's U S V^T, up to a factor about 1 a
-    direction.
+    """If the gradient of a matrix is U S V^T, its first step is U V^T, up to a factor near 1 for
+    each pair of singular vectors.
     """
     torch.manual_seed(0)
     matrices = [nn.Parameter(torch.zeros(shape)) for _ in range(3)]
@@ -36,13 +36,15 @@ def test_a_step_of_muon_is_near_orthogonal(shape: tuple[int, ...]) -> None:
 
 
 def test_vectors_take_steps_of_adam() -> None:
-    """As torch's Adam with betas (0.9, 0.98), which has no weight decay."""
+    """The steps are those of torch's Adam with betas (0.9, 0.98) and without weight decay."""
     torch.manual_seed(0)
-    ours, theirs = nn.Parameter(torch.zeros(5)), nn.Parameter(torch.zeros(5))
+    ours = nn.Parameter(torch.zeros(5))
+    theirs = nn.Parameter(torch.zeros(5))
     optimizers = [Muon([ours], lr=0.1), torch.optim.Adam([theirs], lr=0.1, betas=(0.9, 0.98))]
     for _ in range(4):
-        slope = torch.randn(5)
-        ours.grad, theirs.grad = slope.clone(), slope.clone()
+        gradient = torch.randn(5)
+        ours.grad = gradient.clone()
+        theirs.grad = gradient.clone()
         for optimizer in optimizers:
             optimizer.step()
     torch.testing.assert_close(ours, theirs)
@@ -50,7 +52,9 @@ def test_vectors_take_steps_of_adam() -> None:
 
 @pytest.mark.parametrize("steps", [10, 50, 4000])
 def test_the_rate_rises_and_falls(steps: int) -> None:
-    """From near 0 over 100 steps or 15 % to the highest, then to 0; 10 steps work, too."""
+    """It rises from near 0 to the highest in 100 steps, or in 15 % of a short training, and then
+    falls to 0.
+    """
     optimizer = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=0.5)
     schedule = one_cycle(optimizer, steps)["lr_scheduler"]["scheduler"]
     rates = []
@@ -67,11 +71,11 @@ def test_the_rate_rises_and_falls(steps: int) -> None:
 
 
 def test_the_smallest_numbers_change_no_step() -> None:
-    """Momentum that faded away counts as none; processors are slow with such numbers."""
+    """Denormal numbers in the momentum count as 0, since processors are slow with them."""
     torch.manual_seed(0)
     faded = torch.randn(2, 8, 12)
     faded[:, 3] *= 1e-40
     assert (faded[:, 3] != 0).any()
-    gone = faded.clone()
-    gone[:, 3] = 0
-    assert torch.equal(_orthogonal(faded), _orthogonal(gone))
+    with_zeros = faded.clone()
+    with_zeros[:, 3] = 0
+    assert torch.equal(_orthogonal(faded), _orthogonal(with_zeros))

@@ -1,5 +1,5 @@
-"""The path predictor: any map size, valid paths, what it learns, resuming, the weights that
-ship.
+"""The path predictor: targets, predictions, plans, training, resuming, export, its script, and the
+weights that ship.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]
 WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"
-PAPER, DUNGEON = MapSpec.preset("paper"), MapSpec.preset("dungeon")
+PAPER = MapSpec.preset("paper")
+DUNGEON = MapSpec.preset("dungeon")
 WIDE = MapSpec(
     (48, 80), rooms=(8, 16), room_rows=(6, 14), room_columns=(6, 14), passage_width=(1, 3)
 )
@@ -63,13 +64,18 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 
-def confused(movement: Movement = Movement(8)) -> PathPredictor:
-    """Return a model with random answers, whose walks go astray."""
+def random_model(movement: Movement = Movement(8)) -> PathPredictor:
+    """Return a model with random predictions, whose walks do not lead straight to the goal."""
     torch.manual_seed(0)
-    rule = movement.connectivity, movement.corner_cutting, movement.diagonal_cost
-    model = PathPredictor(*rule, widths=(8, 8, 8), passes=1)
+    model = small_model(movement)
     torch.nn.init.normal_(model.network.head.weight, std=3.0)
     return model.eval()
+
+
+def small_model(movement: Movement) -> PathPredictor:
+    """Return a small untrained model."""
+    arguments = (movement.connectivity, movement.corner_cutting, movement.diagonal_cost)
+    return PathPredictor(*arguments, widths=(8, 8, 8), passes=1)
 
 
 def module(spec: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
@@ -99,14 +105,14 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
 
 @cache
 def problems(name: str, hard: int) -> ProblemSet:
-    """Return problems that no training has seen."""
+    """Return problems that were in no training, ``hard`` of them hard."""
     spec = WIDE if name == "wide" else MapGenerator.preset(name)
     return ProblemSet.sample(spec, seed=314159, until_hard=hard)
 
 
-def scores(rows: Sequence[Planner], on: ProblemSet) -> pd.DataFrame:
-    """Return the hard rows of the table, by planner."""
-    table = evaluate(rows, on, bootstrap=1)
+def hard_rows(rows: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
+    """Return the rows of the table for hard problems, by planner."""
+    table = evaluate(rows, problems, bootstrap=1)
     return table[table["subset"] == "hard"].set_index("planner")
 
 
@@ -114,27 +120,29 @@ def scores(rows: Sequence[Planner], on: ProblemSet) -> pd.DataFrame:
 def test_half_a_turn_of_a_map_turns_the_answer(
     movement: Movement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is predicted is a mean of both views."""
+    """Predictions are means over the map and the map after half a turn, so that the prediction for
+    a turned map is the turned prediction.
+    """
     assert (STEPS[HALF_TURN] == -STEPS).all()
-    model = confused(movement)
+    model = random_model(movement)
     grids = (np.random.default_rng(0).random((3, 16, 24)) < 0.3).astype(np.uint8)
     goals = np.array([[0, 0], [5, 7], [15, 23]])
     scores, costs = model.predict(grids, goals)
     turned = model.predict(grids[:, ::-1, ::-1], np.array([15, 23]) - goals)
     back = turned[0][:, HALF_TURN[: movement.connectivity], ::-1, ::-1]
     np.testing.assert_allclose(back, scores, rtol=1e-3, atol=1e-3)
-    # where rounding decides which of two moves is more probable, another way is followed
+    # Where rounding decides which of two moves is more probable, costs are those of another path.
     assert np.isclose(turned[1][:, ::-1, ::-1], costs, rtol=1e-3, atol=1e-3).mean() > 0.98
     monkeypatch.setattr(model, "costs_to_go", lambda occupied, goals, scores, ratios: ratios)
     _, ratios = model.predict(grids, goals)
     _, turned_ratios = model.predict(grids[:, ::-1, ::-1], np.array([15, 23]) - goals)
     np.testing.assert_allclose(turned_ratios[:, ::-1, ::-1], ratios, rtol=1e-3, atol=1e-3)
     with torch.inference_mode():
-        once, _ = model(*model.tensors(grids[:, None], goals))
-    assert np.abs(once.numpy() - scores).max() > 0.01
+        of_one_view, _ = model(*model.tensors(grids[:, None], goals))
+    assert np.abs(of_one_view.numpy() - scores).max() > 0.01
 
 
-def followed_by_the_book(
+def slow_cost_to_go(
     grid: npt.NDArray[np.uint8],
     scores: npt.NDArray[np.float32],
     ratios: npt.NDArray[np.float32],
@@ -142,52 +150,54 @@ def followed_by_the_book(
     goal: Cell,
     movement: Movement,
 ) -> float:
-    """Return what the 32 most probable moves cost, and the cost to go predicted at their end."""
+    """Return the cost of the 32 most probable moves plus the predicted cost to go at their end."""
     moves = [tuple(move) for move in STEPS[: movement.connectivity].tolist()]
     cost = 0.0
     for _ in range(32):
         options = []
-        for to, step in neighbours(grid.tolist(), cell, movement):
-            move = moves.index((to[0] - cell[0], to[1] - cell[1]))
-            options.append((scores[move, cell[0], cell[1]], to, step))
+        for neighbour, step in neighbours(grid.tolist(), cell, movement):
+            move = moves.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
+            options.append((scores[move, cell[0], cell[1]], neighbour, step))
         if cell == goal or not options:
             break
-        _, cell, (_, diagonal) = max(options)
-        cost += movement.diagonal_cost if diagonal else 1.0
-    least = float(heuristics(np.array([cell]), np.array([goal]), movement)[0])
-    return cost + least / max(float(ratios[cell]), 0.05)
+        _, cell, (_, diagonal_moves) = max(options)
+        cost += movement.diagonal_cost if diagonal_moves else 1.0
+    h = float(heuristics(np.array([cell]), np.array([goal]), movement)[0])
+    return cost + h / max(float(ratios[cell]), 0.05)
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_costs_to_go_are_those_of_the_moves_that_follow(movement: Movement) -> None:
-    """Of each free cell as many as a slow one in Python finds, for random scores and ratios."""
-    source = np.random.default_rng(3)
-    grids = (source.random((4, 9, 12)) < [[[0.0]], [[0.2]], [[0.4]], [[0.7]]]).astype(np.uint8)
+    """For each free cell they equal those of a slow function in Python, for random scores and
+    ratios.
+    """
+    rng = np.random.default_rng(3)
+    grids = (rng.random((4, 9, 12)) < [[[0.0]], [[0.2]], [[0.4]], [[0.7]]]).astype(np.uint8)
     grids[:, 4, 5] = 0
     goals = np.tile([4, 5], (4, 1))
-    scores = source.normal(size=(4, movement.connectivity, 9, 12)).astype(np.float32)
-    # moves towards the goal are more probable, so that many ways end there
+    scores = rng.normal(size=(4, movement.connectivity, 9, 12)).astype(np.float32)
+    # Moves towards the goal are more probable, so that many paths end there.
     rows, columns = np.indices((9, 12))
     for move, (down, right) in enumerate(STEPS[: movement.connectivity].tolist()):
         scores[:, move] -= np.abs(rows + down - 4) + np.abs(columns + right - 5)
-    ratios = source.random((4, 9, 12)).astype(np.float32)
+    ratios = rng.random((4, 9, 12)).astype(np.float32)
     ratios[:, ::4] = 0
-    model = confused(movement)
-    answers = map(torch.from_numpy, (scores, ratios))
-    found = model.costs_to_go(*model.tensors(grids[:, None], goals), *answers).numpy()
-    arrived = 0
+    model = random_model(movement)
+    problems = model.tensors(grids[:, None], goals)
+    costs = model.costs_to_go(*problems, *model.tensors(scores, ratios)).numpy()
+    near_goal = 0
     for k, row, column in np.argwhere(grids == 0).tolist():
-        given = grids[k], scores[k], ratios[k]
-        expected = followed_by_the_book(*given, (row, column), (4, 5), movement)
-        assert found[k, row, column] == pytest.approx(expected, rel=1e-5)
-        arrived += found[k, row, column] < 16
-    assert arrived > 40
-    assert (found[:, 4, 5] == 0).all()
+        cell = (row, column)
+        expected = slow_cost_to_go(grids[k], scores[k], ratios[k], cell, (4, 5), movement)
+        assert costs[k, row, column] == pytest.approx(expected, rel=1e-5)
+        near_goal += costs[k, row, column] < 16
+    assert near_goal > 40
+    assert (costs[:, 4, 5] == 0).all()
 
 
 def test_predicted_costs_to_go_are_those_of_both_views() -> None:
-    """They follow the mean scores, to the mean ratio."""
-    model = confused()
+    """They are `costs_to_go` of the mean scores and the mean ratios."""
+    model = random_model()
     drawn = ProblemSet.sample(DUNGEON, 8, 4)
     scores, costs = model.predict(drawn.grids, drawn.goals)
     occupied, goals = model.tensors(drawn.grids[:, None], drawn.goals)
@@ -199,20 +209,24 @@ def test_predicted_costs_to_go_are_those_of_both_views() -> None:
 
 
 def test_true_predictions_are_true_costs_to_go() -> None:
-    """Optimal moves and the true ratio give each cell that has a way its true cost to go."""
+    """Scores of optimal moves and true ratios give every cell with a path its true cost to go."""
     fields = (*TRAINING_FIELDS, "cost_to_go")
     batch = OnlineMapDataset(DUNGEON, length=8, fields=fields, movement=Movement(8))[:]
     bits = 2 ** torch.arange(8)[:, None, None]
     scores = (batch.optimal_moves.long() & bits != 0).float()  # (8, 8, H, W)
-    found = PathPredictor().costs_to_go(batch.map, batch.goal, scores, batch.heuristic_ratio[:, 0])
-    known = batch.optimal_moves[:, 0] > 0
-    assert known.sum() > 8_000
-    torch.testing.assert_close(found[known], batch.cost_to_go[:, 0][known], rtol=1e-5, atol=1e-4)
+    ratios = batch.heuristic_ratio[:, 0]
+    costs = PathPredictor().costs_to_go(batch.map, batch.goal, scores, ratios)
+    has_path = batch.optimal_moves[:, 0] > 0
+    assert has_path.sum() > 8_000
+    expected = batch.cost_to_go[:, 0][has_path]
+    torch.testing.assert_close(costs[has_path], expected, rtol=1e-5, atol=1e-4)
 
 
 def test_any_map_size() -> None:
-    """Every cell of any map gets its scores and a ratio; padding with walls changes nothing."""
-    model = confused()
+    """Every cell of a map of any size gets scores and a ratio. Padding with occupied cells does not
+    change them.
+    """
+    model = random_model()
     for rows, columns in ((1, 1), (7, 9), (8, 8), (48, 80), (61, 59), (100, 130)):
         occupied = (torch.rand(2, 1, rows, columns) < 0.3).to(torch.uint8)
         goals = torch.tensor([[0, 0], [rows - 1, columns - 1]])
@@ -220,23 +234,26 @@ def test_any_map_size() -> None:
         assert moves.shape == (2, 8, rows, columns)
         assert ratios.shape == (2, rows, columns)
         assert ((ratios >= 0) & (ratios <= 1)).all()
-        walled = torch.nn.functional.pad(occupied, (0, -columns % 8, 0, -rows % 8), value=1)
-        assert torch.equal(model(walled, goals)[0][..., :rows, :columns], moves)
+        below = -rows % 8
+        right = -columns % 8
+        padded = torch.nn.functional.pad(occupied, (0, right, 0, below), value=1)
+        assert torch.equal(model(padded, goals)[0][..., :rows, :columns], moves)
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_legal_moves_are_those_of_check_path(movement: Movement) -> None:
-    """A move is legal where the path of its two cells passes the check."""
+    """A move is legal if and only if `check_path` accepts the path of its two cells."""
     grid = (np.random.default_rng(5).random((9, 11)) < 0.4).astype(np.uint8)
     legal = legal_moves(torch.from_numpy(grid)[None, None], movement)[0].numpy()
     for move, step in enumerate(STEPS[: movement.connectivity]):
         for cell in np.argwhere(grid == 0):
             path = np.stack([cell, cell + step])
             inside = bool((path[1] >= 0).all() and (path[1] < grid.shape).all())
-            assert legal[move, cell[0], cell[1]] == (inside and _passes(grid, path, movement))
+            assert legal[move, cell[0], cell[1]] == (inside and is_path(grid, path, movement))
 
 
-def _passes(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: Movement) -> bool:
+def is_path(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: Movement) -> bool:
+    """Return whether `check_path` accepts a path."""
     try:
         check_path(grid, path, movement)
     except ValueError:
@@ -246,16 +263,18 @@ def _passes(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_heuristic_is_that_of_the_searches(movement: Movement) -> None:
-    """Of all gaps on a map, up to float32."""
-    gaps = np.stack(np.meshgrid(np.arange(-70, 71), np.arange(-70, 71)), axis=-1)
-    truth = heuristics(gaps, [0, 0], movement)
-    down, right = torch.from_numpy(gaps).unbind(-1)
-    np.testing.assert_allclose(heuristic(down, right, movement), truth, rtol=1e-6)
+    """For all differences of two cells it equals `mapdata.search.heuristics`, in float32."""
+    differences = np.stack(np.meshgrid(np.arange(-70, 71), np.arange(-70, 71)), axis=-1)
+    expected = heuristics(differences, [0, 0], movement)
+    down, right = torch.from_numpy(differences).unbind(-1)
+    np.testing.assert_allclose(heuristic(down, right, movement), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_a_path_labels_its_own_cells(movement: Movement) -> None:
-    """With one of their optimal moves, and their heuristic ratio; all cells but the goal."""
+    """All cells of a path but the goal have one of their optimal moves and their heuristic ratio as
+    targets, and no other cell has a target.
+    """
     fields = ("map", "start", "goal", "path", "optimal_moves", "heuristic_ratio", "path_mask")
     data = OnlineMapDataset(DUNGEON, 3, 20, fields=fields, problems="random", movement=movement)
     batch = next(iter(torch.utils.data.DataLoader(data, 20)))
@@ -265,59 +284,56 @@ def test_a_path_labels_its_own_cells(movement: Movement) -> None:
     assert torch.equal(moves != 0, on_path)
     assert (moves & (moves - 1) == 0).all()
     assert (moves & ~batch.optimal_moves[:, 0].long() == 0).all()
-    truth = torch.where(on_path, batch.heuristic_ratio[:, 0], 0)
-    torch.testing.assert_close(ratio, truth, rtol=1e-5, atol=1e-5)
+    expected = torch.where(on_path, batch.heuristic_ratio[:, 0], 0)
+    torch.testing.assert_close(ratio, expected, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_padding_is_no_step(movement: Movement) -> None:
     """A goal at (0, 0) is followed by (-1, -1), which looks like a step to the north-west."""
-    kind: Any = type(OnlineMapDataset(DUNGEON, 3, 1)[:1])
+    sample_class: Any = type(OnlineMapDataset(DUNGEON, 3, 1)[:1])
     path = torch.tensor([[[2, 0], [1, 0], [0, 0], [-1, -1]]])
-    batch = kind(torch.zeros(1, 1, 4, 4, dtype=torch.uint8), path[:, 0], path[:, 2], path)
+    empty_map = torch.zeros(1, 1, 4, 4, dtype=torch.uint8)
+    batch = sample_class(map=empty_map, start=path[:, 0], goal=path[:, 2], path=path)
     moves, ratio = targets_on_path(batch, movement)
-    expected = torch.tensor([[1, 0], [2, 0]])  # the cells with a target: both go north
-    assert moves[0].nonzero().tolist() == expected.tolist()
-    assert set(moves[0][moves[0] != 0].tolist()) == {1}
+    assert moves[0].nonzero().tolist() == [[1, 0], [2, 0]]
+    assert moves[0, 1:3, 0].tolist() == [1, 1]  # bit 0: both go north
     assert ratio[0, 1:3, 0].tolist() == [1, 1]
-    model = PathPredictor(
-        movement.connectivity, movement.corner_cutting, movement.diagonal_cost, (8, 8, 8), 1
-    )
-    assert torch.isfinite(model.losses(batch)["loss"])
+    assert torch.isfinite(small_model(movement).losses(batch)["loss"])
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_loss_is_zero_for_any_optimal_policy(
     movement: Movement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whichever of the optimal moves gets the probability: the target does not depend on how ties
-    are broken.
-    """
+    """It does not matter which of the optimal moves of a cell get the probability."""
     data = OnlineMapDataset(
         DUNGEON, 3, 4, fields=TRAINING_FIELDS, problems="random", movement=movement
     )
     batch = next(iter(torch.utils.data.DataLoader(data, 4)))
     bits = 2 ** torch.arange(movement.connectivity).view(1, -1, 1, 1)
-    good = (batch.optimal_moves & bits) != 0
-    model = PathPredictor(
-        movement.connectivity, movement.corner_cutting, movement.diagonal_cost, (8, 8, 8), 1
-    )
-    first = good & (good.cumsum(1) == 1)
-    for policy in (good, first):
-        answer = (policy * 40.0, batch.heuristic_ratio[:, 0])
-        monkeypatch.setattr(model, "forward", lambda *_, answer=answer: answer)
+    is_optimal = (batch.optimal_moves & bits) != 0
+    is_first_optimal = is_optimal & (is_optimal.cumsum(1) == 1)
+    ratios = batch.heuristic_ratio[:, 0]
+    model = small_model(movement)
+    for policy in (is_optimal, is_first_optimal):
+        prediction = (policy * 40.0, ratios)
+        monkeypatch.setattr(model, "forward", lambda *_, prediction=prediction: prediction)
         losses = model.losses(batch)
         assert float(losses["loss"]) == pytest.approx(0, abs=1e-6)
         assert float(losses["accuracy"]) == 1
-    monkeypatch.setattr(model, "forward", lambda *_: (~good * 40.0, batch.heuristic_ratio[:, 0]))
+    monkeypatch.setattr(model, "forward", lambda *_: (~is_optimal * 40.0, ratios))
     assert model.losses(batch)["loss"] > 9
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
-    """A model with random answers gives valid paths, and expands every cell of them."""
+    """The paths of a model with random predictions are valid, and all of their cells were expanded.
+
+    So no path has more cells than there were expansions.
+    """
     drawn = ProblemSet.sample(DUNGEON, 8, 40, movement=movement)
-    model = confused(movement)
+    model = random_model(movement)
     for planner in planners(model):
         for plan, grid, *ends in zip(
             planner.plan_batch(drawn.grids, drawn.starts, drawn.goals),
@@ -334,7 +350,7 @@ def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
             assert cost <= (plan.expansions - 1) * movement.diagonal_cost
 
 
-def walked_by_the_book(
+def slow_walk(
     grid: npt.NDArray[np.uint8],
     scores: npt.NDArray[np.float32],
     start: tuple[int, int],
@@ -342,41 +358,42 @@ def walked_by_the_book(
     movement: Movement,
 ) -> list[tuple[int, int]]:
     """Return the cells that a depth-first search by scores expands, in their order."""
-    taken = [start]
-    branch = [start]
-    while taken[-1] != goal:
-        row, column = branch[-1]
+    expanded = [start]
+    stack = [start]
+    while expanded[-1] != goal:
+        row, column = stack[-1]
         options = []
         for move, (down, right) in enumerate(STEPS[: movement.connectivity].tolist()):
-            to = (row + down, column + right)
-            inside = 0 <= to[0] < grid.shape[0] and 0 <= to[1] < grid.shape[1]
-            path = np.array([(row, column), to])
-            if inside and to not in taken and _passes(grid, path, movement):
-                options.append((scores[move, row, column], to))
+            neighbour = (row + down, column + right)
+            inside = 0 <= neighbour[0] < grid.shape[0] and 0 <= neighbour[1] < grid.shape[1]
+            path = np.array([(row, column), neighbour])
+            if inside and neighbour not in expanded and is_path(grid, path, movement):
+                options.append((scores[move, row, column], neighbour))
         if options:
-            taken.append(max(options)[1])
-            branch.append(taken[-1])
+            expanded.append(max(options)[1])
+            stack.append(expanded[-1])
         else:
-            branch.pop()
-    return taken
+            stack.pop()
+    return expanded
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_walk_is_depth_first(movement: Movement) -> None:
-    """It expands as many cells as a plain one in Python that goes back where it is stuck."""
+    """It expands as many cells as a slow walk in Python that goes back where it is stuck."""
     drawn = ProblemSet.sample(DUNGEON, 8, 8, movement=movement)
-    model = confused(movement)
+    model = random_model(movement)
     plans = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
     scores, _ = model.predict(drawn.grids, drawn.goals)
     for k, plan in enumerate(plans):
-        start, goal = (tuple(ends[k].tolist()) for ends in (drawn.starts, drawn.goals))
-        expected = walked_by_the_book(drawn.grids[k], scores[k], start, goal, movement)
+        start = tuple(drawn.starts[k].tolist())
+        goal = tuple(drawn.goals[k].tolist())
+        expected = slow_walk(drawn.grids[k], scores[k], start, goal, movement)
         assert plan.expansions == len(expected)
 
 
 @pytest.mark.parametrize("size", [(64, 64), (37, 50)])
 def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
-    """One at a time or all at once, in float32 or bfloat16: the same paths, up to rounding."""
+    """Problems have the same paths alone and in a batch, except where rounding decides."""
     spec = MapSpec(
         size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
     )
@@ -392,8 +409,8 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
 
 
 def test_the_predicted_path_is_that_of_the_walk() -> None:
-    """Of tensors of one map, as of a batch of arrays."""
-    model = confused()
+    """`predict_path` on tensors of one map gives the path of the walk on a batch of arrays."""
+    model = random_model()
     drawn = ProblemSet.sample(DUNGEON, 8, 40)
     walks = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
     for plan, grid, start, goal in zip(walks, drawn.grids, drawn.starts, drawn.goals, strict=True):
@@ -402,8 +419,10 @@ def test_the_predicted_path_is_that_of_the_walk() -> None:
 
 
 def test_start_at_the_goal_and_walls() -> None:
-    """A path of one cell; no path between two halves; a start in a wall is refused."""
-    model = confused()
+    """A path from a cell to itself has one cell, there is no path through a wall, and starts
+    outside the map or in walls are refused.
+    """
+    model = random_model()
     grid = np.zeros((9, 9), np.uint8)
     assert model.predict_path(grid, (3, 4), (3, 4)).tolist() == [[3, 4]]
     grid[:, 4] = 1
@@ -421,26 +440,29 @@ def test_start_at_the_goal_and_walls() -> None:
 
 @pytest.mark.slow
 def test_learns_quickly(tmp_path: Path) -> None:
-    """A short run beats greedy best-first search on maps of the paper."""
+    """After a short training its walk is better than greedy best-first search on maps of the
+    paper.
+    """
     pl.seed_everything(0)
     model = PathPredictor(learning_rate=0.02)
-    steps = trainer(
+    short_run = trainer(
         tmp_path,
         max_steps=260,
         limit_val_batches=0,
         gradient_clip_val=1.0,
         enable_checkpointing=False,
     )
-    steps.fit(model, MixedBatches([module(PAPER, 6), module(DUNGEON, 20)]))
-    drawn = problems("paper", 60)
-    table = scores([*classical(), *planners(model.eval())], drawn)
+    short_run.fit(model, MixedBatches([module(PAPER, 6), module(DUNGEON, 20)]))
+    table = hard_rows([*classical(), *planners(model.eval())], problems("paper", 60))
     assert table.hmean["path_predictor (walk)"] > table.hmean["greedy best-first"] + 0.02
     assert table.success["path_predictor (walk)"] == 1
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> None:
-    """Batches of the card's four are enough: predictions for all cells of other maps improve."""
+    """The default fields of a batch are enough: after the training the predictions for all cells of
+    other maps are better.
+    """
     pl.seed_everything(0)
     arguments: dict[str, Any] = {
         "build": "dungeon",
@@ -451,21 +473,22 @@ def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> N
     data = MapDataModule(None, **arguments)
     assert data.serving.fields == ("map", "start", "goal", "path")
     model = PathPredictor(connectivity, widths=(16, 24, 24), passes=1, learning_rate=0.02)
-    truth = next(iter(MapDataModule(None, fields=TRAINING_FIELDS, **arguments).val_dataloader()))
+    other_maps = MapDataModule(None, fields=TRAINING_FIELDS, **arguments)
+    batch = next(iter(other_maps.val_dataloader()))
     with torch.no_grad():
-        before = model.losses(truth)
+        before = model.losses(batch)
     run = trainer(tmp_path, max_steps=60, limit_val_batches=0, enable_checkpointing=False)
     run.fit(model, data)
     with torch.no_grad():
-        after = model.losses(truth)
+        after = model.losses(batch)
     assert after["loss"] < 0.8 * before["loss"]
     assert after["moves"] < before["moves"]
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_resumes(tmp_path: Path, connectivity: int) -> None:
-    """Two steps, a checkpoint, two more: as four in one go. Sizes mix; both connectivities
-    train.
+    """Two steps, a checkpoint, and two steps from there give the weights of four steps in one run,
+    with maps of several sizes.
     """
 
     def fit(steps: int, ckpt: Path | None) -> PathPredictor:
@@ -481,27 +504,25 @@ def test_resumes(tmp_path: Path, connectivity: int) -> None:
         run.fit(model, MixedBatches(parts), ckpt_path=ckpt)
         return model
 
-    whole, half = fit(4, None), tmp_path / f"{connectivity}-step=2.ckpt"
-    resumed = fit(4, half)
+    whole = fit(4, None)
+    checkpoint = tmp_path / f"{connectivity}-step=2.ckpt"
+    resumed = fit(4, checkpoint)
     for name, weight in whole.state_dict().items():
         assert torch.equal(weight, resumed.state_dict()[name]), name
-    assert PathPredictor.load_from_checkpoint(half, weights_only=True).movement == Movement(
-        connectivity
-    )
+    loaded = PathPredictor.load_from_checkpoint(checkpoint, weights_only=True)
+    assert loaded.movement == Movement(connectivity)
 
 
 def test_saves_plain_types(tmp_path: Path) -> None:
-    """What is saved loads with the safe default, and is the same model, in 16 bits."""
-    model = confused(Movement(4))
+    """Files are read with ``weights_only`` and hold the same model, in 16 bits."""
+    model = random_model(Movement(4))
     model.save(tmp_path / "weights.pt")
     saved = torch.load(tmp_path / "weights.pt", weights_only=True)
     assert saved["arguments"] == {**model.hparams, "widths": [8, 8, 8]}
-    again = PathPredictor.load(tmp_path / "weights.pt")
-    assert all(
-        torch.equal(a.half(), b.half())
-        for a, b in zip(model.parameters(), again.parameters(), strict=True)
-    )
-    assert again.movement == Movement(4)
+    loaded = PathPredictor.load(tmp_path / "weights.pt")
+    for parameter, loaded_parameter in zip(model.parameters(), loaded.parameters(), strict=True):
+        assert torch.equal(parameter.half(), loaded_parameter.half())
+    assert loaded.movement == Movement(4)
 
 
 EXPORT = """
@@ -516,78 +537,82 @@ EXPORT = """
     warnings.simplefilter("ignore")
     torch.manual_seed(0)
     model = PathPredictor.load("models/weights/path_predictor.pt")
-    some, more = (
+    two_problems, five_problems = (
         ((torch.rand(n, 1, 64, 64) < 0.3).byte(), torch.randint(64, (n, 2))) for n in (2, 5)
     )
     if "warm" in sys.argv:
-        model(*some)
+        model(*two_problems)
     batch = {0: torch.export.Dim("batch")}
+    shapes = {"dynamic_shapes": (batch, batch)}
     if "onnx" in sys.argv:
         import onnxruntime
 
-        program = torch.onnx.export(model, some, dynamo=True, dynamic_shapes=(batch, batch))
+        program = torch.onnx.export(model, two_problems, dynamo=True, **shapes)
         program.save(sys.argv[-1])
         session = onnxruntime.InferenceSession(sys.argv[-1])
-        names = [each.name for each in session.get_inputs()]
-        run = lambda *x: session.run(None, {k: v.numpy() for k, v in zip(names, x, strict=True)})
+        maps, goals = (entry.name for entry in session.get_inputs())
+        run = lambda map, goal: session.run(None, {maps: map.numpy(), goals: goal.numpy()})
     else:
-        run = torch.export.export(model, some, dynamic_shapes=(batch, batch)).module()
+        run = torch.export.export(model, two_problems, **shapes).module()
     with torch.no_grad():
-        for given in (some, more):
-            for found, truth in zip(run(*given), model(*given), strict=True):
-                assert type(truth) is torch.Tensor
-                np.testing.assert_allclose(np.asarray(found), truth.numpy(), rtol=1e-4, atol=1e-4)
+        for problems in (two_problems, five_problems):
+            for output, expected in zip(run(*problems), model(*problems), strict=True):
+                assert type(expected) is torch.Tensor
+                output = np.asarray(output)
+                np.testing.assert_allclose(output, expected.numpy(), rtol=1e-4, atol=1e-4)
 """
 
 
 @pytest.mark.parametrize("state", ["cold", "warm"])
-@pytest.mark.parametrize("kind", ["torch", "onnx"])
+@pytest.mark.parametrize("export", ["torch", "onnx"])
 @pytest.mark.slow
-def test_exports(kind: str, state: str, tmp_path: Path) -> None:
-    """The network exports before and after its first call, any number of problems at once, and
-    answers as before; in a process of its own, since what an export leaves behind stays there.
+def test_exports(export: str, state: str, tmp_path: Path) -> None:
+    """The network can be exported before and after its first call. The exported network takes any
+    number of problems at once and has the same outputs.
+
+    This runs in another process, because an export changes the state of torch.
     """
-    if kind == "onnx":
+    if export == "onnx":
         pytest.importorskip("onnxscript")
         pytest.importorskip("onnxruntime")
-    arguments = [textwrap.dedent(EXPORT), state, kind, str(tmp_path / "model.onnx")]
-    found = subprocess.run(
+    arguments = [textwrap.dedent(EXPORT), state, export, str(tmp_path / "model.onnx")]
+    process = subprocess.run(
         [sys.executable, "-c", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    assert found.returncode == 0, found.stderr
+    assert process.returncode == 0, process.stderr
 
 
 @pytest.mark.soak
 def test_the_weights_that_ship() -> None:
-    """They load safely, are small, and reach what docs/planners.md says, on problems not seen.
+    """They are small, and on problems that were in no training they reach the metrics that
+    docs/planners.md states.
 
-    Of 400, where the 95 % interval of Opt is .02 wide on either side; of 100 it is .04.
+    With 400 problems the 95 % interval of Opt is .02 wide on either side, with 100 problems .04.
     """
     assert WEIGHTS.stat().st_size < 4_000_000
     model = PathPredictor.load(WEIGHTS)
-    name, best = "path_predictor (walk)", "path_predictor (search)"
-    for world, hard, opt, hmean in (
+    walk = "path_predictor (walk)"
+    search = "path_predictor (search)"
+    for family, hard, opt, hmean in (
         ("paper", 400, 0.95, 0.83),
         ("dungeon", 400, 0.92, 0.79),
         ("cave", 200, 0.92, 0.81),
         ("forest", 200, 0.92, 0.8),
         ("noise", 200, 0.58, 0.64),
     ):
-        table = scores(planners(model), problems(world, hard))
-        assert table.opt[best] >= opt, world
-        assert table.hmean[best] >= hmean, world
-        assert table.hmean[name] >= hmean - 0.06, world
-        assert table.success[name] == table.success[best] == 1, world
-    wide = scores([*classical(), *planners(model)], problems("wide", 100))
-    others = ("greedy best-first", "weighted A* (1.5)", "weighted A* (2)")
-    assert wide.hmean[name] > max(wide.hmean[other] for other in others)
+        table = hard_rows(planners(model), problems(family, hard))
+        assert table.opt[search] >= opt, family
+        assert table.hmean[search] >= hmean, family
+        assert table.hmean[walk] >= hmean - 0.06, family
+        assert table.success[walk] == table.success[search] == 1, family
+    wide = hard_rows([*classical(), *planners(model)], problems("wide", 100))
+    for name in ("greedy best-first", "weighted A* (1.5)", "weighted A* (2)"):
+        assert wide.hmean[walk] > wide.hmean[name]
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[str]], None]:
-    """Return the main function of the training script, which is to write into a folder of its
-    own.
-    """
+    """Return the main function of the training script, which then writes into ``tmp_path``."""
     monkeypatch.chdir(tmp_path)
     main: Callable[[list[str]], None] = runpy.run_path(
         str(ROOT / "scripts" / "train_path_predictor.py")
@@ -600,8 +625,8 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[st
 def test_the_script(
     script: Callable[[list[str]], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its file of arguments works; it leaves checkpoints, a CSV log and weights;
-    its bar shows what the search reaches.
+    """It trains with its file of arguments, and writes checkpoints, a CSV log and weights. Its bar
+    shows the metrics of the search. Weights can be trained further, also with more layers.
     """
     short = {
         "max_epochs": 2,
@@ -623,52 +648,56 @@ def test_the_script(
     weights = PathPredictor.load("weights.pt")
     assert weights.hparams["passes"] == 1
 
-    # further, at a rate that changes nothing
+    # A training from these weights at a rate of 0 changes nothing.
     again = [*flags, "--model.widths=[8,8,8]", "--model.passes=1", "--model.learning_rate=0"]
     script(["fit", *again, "--start_from=weights.pt", "--weights=same.pt"])
-    for name, value in PathPredictor.load("same.pt").state_dict().items():
-        assert torch.equal(value, weights.state_dict()[name]), name
+    for name, tensor in PathPredictor.load("same.pt").state_dict().items():
+        assert torch.equal(tensor, weights.state_dict()[name]), name
     with pytest.raises(RuntimeError, match="size mismatch"):
         script(["fit", *flags, "--start_from=weights.pt"])
 
-    # a network with layers more, but not one with fewer
-    more = [*again, "--model.refinements=1"]
-    script(["fit", *more, "--start_from=weights.pt", "--weights=more.pt"])
-    refined = PathPredictor.load("more.pt").state_dict()
-    assert {name.split(".")[1] for name in refined.keys() - weights.state_dict()} == {"refine"}
-    for name, value in weights.state_dict().items():
-        assert torch.equal(value, refined[name]), name
+    # A network may have more layers than the weights that it begins with, but not fewer.
+    refined = [*again, "--model.refinements=1"]
+    script(["fit", *refined, "--start_from=weights.pt", "--weights=refined.pt"])
+    refined_weights = PathPredictor.load("refined.pt").state_dict()
+    added = refined_weights.keys() - weights.state_dict().keys()
+    assert {name.split(".")[1] for name in added} == {"refine"}
+    for name, tensor in weights.state_dict().items():
+        assert torch.equal(tensor, refined_weights[name]), name
     with pytest.raises(RuntimeError, match="Unexpected key"):
-        script(["fit", *again, "--start_from=more.pt"])
+        script(["fit", *again, "--start_from=refined.pt"])
 
 
 @pytest.mark.parametrize("unsolvable", [False, True])
 def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None:
-    """They are those of the table of planners, over all batches; without a path none is asked."""
-    problems_of = Route(unsolvable=True) if unsolvable else Random()
+    """They are those of the table of planners, over all batches, without problems that have no
+    path.
+    """
+    source = Route(unsolvable=True) if unsolvable else Random()
     spec = MapSpec(
         (40, 40), rooms=(2, 3), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 1)
     )
     recipe = json.dumps({"spec": spec.to_dict(), "seed": 5, "maps": 120})
-    data = MapDataModule(
-        None, build=recipe, batch_size=5, problems=problems_of, movement=Movement(8)
-    )
-    model = confused()
+    data = MapDataModule(None, build=recipe, batch_size=5, problems=source, movement=Movement(8))
+    model = random_model()
     (logged,) = trainer(tmp_path).validate(model, data, verbose=False)
     batch = data.datasets["val"][:]
     assert len(batch.map) == 12  # batches of 5, 5 and 2
-    grids, starts, goals = (each.numpy() for each in (batch.map[:, 0], batch.start, batch.goal))
-    cost = search_batch("astar", grids, starts, goals, Movement(8)).cost
-    assert (cost == -1).any() == unsolvable
-    asked = ProblemSet(grids[cost > 0], starts[cost > 0], goals[cost > 0], Movement(8))
-    table = evaluate(planners(model)[1:], asked, bootstrap=1)
+    grids = batch.map[:, 0].numpy()
+    starts = batch.start.numpy()
+    goals = batch.goal.numpy()
+    costs = search_batch("astar", grids, starts, goals, Movement(8)).cost
+    assert (costs == -1).any() == unsolvable
+    has_path = costs > 0
+    solvable = ProblemSet(grids[has_path], starts[has_path], goals[has_path], Movement(8))
+    table = evaluate(planners(model)[1:], solvable, bootstrap=1)
     assert logged["val_opt"] == pytest.approx(table["opt"][0], abs=0.02)
     assert logged["val_hmean"] == pytest.approx(table["hmean"][0], abs=0.02)
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_one_batch_is_one(script: Callable[[list[str]], None]) -> None:
-    """Not all of them: a flag's 1 arrives as 1.0."""
+def test_a_limit_of_1_is_one_batch(script: Callable[[list[str]], None]) -> None:
+    """The 1 of a flag arrives at Lightning as 1.0, which would mean all batches."""
     recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 5, "maps": 200})
     flags = {
         "data": "mapdata.MapDataModule",
@@ -708,7 +737,9 @@ def test_the_scripts_train_in_the_precision_that_is_fast(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """On a processor without bfloat16 a step in it takes nine times as long as in 32 bits."""
+    """The default is bfloat16 only on processors that multiply it, since a step in it takes nine
+    times as long as in 32 bits on all others. A flag has priority.
+    """
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: abilities, raising=False)
     main = runpy.run_path(str(ROOT / "scripts" / f"{file}.py"))["main"]
     for flags, expected in (([], fast), (["--trainer.precision=64-true"], "64-true")):
@@ -717,8 +748,8 @@ def test_the_scripts_train_in_the_precision_that_is_fast(
         assert f"  precision: {expected}\n" in capsys.readouterr().out
 
 
-class OwnData(pl.LightningDataModule):
-    """Data that is no `MapDataModule`."""
+class OtherDataModule(pl.LightningDataModule):
+    """A data module that is no `MapDataModule`."""
 
     def val_dataloader(self) -> DataLoader[Sample]:
         """Return a loader of four problems."""
@@ -726,32 +757,31 @@ class OwnData(pl.LightningDataModule):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_validating_begins_with_the_weights(script: Callable[[list[str]], None]) -> None:
-    """As training does, and on data of one's own."""
-    model = confused()
-    model.save("weights.pt")
-    seen: list[dict[str, torch.Tensor]] = []
+def test_validation_loads_the_weights(script: Callable[[list[str]], None]) -> None:
+    """``--start_from`` loads weights for ``validate``, too, and any data module will do."""
+    random_model().save("weights.pt")
+    validated: list[dict[str, torch.Tensor]] = []
     flags = {
         "model": "models.path_predictor.PathPredictor",
         "model.widths": "[8,8,8]",
         "model.passes": 1,
-        "data": f"{__name__}.OwnData",
+        "data": f"{__name__}.OtherDataModule",
         "start_from": "weights.pt",
         "trainer.logger": "false",
     }
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            PathPredictor, "validation_step", lambda self, *_: seen.append(self.state_dict())
+            PathPredictor, "validation_step", lambda self, *_: validated.append(self.state_dict())
         )
-        script(["validate", *(f"--{name}={value}" for name, value in flags.items())])
-    (weights,) = seen
-    for name, value in PathPredictor.load("weights.pt").state_dict().items():
-        assert torch.equal(value, weights[name]), name
+        script(["validate", *(f"--{name}={argument}" for name, argument in flags.items())])
+    (weights,) = validated
+    for name, tensor in PathPredictor.load("weights.pt").state_dict().items():
+        assert torch.equal(tensor, weights[name]), name
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "error"),
     [
         (["--weights=nowhere/weights.pt"], "weights: got nowhere/weights.pt, expected a file"),
         (["--weights=/"], "weights: got /, expected a file"),
@@ -767,10 +797,12 @@ def test_validating_begins_with_the_weights(script: Callable[[list[str]], None])
 )
 @pytest.mark.slow
 def test_the_script_refuses_before_it_trains(
-    script: Callable[[list[str]], None], flags: list[str], said: str, tmp_path: Path
+    script: Callable[[list[str]], None], flags: list[str], error: str, tmp_path: Path
 ) -> None:
-    """Weights that could not be written; data that move otherwise than the model."""
-    with pytest.raises(SystemExit, match=said):
+    """It refuses weights that could not be written, and data with another movement than the
+    model.
+    """
+    with pytest.raises(SystemExit, match=error):
         script(["fit", *flags])
     assert not list(tmp_path.iterdir())
 
@@ -781,8 +813,8 @@ def test_the_script_refuses_before_it_trains(
 def test_the_script_takes_data_that_move_as_the_model(
     script: Callable[[list[str]], None], movement: str
 ) -> None:
-    """A rounded sqrt(2) and names are the same movement: it goes on, to find that there are no
-    data.
+    """A rounded sqrt(2) and a movement by names are accepted as the movement of the model, so that
+    the only error is that there is no dataset.
     """
     with pytest.raises(DatasetNotFoundError):
         script(
