@@ -18,7 +18,7 @@ from mapdata.arrays import Ints, Words
 from mapdata.generators.generator import Generator
 from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.splits import draw_splits, split_thresholds
-from mapdata.jit import kernel
+from mapdata.jit import inlined, kernel
 from mapdata.rng import MAP, block, bounded, threshold
 from mapdata.spec import MAX_ROOMS, Range, check_integers, check_probability, check_range
 
@@ -184,7 +184,7 @@ def _carve(words: Words, columns: int, top: int, left: int, height: int, width: 
             words[row, j] &= kept
 
 
-@kernel
+@inlined
 def _carve_passage(
     words: Words, columns: int, a: Ints, b: Ints, width: int, horizontal_first: bool
 ) -> None:
