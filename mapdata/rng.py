@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapdata.jit import Int, inlined, kernel
+from mapdata.jit import Int, kernel
 
 MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, POINTS = range(6)
 """The streams: what a draw is for. Equal indices of two streams give unrelated numbers."""
@@ -48,7 +48,7 @@ def philox4x32(
     return c0, c1, c2, c3
 
 
-@inlined
+@kernel
 def block(seed: np.uint64, index: np.uint64, epoch: Int, stream: Int, number: Int) -> Words:
     """Return four random 32-bit words.
 
@@ -70,7 +70,7 @@ def block(seed: np.uint64, index: np.uint64, epoch: Int, stream: Int, number: In
     )
 
 
-@inlined
+@kernel
 def bounded(word: np.uint64, low: Int, high: Int) -> Int:
     """Return an integer in [low, high] by multiply-high of a 32-bit word.
 

@@ -5,12 +5,15 @@ all.
 from __future__ import annotations
 
 import ast
+import gc
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numba
 import numpy as np
@@ -19,6 +22,7 @@ import pytest
 import mapdata
 from mapdata import jit
 from mapdata.jit import kernel, source_hash
+from mapdata.rng import philox4x32
 
 PACKAGE = Path(mapdata.__file__).parent
 
@@ -136,12 +140,53 @@ def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
 
 
 @pytest.mark.slow
-def test_compiling_is_announced_once(copy: Copy) -> None:
-    """One line when kernels are compiled; none for a few, and none when the cache has them."""
+def test_long_compiling_is_announced_by_module(copy: Copy) -> None:
+    """One line for each module whose kernels take long, none when the cache has them."""
+    copy.edit("jit.py", "_PATIENCE = 0.5", "_PATIENCE = 1e6")
     assert copy.run(WORDS).stderr == ""
+    copy.edit("jit.py", "_PATIENCE = 1e6", "_PATIENCE = 0.0")
     code = "mapdata.generate(mapdata.MapSpec(), 0, [0])"
-    assert copy.run(code).stderr == "compiling kernels, once for this machine ...\n"
+    assert copy.run(code).stderr.splitlines() == [
+        f"compiling kernels for mapdata.generators.{module} (kept for later runs) ..."
+        for module in ("splits", "rooms")
+    ]
     assert copy.run(code).stderr == ""
+
+
+def test_compiling_is_announced_when_patience_ends(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not at once but after half a second, for all kernels of a module together."""
+    waits: list[tuple[float, str]] = []
+
+    class Timer:
+        """Notes what it would do, and when."""
+
+        daemon = False
+
+        def __init__(self, seconds: float, function: object, arguments: tuple[str]) -> None:
+            waits.append((seconds, *arguments))
+
+        def start(self) -> None:
+            """Do nothing."""
+
+        cancel = start
+
+    clock = iter([10.0, 10.2, 20.0, 20.5, 30.0, 31.0, 40.0, 41.0])
+    monkeypatch.setattr(jit, "Timer", Timer)
+    monkeypatch.setattr(jit, "monotonic", lambda: next(clock))
+    listener = jit._CompileListener()
+    started: Any = SimpleNamespace(data={"dispatcher": philox4x32})
+    for _ in range(4):  # 0.2, 0.5, 1 and 1 seconds
+        listener.on_start(started)
+        listener.on_start(started)  # what the kernel calls
+        assert not gc.isenabled()
+        listener.on_end(started)
+        listener.on_end(started)
+        assert gc.isenabled()
+    assert waits == [(0.5, "mapdata.rng"), (pytest.approx(0.3), "mapdata.rng")]
+    line = "compiling kernels for mapdata.rng (kept for later runs) ...\n"
+    assert capsys.readouterr().err == line
 
 
 @pytest.mark.slow
@@ -217,8 +262,12 @@ def test_the_hash_covers_all_kernels(tmp_path: Path) -> None:
 
 def kernels_of(tree: ast.Module) -> Iterator[ast.FunctionDef]:
     """Yield the functions that are compiled."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    compiled = {ast.unparse(call.args[0]) for call in calls if ast.unparse(call.func) == "kernel"}
     for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
+        if isinstance(node, ast.FunctionDef) and node.name in compiled:
+            yield node
+        elif isinstance(node, ast.FunctionDef):
             parts = [part for decorator in node.decorator_list for part in ast.walk(decorator)]
             if {part.id for part in parts if isinstance(part, ast.Name)} & {
                 "kernel",
@@ -238,7 +287,11 @@ def test_kernels_use_nothing_that_the_hash_does_not_cover() -> None:
         ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
         for path in PACKAGE.rglob("*.py")
     }
-    covered = {name for name, path in files.items() if b"@kernel" in path.read_bytes()}
+    covered = {
+        name
+        for name, path in files.items()
+        if {b"@kernel", b"@inlined"} & set(path.read_bytes().split())
+    }
     assert {"rng", "generators.rooms", "search.labels", "shards.content"} <= covered
     for name, path in files.items():
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -277,3 +330,22 @@ def test_a_kernel_keeps_numbas_setting() -> None:
     kernel(twice)
     after = vars(numba.config)["CACHE_DIR"]
     assert after == before
+
+
+def test_constants_are_no_flavours_of_their_own() -> None:
+    """What a kernel calls with constants, and Python with numbers, is compiled once."""
+
+    @kernel
+    def add(value: jit.Int, weights: tuple[jit.Int, jit.Int], is_shifted: bool) -> jit.Int:
+        return value + weights[0] + (weights[1] if is_shifted else 0)
+
+    both = (2, 3)
+
+    @kernel
+    def caller(value: jit.Int) -> jit.Int:
+        return add(7, both, True) + add(value, (value, 5), False)
+
+    assert caller(10) == 12 + 20
+    assert add(1, (2, 3), True) == 6
+    if jit.COMPILED:
+        assert len(vars(add)["overloads"]) == 1

@@ -10,16 +10,16 @@ import ctypes
 from dataclasses import replace
 from typing import Any
 
-import llvmlite.ir
 import numba
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from mapdata.arrays import Bytes, Flags, Float32s, Int32s, Ints, offsets_of
 from mapdata.datasets.fields import Paths, Rooms
-from mapdata.generators.maps import WORD, unpack
-from mapdata.jit import COMPILED, Int, inlined, kernel
+from mapdata.generators.maps import WORD, unpack_map
+from mapdata.jit import COMPILED, Int, kernel
 from mapdata.limits import MAX_ROOMS, SPLITS
 from mapdata.movement import STEPS, Movement
 from mapdata.problems.sources import Random, Route, Source
@@ -52,59 +52,94 @@ ARRAYS = (
 _MAPS, _ROOMS, _PAIRS, _SEEDS, _DIAGONAL = 0, 1, 2, 3, 12
 
 
-@intrinsic
-def _compiled_pointer(_context: Any, address: Any) -> Any:
-    """Turn an address into a pointer."""
-
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], llvmlite.ir.IntType(8).as_pointer())
-
-    return types.voidptr(types.int64), generate
-
-
-def _plain_pointer(address: Int) -> ctypes.c_void_p:
-    """Do what `_compiled_pointer` does in plain Python, which has no intrinsics."""
-    return ctypes.c_void_p(int(address))
-
-
-_pointer: Any = _compiled_pointer if COMPILED else _plain_pointer
-
 _LONG = 2**40
 """The length of each view that kernels take: who opened the shard has checked where its arrays
 end.
 """
 
 
-@inlined
-def _array(address: Int, dtype: Any) -> Any:
+def _view(array_type: Any, *row: int) -> Any:
+    """Return what generates the code of a view: the array at an address, whose rows are ``row``.
+
+    `numba.carray` does the same, and takes several times as long to compile.
+    """
+    item = array_type.dtype.bitwidth // 8
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        array = context.make_array(array_type)(context, builder)
+        data = builder.inttoptr(arguments[0], array.data.type)
+        shape = [context.get_constant(types.intp, length) for length in (_LONG, *row)]
+        strides = [context.get_constant(types.intp, item * step) for step in (*row, 1)]
+        populate_array(array, data, shape, strides, item, None)  # type: ignore[no-untyped-call]
+        return array._getvalue()
+
+    return generate
+
+
+@intrinsic
+def _compiled_array(_context: Any, address: Any, dtype: Any) -> Any:
+    """Do what `_plain_array` does in compiled code."""
+    array_type = types.Array(dtype.dtype, 1, "C")
+    return array_type(address, dtype), _view(array_type)
+
+
+@intrinsic
+def _compiled_cells(_context: Any, address: Any) -> Any:
+    """Do what `_plain_cells` does in compiled code."""
+    array_type = types.Array(types.int16, 2, "C")
+    return array_type(address), _view(array_type, 2)
+
+
+def _plain_array(address: Int, dtype: Any) -> Any:
     """Return the array at an address, as a view."""
-    return numba.carray(_pointer(address), _LONG, dtype)  # type: ignore[attr-defined]
+    return numba.carray(ctypes.c_void_p(int(address)), _LONG, dtype)  # type: ignore[attr-defined]
 
 
-@inlined
-def _cells(address: Int) -> Any:
+def _plain_cells(address: Int) -> Any:
     """Return the seed points at an address, as a view (_, 2)."""
-    return numba.carray(_pointer(address), (_LONG, 2), np.int16)  # type: ignore[attr-defined]
+    pointer = ctypes.c_void_p(int(address))
+    return numba.carray(pointer, (_LONG, 2), np.int16)  # type: ignore[attr-defined]
+
+
+_array: Any = _compiled_array if COMPILED else _plain_array
+_cells: Any = _compiled_cells if COMPILED else _plain_cells
 
 
 @kernel
 def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
     """Unpack map ``maps[b]`` of shard ``shards[b]`` into ``grids[b]``, (B, H, W)."""
-    size = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD)
+    octets = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD) * (WORD // 8)
     for b in range(len(shards)):
-        unpack(_array(table[shards[b], _MAPS], np.uint64), maps[b] * size, grids[b])
+        unpack_map(_array(table[shards[b], _MAPS], np.uint8), maps[b] * octets, grids[b])
 
 
 @kernel
-def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
-    """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""
-    out = np.empty((len(shards), 2), np.int64)
+def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, points: Ints) -> None:
+    """Write the seed point of room ``rooms[b]`` of each map to ``points``, (B, 2)."""
     for b in range(len(shards)):
         room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
         stored = _cells(table[shards[b], _SEEDS])
-        out[b, 0] = stored[room, 0]
-        out[b, 1] = stored[room, 1]
-    return out
+        points[b, 0] = stored[room, 0]
+        points[b, 1] = stored[room, 1]
+
+
+@kernel
+def find_paths(
+    table: Ints, shards: Ints, maps: Ints, rooms: Ints, search: Int, paths: Ints
+) -> None:
+    """Find the stored path from room ``rooms[b]`` to the next one of each map.
+
+    ``paths`` (3, B) is filled with its first move in the shard, its number of moves, and the
+    iterations of the search.
+    """
+    for b in range(len(shards)):
+        shard = shards[b]
+        # A map of n rooms has n - 1 segments, so those of map m begin m before its rooms.
+        segment = _array(table[shard, _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
+        moves = _array(table[shard, search], np.int64)
+        paths[0, b] = moves[segment]
+        paths[1, b] = moves[segment + 1] - moves[segment]
+        paths[2, b] = _array(table[shard, search + 2], np.int32)[segment]
 
 
 @kernel
@@ -116,37 +151,38 @@ def read_paths(
     search: Int,
     bits: Int,
     size: tuple[Int, Int],
-) -> tuple[Ints, Ints, Ints, Int]:
-    """Return the stored path from room ``rooms[b]`` to the next one of each map.
+    paths: Ints,
+    cells: Ints,
+    offsets: Ints,
+) -> Int:
+    """Read the paths that `find_paths` found.
+
+    Args:
+        table: addresses of the arrays of all shards.
+        shards: (B,) shard of each problem, an open one.
+        maps: (B,) its map in the shard.
+        rooms: (B,) its first room.
+        search: the column of the table where the arrays of the search begin.
+        bits: of a stored move.
+        size: (rows, columns) of a map.
+        paths: as from `find_paths`.
+        cells: (M, 2) with room for all paths, filled with them, one after another.
+        offsets: (B + 1,), filled with where each path begins, and where the last one ends. A path
+            that does not arrive has no cells.
 
     Returns:
-        cells (M, 2) of all paths, offsets (B + 1,) of each, iterations (B,), and the number of the
-        first damaged path or -1. A path that does not arrive has no cells; one that leaves the map
-        is damaged.
+        The number of the first damaged path, which leaves the map or ends elsewhere, or -1.
     """
-    count = len(shards)
-    offsets = np.zeros(count + 1, np.int64)
-    iterations = np.empty(count, np.int64)
-    first = np.empty(count, np.int64)
-    for b in range(count):
-        shard = shards[b]
-        # A map of n rooms has n - 1 segments, so those of map m begin m before its rooms.
-        segment = _array(table[shard, _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
-        moves = _array(table[shard, search], np.int64)
-        iterations[b] = _array(table[shard, search + 2], np.int32)[segment]
-        first[b] = moves[segment]
-        offsets[b + 1] = offsets[b] + moves[segment + 1] - moves[segment] + 1
-    cells = np.empty((offsets[count], 2), np.int64)
     # Move k stands in byte k >> shift, and there from bit (k & within) * bits on.
-    shift = np.uint64(2 if bits == 2 else 1)
-    within = np.uint64(3 if bits == 2 else 1)
-    mask = np.uint64(2**bits - 1)
+    shift = np.uint64(4 // bits)
+    within = np.uint64(8 // bits - 1)
+    mask = np.uint64((1 << bits) - 1)
     height = np.uint64(size[0])
     width = np.uint64(size[1])
     at = 0
-    for b in range(count):
+    for b in range(len(shards)):
         shard = shards[b]
-        length = offsets[b + 1] - offsets[b] - 1
+        length = paths[1, b]
         room = _array(table[shard, _ROOMS], np.int64)[maps[b]] + rooms[b]
         stored = _cells(table[shard, _SEEDS])
         row = np.int64(stored[room, 0])
@@ -159,25 +195,25 @@ def read_paths(
             continue
         cells[at, 0] = row
         cells[at, 1] = column
-        for k in range(first[b], first[b] + length):
+        for k in range(paths[0, b], paths[0, b] + length):
             place = np.uint64(k)
             bit = np.uint8((place & within) * np.uint64(bits))
             move = np.uint64(packed[place >> shift] >> bit) & mask
             if move > 7:
-                return cells, offsets, iterations, b
+                return b
             row += STEPS[move, 0]
             column += STEPS[move, 1]
             # As unsigned numbers, those below 0 are large.
             if np.uint64(row) >= height or np.uint64(column) >= width:
-                return cells, offsets, iterations, b
+                return b
             at += 1
             cells[np.uint64(at), 0] = row
             cells[np.uint64(at), 1] = column
         at += 1
         if row != goal_row or column != goal_column:
-            return cells, offsets, iterations, b
-    offsets[count] = at
-    return cells[:at], offsets, iterations, -1
+            return b
+    offsets[len(shards)] = at
+    return -1
 
 
 @kernel
@@ -234,8 +270,8 @@ def connected_problems(
         least: clearance of the cells that are free for the robot, as `inflate_all` takes it.
         rule: of movement.
     """
-    packed = _array(table[shard, _MAPS], np.uint64)
-    words = size[0] * ((size[1] + WORD - 1) // WORD)
+    packed = _array(table[shard, _MAPS], np.uint8)
+    octets = size[0] * ((size[1] + WORD - 1) // WORD) * (WORD // 8)
     offsets = _array(table[shard, _ROOMS], np.int64)
     stored = _cells(table[shard, _SEEDS])
     grids = np.empty((1, size[0], size[1]), np.uint8)
@@ -248,7 +284,7 @@ def connected_problems(
         number = np.int64(problems[p, 0])
         if number != labelled_map:
             labelled_map = number
-            unpack(packed, number * words, grids[0])
+            unpack_map(packed, number * octets, grids[0])
             inflate_all(grids, least)
             load(grids[0], buffers.came)
             cells = cells_of(stored[offsets[number] : offsets[number + 1]], lattice)
@@ -422,12 +458,15 @@ class BatchReader:
         """Return the maps for a robot of the radius, (B, H, W)."""
         grids = np.empty((len(shards), *self.map_size), np.uint8)
         read_maps(self._addresses, shards, maps, grids)
-        inflate_all(grids, self.least)
+        if self.least > 1:  # else nothing changes, and the kernel need not be compiled
+            inflate_all(grids, self.least)
         return grids
 
     def seed_points(self, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
         """Return the seed of one room of each map, (B, 2)."""
-        return read_seed_points(self._addresses, shards, maps, rooms)
+        points = np.empty((len(shards), 2), np.int64)
+        read_seed_points(self._addresses, shards, maps, rooms, points)
+        return points
 
     def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> Paths:
         """Return the stored paths from each room to the next.
@@ -437,15 +476,28 @@ class BatchReader:
         """
         bits = bits_of(self.movement)
         column = ARRAYS.index(f"{search}_offsets")
-        cells, offsets, iterations, bad = read_paths(
-            self._addresses, shards, maps, rooms, column, bits, self.map_size
+        paths = np.empty((3, len(shards)), np.int64)
+        find_paths(self._addresses, shards, maps, rooms, column, paths)
+        cells = np.empty((paths[1].sum() + len(shards), 2), np.int64)  # a move less than cells
+        offsets = np.empty(len(shards) + 1, np.int64)
+        bad = read_paths(
+            self._addresses,
+            shards,
+            maps,
+            rooms,
+            column,
+            bits,
+            self.map_size,
+            paths,
+            cells,
+            offsets,
         )
         if bad >= 0:
             place, _, entry = self.shards[shards[bad]]
             path = f"{self.root.places[place]}/{entry.name}"
             number = entry.start + maps[bad]
             raise ShardError(f"{path}: a stored path of map {number} is damaged")
-        return Paths(cells, offsets, iterations)
+        return Paths(cells[: offsets[-1]], offsets, paths[2])
 
     def rooms(self, shards: Ints, maps: Ints, search: str) -> Rooms:
         """Return the stored connection matrices (B, R, R) and the seed points (B, R, 2)."""

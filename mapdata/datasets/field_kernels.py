@@ -41,18 +41,14 @@ class GoalFields(NamedTuple):
 
 
 @kernel
-def pad_paths(cells: Ints, offsets: Ints, capacity: Int) -> Ints:
-    """Return paths as (B, capacity, 2), padded with -1."""
-    out = np.empty((len(offsets) - 1, capacity, 2), np.int64)
-    for b in range(len(out)):
+def pad_paths(cells: Ints, offsets: Ints, padded: Ints) -> None:
+    """Write paths to ``padded``, (B, capacity, 2), with -1 behind their cells."""
+    for b in range(len(padded)):
         first = offsets[b]
         count = offsets[b + 1] - first
-        for k in range(count):
-            out[b, k, 0] = cells[first + k, 0]
-            out[b, k, 1] = cells[first + k, 1]
-        for k in range(count, capacity):
-            out[b, k, 0] = out[b, k, 1] = PADDING
-    return out
+        for k in range(padded.shape[1]):
+            padded[b, k, 0] = cells[first + k, 0] if k < count else PADDING
+            padded[b, k, 1] = cells[first + k, 1] if k < count else PADDING
 
 
 @kernel
@@ -181,12 +177,13 @@ def fill_room_matrices(grids: Bytes, seed_points: Ints, rule: Rule) -> Float32s:
         for i in range(most):
             if seed_points[b, i, 0] < 0:
                 break
-            row, column = seed_points[b, i]
+            row = seed_points[b, i, 0]
+            column = seed_points[b, i, 1]
             search_around(grids[b], row, column, True, lattice, buffers)
             for j in range(most):
                 if seed_points[b, j, 0] < 0:
                     break
-                row, column = seed_points[b, j]
-                out[b, i, j] = cost_at(cell_at(row, column, lattice), buffers)
+                cell = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
+                out[b, i, j] = cost_at(cell, buffers)
             out[b, i, i] = 0  # on an occupied cell, too
     return out

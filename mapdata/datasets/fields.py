@@ -156,7 +156,10 @@ def path(batch: Batch) -> Ints:
     """
     cells, offsets, _ = batch.paths
     longest = np.diff(offsets).max(initial=0)
-    return pad_paths(cells, offsets, rows_of_path(longest, batch.max_length))
+    rows = rows_of_path(longest, batch.max_length)
+    padded = np.empty((len(batch.grids), rows, 2), np.int64)
+    pad_paths(cells, offsets, padded)
+    return padded
 
 
 def length(batch: Batch) -> Ints:

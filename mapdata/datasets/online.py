@@ -99,7 +99,8 @@ class OnlineMapDataset(ProblemDataset):
 
     def _inflated(self, maps: Maps) -> Bytes:
         grids = maps.occupancy
-        inflate_all(grids, self._least)
+        if self._least > 1:  # else nothing changes, and the kernel need not be compiled
+            inflate_all(grids, self._least)
         return grids
 
     def _seed_points(self, places: Ints) -> Ints:

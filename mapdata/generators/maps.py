@@ -8,7 +8,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Ints, Words, offsets_of, summary
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined
 from mapdata.limits import Size
 from mapdata.movement import Movement
 
@@ -107,21 +107,23 @@ class Maps:
         return offsets_of(self.rooms * (self.rooms - 1) // 2)
 
 
-@kernel
-def unpack(words: Words, first: Int, grid: Bytes) -> None:
-    """Write the packed map at ``words[first:]`` into ``grid``, (H, W)."""
+@inlined
+def unpack_map(octets: Bytes, first: Int, grid: Bytes) -> None:
+    """Write the packed map at ``octets[first:]`` into ``grid``, (H, W).
+
+    ``octets`` are the bytes of `Maps.packed`: bit k of a little-endian word is bit k % 8 of its
+    byte k // 8.
+    """
     rows, columns = grid.shape
-    words_a_row = (columns + WORD - 1) // WORD
-    # Bit k of a little-endian word is bit k % 8 of its byte k // 8.
-    packed = words.view(np.uint8)
+    octets_a_row = (columns + WORD - 1) // WORD * (WORD // 8)
     for row in range(rows):
-        octets = packed[8 * (first + row * words_a_row) :]
-        cells = grid[row]
+        left = np.uint64(first + row * octets_a_row)
         for k in range(columns // 8):
+            octet = octets[left + np.uint64(k)]
             for bit in range(8):  # becomes vector instructions
-                cells[8 * k + bit] = (octets[k] >> np.uint8(bit)) & np.uint8(1)
-        for k in range(columns // 8 * 8, columns):  # the last byte, if it is not full
-            cells[k] = (octets[k // 8] >> np.uint8(k % 8)) & np.uint8(1)
+                grid[row, np.uint64(8 * k + bit)] = (octet >> bit) & 1
+        for k in range(columns & ~7, columns):  # the last byte, if it is not full
+            grid[row, k] = (octets[left + np.uint64(k >> 3)] >> (k & 7)) & 1
 
 
 def unpacked(packed: Words, columns: int) -> Bytes:

@@ -19,7 +19,7 @@ from mapdata.checks import check_integers, check_probability, check_range
 from mapdata.generators.generator import MapGenerator
 from mapdata.generators.maps import WORD, Maps
 from mapdata.generators.splits import draw_splits, split_thresholds
-from mapdata.jit import kernel
+from mapdata.jit import inlined, kernel
 from mapdata.limits import MAX_ROOMS, Range
 from mapdata.rng import MAP, block, bounded, threshold
 
@@ -185,7 +185,7 @@ def _carve(words: Words, columns: int, top: int, left: int, height: int, width: 
             words[row, j] &= kept
 
 
-@kernel
+@inlined
 def _carve_passage(
     words: Words, columns: int, a: Ints, b: Ints, width: int, horizontal_first: bool
 ) -> None:

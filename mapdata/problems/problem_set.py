@@ -329,7 +329,8 @@ def _collect(
         grids = each.occupancy[which][:left]
         goals = each.seed_points[which][:left, 0] if problems.to_first_seed_point else None
         left -= len(indices)
-        inflate_all(grids, least)
+        if least > 1:  # else nothing changes, and the kernel need not be compiled
+            inflate_all(grids, least)
         sampled, *_ = sample_problems(
             grids,
             goals,

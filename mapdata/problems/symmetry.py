@@ -56,7 +56,8 @@ def transform_cells(cells: Ints, codes: Ints, rows: Int, columns: Int) -> Ints:
     """Return cells (M, 2) after their symmetries, (M,); (-1, -1) stays what it is."""
     transformed = np.empty_like(cells)
     for k in range(len(cells)):
-        row, column = cells[k]
+        row = cells[k, 0]
+        column = cells[k, 1]
         if row >= 0:
             row, column = transform_cell(row, column, rows, columns, codes[k])
         transformed[k, 0] = row

@@ -24,7 +24,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints, Words
 from mapdata.generators.maps import WORD
 from mapdata.jit import Int, inlined, kernel
-from mapdata.search.kernels import Scratch, shortest_costs, with_capacity
+from mapdata.search.kernels import Scratch, shortest_costs
 from mapdata.search.lattice import FAR, Lattice, cell_at, load
 
 MAX_SIDE = 64
@@ -254,128 +254,166 @@ def _eight_cells(word: np.uint64) -> Int:
     return _EIGHT_CELLS[word & np.uint64(255)]
 
 
-@kernel
 def bit_search(
     packed: Words,
-    columns: Int,
+    columns: int,
     rooms: Ints,
     seed_points: Ints,
     segments: Ints,
     pairs: Ints,
     table: Ints,
     costs: Ints,
-) -> Bytes:
+    moves: Bytes,
+) -> int:
     """Label every map by BFS: packed maps, (N, H, 1), without diagonals, of at most 64 x 64 cells.
 
-    The other arguments and the result are those of `labels._flood_maps`.
+    ``seed_points`` are (N, most rooms, 2), all free cells. The other arguments and the result are
+    those of `labels._flood_maps`.
     """
-    moves = np.empty(1024, np.uint8)
-    used = np.int64(0)
+    free = np.zeros((len(packed), _LEVEL), np.uint64)
+    cells_of_a_row = _ALL >> np.uint64(WORD - columns)
+    free[:, _EDGE : _EDGE + packed.shape[1]] = ~packed[:, :, 0] & cells_of_a_row
+    rows = seed_points[:, :, 0] + _EDGE
+    bits = _ONE << (seed_points[:, :, 1] % WORD).astype(np.uint64)  # those beyond the rooms are -1
     # The words of level 0, then of level 1, and so on; touched only as far as they are used.
     levels = np.empty((2, _LEVELS * _LEVEL), np.uint64)
-    for m in range(len(packed)):
-        moves, used = _label_map(
-            packed[m],
-            columns,
-            seed_points[m, : rooms[m]],
-            levels,
-            table[segments[m] :],
-            costs[pairs[m] :],
-            moves,
-            used,
-        )
-    return moves[:used]
+    unseen = np.empty(_LEVEL, np.uint64)
+    before = np.empty((2, _LEVEL), np.uint64)
+    used: int = _search_maps(
+        free, rooms, rows, bits, segments, pairs, levels, unseen, before, table, costs, moves
+    )
+    return used
 
 
-@inlined
-def _label_map(
-    words: Words,
-    columns: Int,
-    seed_points: Ints,
+@kernel
+def _search_maps(
+    free: Words,
+    rooms: Ints,
+    rows: Ints,
+    bits: Words,
+    segments: Ints,
+    pairs: Ints,
     levels: Words,
+    unseen: Words,
+    before: Words,
     table: Ints,
     costs: Ints,
     moves: Bytes,
-    used: Int,
-) -> tuple[Bytes, Int]:
-    """Label one map.
+) -> Int:
+    """Do the work of `bit_search`.
 
     Args:
-        words: (H, 1) packed map.
-        columns: W.
-        seed_points: (n, 2) seed points.
-        levels: room for the levels of two searches.
-        table: (n - 1, 2), filled with number of moves and iterations of each segment.
-        costs: (pairs, 2), filled with moves between seeds and 0, or (-1, 0).
-        moves: the moves of all segments so far, ``used`` of them.
-        used: how many.
+        free: (N, words) free cells of each map, a row in a word, with empty words above and below.
+        rooms: (N,) number of rooms.
+        rows: (N, most rooms) word of each seed point.
+        bits: (N, most rooms) its bit in there.
+        segments: as `bit_search` takes it, like ``pairs``, ``table``, ``costs`` and ``moves``.
+        pairs: the first pair of each map.
+        levels: (2, ...) room for the levels of two searches.
+        unseen: (words,) room for the cells that a search has not reached.
+        before: (2, words) room for `_trace`.
+        table: (S, 2), filled with number of moves and iterations of each segment.
+        costs: (P, 2), filled with moves between seeds and 0, or (-1, 0).
+        moves: filled with the moves of all segments.
 
     Returns:
-        ``moves``, perhaps a larger copy, and how many are used.
+        The number of moves.
     """
-    n = len(seed_points)
-    pair = 0
-    nearer = 0  # cells nearer than the next seed
-    length = np.int64(-1)  # moves from the seed before, where a segment starts; -1 without a path
-    unseen = np.zeros(_LEVEL, np.uint64)
-    before = np.empty((2, _LEVEL), np.uint64)
-    for s in range(n):
-        # Flood around seed s until all later seeds are seen, and the seed before it. The levels
-        # around that one are kept in the other half: `_trace` needs both.
-        level = levels[s & 1]
-        at = 0
-        depth = 0
-        pending = n - 1 - s
-        for r in range(len(words)):
-            unseen[r + _EDGE] = ~words[r, 0] & (_ALL >> np.uint64(WORD - columns))
-        free = count_bits(unseen, 0, _LEVEL)
-        low = seed_points[s, 0] + _EDGE
-        high = low
-        # Level 0 is the seed alone; the rows about it are read by the next level.
-        for r in range(low - _EDGE, low + _EDGE + 1):
-            level[r] = 0
-        level[low] = bit_at(seed_points[s, 1])
-        unseen[low] &= ~level[low]
-        for k in range(pending):
-            costs[pair + k, 0] = -1
-            costs[pair + k, 1] = 0
-        while True:
-            # A later seed that is not unseen any more, but was at the last level, is in this one.
-            for k in range(n - 1 - s):
-                row = seed_points[s + 1 + k, 0] + _EDGE
-                bit = bit_at(seed_points[s + 1 + k, 1])
-                if costs[pair + k, 0] < 0 and unseen[row] & bit == 0:
-                    costs[pair + k, 0] = depth
-                    pending -= 1
-                    if k == 0:  # the next seed, where a segment ends
-                        seen = free - count_bits(unseen, 0, _LEVEL)
-                        nearer = seen - count_bits(level, at + low, at + high + 1)
-            if pending == 0 and depth >= length:  # `_trace` needs ``length`` levels
-                break
-            here = level[at : at + _LEVEL]
-            new = level[at + _LEVEL : at + 2 * _LEVEL]
-            low, high = _next_level(here, new, unseen, low, high, 1, _NONE)
-            if low > high:  # nothing new: all that can be reached is seen
-                break
-            depth += 1
-            at += _LEVEL
-        if length >= 0:
-            moves = with_capacity(moves, used, length)
-            around_start = levels[1 - (s & 1)]
-            table[s - 1, 0] = length
-            table[s - 1, 1] += _trace(
-                level, around_start, seed_points[s - 1], length, before, moves, used
-            )
-            used += length
-        if s + 1 < n:
-            length = costs[pair, 0]
-            # The expansions known so far: with a path, those of its level are added by `_trace`.
-            table[s, 0] = 0
-            table[s, 1] = nearer + 1
-            if length < 0:
-                table[s, 1] = free - count_bits(unseen, 0, _LEVEL)
-            pair += n - 1 - s
-    return moves, used
+    # A number that is handed on gets its final type at once: else the kernels that take it are
+    # compiled twice.
+    start = np.int64(0)
+    end = np.int64(len(unseen))
+    used = np.int64(0)
+    for m in range(len(free)):
+        n = rooms[m]
+        pair = pairs[m]
+        segment = segments[m]
+        count = count_bits(free[m], start, end)
+        nearer = 0  # cells nearer than the next seed
+        length = np.int64(-1)  # moves from the seed before, where a segment starts; -1 without path
+        for s in range(n):
+            # Flood around seed s until all later seeds are seen, and the seed before it. The levels
+            # around that one are kept in the other half: `_trace` needs both.
+            level = levels[s & 1]
+            for r in range(end):
+                unseen[r] = free[m, r]
+            low = rows[m, s]
+            high = low
+            # Level 0 is the seed alone; the rows about it are read by the next level.
+            for r in range(low - _EDGE, low + _EDGE + 1):
+                level[r] = 0
+            level[low] = bits[m, s]
+            unseen[low] ^= bits[m, s]
+            later = n - 1 - s
+            for k in range(later):
+                costs[pair + k, 0] = -1
+                costs[pair + k, 1] = 0
+            pending = later
+            at = 0
+            depth = 0
+            while True:
+                # A later seed that is not unseen any more, but was at the last level, is in this
+                # one.
+                for k in range(later):
+                    seed = s + 1 + k
+                    if costs[pair + k, 0] < 0 and unseen[rows[m, seed]] & bits[m, seed] == 0:
+                        costs[pair + k, 0] = depth
+                        pending -= 1
+                        if k == 0:  # the next seed, where a segment ends
+                            nearer = count - count_bits(unseen, start, end)
+                            nearer -= count_bits(level, at + low, at + high + 1)
+                if pending == 0 and depth >= length:  # `_trace` needs ``length`` levels
+                    break
+                # With unsigned indices into two views the compiler sees that nothing overlaps, and
+                # takes several words at a time.
+                here = level[at : at + _LEVEL]
+                new = level[at + _LEVEL : at + 2 * _LEVEL]
+                low -= 1
+                high += 1
+                for r in range(low, high + 1):
+                    i = np.uint64(r)
+                    around = (here[i] << _ONE) | (here[i] >> _ONE) | here[i - _ONE] | here[i + _ONE]
+                    reached = around & unseen[i]
+                    new[i] = reached
+                    unseen[i] ^= reached
+                # The level after this one reads two rows beyond it, and the buffer holds an older
+                # level.
+                new[low - 2] = 0
+                new[low - 1] = 0
+                new[high + 1] = 0
+                new[high + 2] = 0
+                while low <= high and new[low] == 0:
+                    low += 1
+                while low <= high and new[high] == 0:
+                    high -= 1
+                if low > high:  # nothing new: all that can be reached is seen
+                    break
+                depth += 1
+                at += _LEVEL
+            if length >= 0:
+                table[segment - 1, 0] = length
+                table[segment - 1, 1] += _trace(
+                    level,
+                    levels[1 - (s & 1)],
+                    rows[m, s - 1],
+                    bits[m, s - 1],
+                    length,
+                    before,
+                    moves,
+                    used,
+                )
+                used += length
+            if later:
+                length = costs[pair, 0]
+                # The expansions known so far: with a path, those of its level are added by
+                # `_trace`.
+                table[segment, 0] = 0
+                table[segment, 1] = nearer + 1
+                if length < 0:
+                    table[segment, 1] = count - count_bits(unseen, start, end)
+                segment += 1
+                pair += later
+    return used
 
 
 @inlined
@@ -429,34 +467,36 @@ def _western(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
 def _trace(
     around_goal: Words,
     around_start: Words,
-    start: Ints,
+    row: Int,
+    bit: np.uint64,
     length: Int,
     before: Words,
     moves: Bytes,
     used: Int,
 ) -> Int:
-    """Write the ``length`` moves of the queue's path from ``start`` to the goal.
+    """Write the ``length`` moves of the queue's path from a start to the goal to ``moves[used:]``.
 
-    Returns how many cells of the goal's level are expanded before it. ``before`` (2, words) is for
-    two levels in turns: the cells of a level around the start that stand before the path's cell.
+    The start is ``bit`` of word ``row``. Returns how many cells of the goal's level are expanded
+    before it. ``before`` (2, words) is for two levels in turns: the cells of a level around the
+    start that stand before the path's cell.
     """
-    row = start[0] + _EDGE
-    bit = bit_at(start[1])
     low = row
     high = row
-    before.fill(0)
+    for r in range(_LEVEL):
+        before[0, r] = 0
+        before[1, r] = 0
     for step in range(length):
         back = (length - step - 1) * _LEVEL
-        ahead = (step + 1) * _LEVEL
         now = before[step & 1]
         then = before[1 - (step & 1)]
         first = min(low, row) - 1
         last = max(high, row) + 1
-        level = around_start[ahead : ahead + _LEVEL]
+        level = around_start[(step + 1) * _LEVEL : (step + 2) * _LEVEL]
         # The children of a cell that stands before the path's cell stand before the path's next.
         for r in range(first, last + 1):
             i = np.uint64(r)
-            then[i] = _beside(now, i, _ONE, _NONE) & level[i]
+            around = (now[i] << _ONE) | (now[i] >> _ONE) | now[i - _ONE] | now[i + _ONE]
+            then[i] = around & level[i]
         then[first - 2] = 0
         then[first - 1] = 0
         then[last + 1] = 0

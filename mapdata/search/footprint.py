@@ -150,10 +150,11 @@ def _fill_squared(grid: Bytes, squared: Int32s) -> None:
     line = np.zeros(3 * columns, np.int32)
     for row in range(rows):
         best = squared[row]
+        farthest = np.int32(0)
         for column in range(columns):
             line[columns + column] = best[column]
+            farthest = max(farthest, best[column])
         away = 1
-        farthest = best.max()
         # Farther columns cannot be nearer: their part of the way alone is longer.
         while (2 * away - 1) ** 2 < farthest:
             aside = np.int32((2 * away - 1) ** 2)

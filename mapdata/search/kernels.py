@@ -176,7 +176,7 @@ def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
     return count
 
 
-@inlined
+@kernel
 def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
     """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
 
@@ -459,20 +459,15 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
 
 
 @kernel
-def append_moves(
+def write_moves(
     came: Bytes, goal: Int, length: Int, lattice: Lattice, moves: Bytes, used: Int
-) -> Bytes:
-    """Write the ``length`` moves of a path that ends at ``goal`` to ``moves[used:]``.
-
-    Returns ``moves``, or a larger copy of it.
-    """
-    moves = with_capacity(moves, used, length)
+) -> None:
+    """Write the ``length`` moves of a path that ends at ``goal`` to ``moves[used:]``."""
     cell = goal
     for k in range(used + length - 1, used - 1, -1):
         move = np.uint64(came[np.uint64(cell)] & _MOVE)
         moves[k] = move
         cell -= lattice.offsets[move]
-    return moves
 
 
 @kernel
@@ -486,26 +481,37 @@ def write_cells(came: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
 
 
 @kernel
-def with_capacity(items: Any, used: Int, more: Int) -> Any:
-    """Return ``items`` (n, ...), or a larger copy of the ``used`` ones with room for ``more``."""
-    if used + more <= len(items):
-        return items
-    larger = np.empty((2 * (used + more), *items.shape[1:]), items.dtype)
+def with_capacity(cells: Ints, used: Int, more: Int) -> Ints:
+    """Return ``cells`` (n, 2), or a larger copy of the ``used`` ones with room for ``more``."""
+    if used + more <= len(cells):
+        return cells
+    larger = np.empty((2 * (used + more), 2), np.int64)
     for k in range(used):
-        larger[k] = items[k]
+        # To assign whole rows would compile numba's error message about shapes, for two seconds.
+        larger[k, 0] = cells[k, 0]
+        larger[k, 1] = cells[k, 1]
     return larger
 
 
 # --- kernels: whole grids -----------------------------------------------------------------------
 
 
-@kernel
-def scratch(search: Weights, lattice: Lattice) -> Scratch:
+def plain_scratch(search: Weights, lattice: Lattice) -> Scratch:
     """Return what `find` writes to; for `shortest_costs`, that of ASTAR."""
-    # A cell is pushed at most once for each neighbour; 32 bytes are for the start, and for the
+    # A cell is pushed at most once for each neighbour; two more are for the start, and for the
     # entry 0 that does not exist.
-    pushes = 1 if search == BFS else len(lattice.offsets)
-    return scratch_in(np.empty((9 + 16 * pushes) * lattice.cells + 32, np.uint8), lattice)
+    pushes = (1 if search == BFS else len(lattice.offsets)) * lattice.cells + 2
+    return Scratch(
+        np.empty(lattice.cells, np.uint8),
+        np.empty(lattice.cells, np.int64),
+        np.empty(pushes, np.uint32),
+        np.empty(pushes, np.uint32),
+        np.empty(pushes, np.int64),
+    )
+
+
+scratch = kernel(plain_scratch)
+"""The same for kernels; `plain_scratch` needs no compiling."""
 
 
 @kernel
@@ -622,7 +628,8 @@ def solve_all(
 @inlined
 def is_inside(grid: Bytes, cell: Ints, most: Int) -> Int:
     """Return whether ``cell`` (row, col) is inside ``grid``, with a value of at most ``most``."""
-    row, column = cell
+    row = cell[0]  # to unpack an array takes long to compile
+    column = cell[1]
     return 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] <= most
 
 
@@ -652,8 +659,10 @@ def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
             return k, diagonal
         if k == 0:
             continue
-        row, column = path[k]
-        row_before, column_before = path[k - 1]
+        row = path[k, 0]
+        column = path[k, 1]
+        row_before = path[k - 1, 0]
+        column_before = path[k - 1, 1]
         rows = abs(row - row_before)
         columns = abs(column - column_before)
         if max(rows, columns) != 1:

@@ -18,29 +18,26 @@ from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
 from mapdata.search.bitboard import bit_search
 from mapdata.search.kernels import (
     Scratch,
-    append_moves,
     astar_manhattan,
     best_first,
     count_moves,
     expansions_until,
     flood,
-    is_inside,
-    scratch,
+    plain_scratch,
     shortest_costs,
     wipe,
+    write_moves,
 )
 from mapdata.search.lattice import (
     ASTAR,
-    BFS,
     FAR,
     UNIT,
     UNSEEN,
+    WALL,
     Lattice,
-    Rule,
-    cells_of,
-    lattice_of,
     load,
     parts,
+    plain_lattice,
     rule_of,
 )
 
@@ -189,8 +186,10 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     # Without diagonals both searches are optimal, and each move costs 1: the costs of A* are those
     # of BFS.
     astar_costs = np.empty_like(bfs_costs) if maps.movement.connectivity == 8 else None
-    rule = rule_of(maps.movement)
     rows = maps.packed.shape[1]
+    lattice = plain_lattice((rows, maps.columns), rule_of(maps.movement))
+    buffers = plain_scratch(ASTAR, lattice)
+    walls = np.full(lattice.cells, WALL)
     bfs_moves = []
     astar_moves = []
     most = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (rows * maps.columns))
@@ -198,26 +197,27 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
         part = slice(first, first + most)
         packed = maps.packed[part]
         grids = unpacked(packed, maps.columns)
-        work = (
-            maps.rooms[part],
-            maps.seed_points[part],
-            maps.segment_offsets[first:],
-            maps.pair_offsets[first:],
-        )
-        # A* first: it checks the seed points, on which the others rely.
-        moves, bad = _astar_maps(grids, *work, rule, astar_table, astar_costs)
-        if bad >= 0:
-            k, q = divmod(bad, maps.seed_points.shape[1])
-            cell = tuple(maps.seed_points[first + k, q].tolist())
-            raise ValueError(
-                f"seed_points: {cell} of map {maps.index[first + k]} is not a free cell"
-            )
-        astar_moves.append(moves)
+        rooms = maps.rooms[part]
+        seed_points = maps.seed_points[part]
+        _check_seed_points(grids, rooms, seed_points, maps.index[part])
+        cells = (seed_points[:, :, 0] + 1) * lattice.stride + seed_points[:, :, 1] + 1  # `cell_at`
+        where = (maps.segment_offsets[first:], maps.pair_offsets[first:])
+        work = (grids, rooms, cells, *where, lattice, buffers)
+        moves = np.empty(lattice.stride * int(rooms.sum()), np.uint8)  # enough for most maps
+        done = used = 0
+        while done < len(packed):
+            done, used = _astar_maps(*work, astar_table, astar_costs, walls, moves, done, used)
+            if done < len(packed):
+                moves = np.concatenate((moves, np.empty_like(moves)))
+        astar_moves.append(moves[:used].copy())
+        moves = np.empty(used, np.uint8)  # no path has fewer moves than that of BFS
         if astar_costs is None and max(rows, maps.columns) <= BIT_SIDE:
-            moves = bit_search(packed, maps.columns, *work, bfs_table, bfs_costs)
+            used = bit_search(
+                packed, maps.columns, rooms, seed_points, *where, bfs_table, bfs_costs, moves
+            )
         else:
-            moves = _flood_maps(grids, *work, rule, bfs_table, bfs_costs)
-        bfs_moves.append(moves)
+            used = _flood_maps(*work, bfs_table, bfs_costs, moves)
+        bfs_moves.append(moves[:used])
         if advance:
             advance(len(packed))
     if astar_costs is None:
@@ -225,6 +225,24 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     bfs = _search_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
     astar = _search_labels(np.concatenate(astar_moves), astar_table, astar_costs)
     return Labels(maps, bfs, astar)
+
+
+def _check_seed_points(grids: Bytes, rooms: Ints, seed_points: Ints, index: Ints) -> None:
+    """Refuse grids (N, H, W) on which a seed point (N, R, 2) is no free cell.
+
+    The kernels rely on it.
+    """
+    count, height, width = grids.shape
+    rows, columns = seed_points[:, :, 0], seed_points[:, :, 1]
+    is_inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    cells = is_inside * (rows * width + columns)
+    is_free = np.take_along_axis(grids.reshape(count, height * width), cells, axis=1) == 0
+    is_used = np.arange(seed_points.shape[1]) < rooms[:, None]
+    bad = np.argwhere(is_used & ~(is_inside & is_free))
+    if len(bad):
+        k, q = bad[0]
+        cell = tuple(seed_points[k, q].tolist())
+        raise ValueError(f"seed_points: {cell} of map {index[k]} is not a free cell")
 
 
 def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
@@ -236,55 +254,56 @@ def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
 def _flood_maps(
     grids: Bytes,
     rooms: Ints,
-    seed_points: Ints,
+    cells: Ints,
     segments: Ints,
     pairs: Ints,
-    rule: Rule,
+    lattice: Lattice,
+    buffers: Scratch,
     table: Ints,
     costs: Ints,
-) -> Bytes:
+    moves: Bytes,
+) -> Int:
     """Label every map by BFS, which floods from each seed until all later ones are seen.
 
     Args:
         grids: (N, H, W).
         rooms: (N,) number of rooms.
-        seed_points: (N, most rooms, 2), all free cells.
+        cells: (N, most rooms) padded cells of the seed points, all free.
         segments: (N or more,) the first segment of each map.
         pairs: (N or more,) the first pair of each map.
-        rule: of movement.
+        lattice: of the maps.
+        buffers: what searches write to.
         table: (S, 2), filled with number of moves and iterations of each segment.
         costs: (P, 2), filled with moves between the seeds of each pair and 0, or (-1, 0).
+        moves: with room for all moves, filled with those of all segments.
 
     Returns:
-        The moves of all segments.
+        The number of moves.
     """
-    lattice = lattice_of(grids.shape[1:], rule)
-    buffers = scratch(BFS, lattice)
     came = buffers.came
-    moves = np.empty(1024, np.uint8)
     # A number that is handed on gets its final type at once: else the kernels that take it are
     # compiled twice.
     used = np.int64(0)
     for m in range(len(grids)):
         n = rooms[m]
-        cells = cells_of(seed_points[m, :n], lattice)
         pair = pairs[m]
         for q in range(n - 1):
+            start = cells[m, q]
+            goal = cells[m, q + 1]
             load(grids[m], came)
-            count = flood(cells[q], cells[q + 1 :], lattice, buffers)
+            count = flood(start, cells[m, q + 1 : n], lattice, buffers)
             to_next = pair
             for k in range(q + 1, n):
-                straight, diagonal = count_moves(came, cells[q], cells[k], lattice)
+                straight, diagonal = count_moves(came, start, cells[m, k], lattice)
                 costs[pair, 0] = straight + diagonal
                 costs[pair, 1] = 0
                 pair += 1
-            goal = cells[q + 1]
             length = max(costs[to_next, 0], 0)
             table[segments[m] + q, 0] = length
             table[segments[m] + q, 1] = expansions_until(buffers.pushed, count, goal)
-            moves = append_moves(came, goal, length, lattice, moves, used)
+            write_moves(came, goal, length, lattice, moves, used)
             used += length
-    return moves[:used]
+    return used
 
 
 @kernel
@@ -317,59 +336,64 @@ def connected_components(cells: Ints, lattice: Lattice, buffers: Scratch) -> Int
 def _astar_maps(
     grids: Bytes,
     rooms: Ints,
-    seed_points: Ints,
+    cells: Ints,
     segments: Ints,
     pairs: Ints,
-    rule: Rule,
+    lattice: Lattice,
+    buffers: Scratch,
     table: Ints,
     costs: Ints | None,
-) -> tuple[Bytes, Int]:
-    """Label every map by A*, and check that seed points are free cells.
+    fresh: Bytes,
+    moves: Bytes,
+    first: Int,
+    used: Int,
+) -> tuple[Int, Int]:
+    """Label every map by A*.
 
     Arguments are those of `_flood_maps`, but ``costs`` are straight and diagonal moves, or None
     without diagonals: then numba compiles no branch that needs them, which shortens what a first
-    build of such maps waits for.
+    build of such maps waits for. ``fresh`` (cells,) is all wall. Maps before ``first`` are done,
+    and have ``used`` moves.
 
     Returns:
-        The moves of all segments; -1, or m * (most rooms) + q for the first seed point q of a map m
-        that is not a free cell.
+        Up to which map all are done, the next one having more moves than ``moves`` has room for;
+        and the number of moves of these.
     """
-    lattice = lattice_of(grids.shape[1:], rule)
-    fresh = np.empty(lattice.cells, np.uint8)
-    buffers = scratch(ASTAR, lattice)
     came = buffers.came
-    moves = np.empty(1024, np.uint8)
-    used = np.int64(0)
-    for m in range(len(grids)):
-        load(grids[m], fresh)
-        n = rooms[m]
-        for q in range(n):
-            if not is_inside(grids[m], seed_points[m, q], 0):
-                return moves, m * seed_points.shape[1] + q
-        cells = cells_of(seed_points[m, :n], lattice)
+    _, rows, columns = grids.shape
+    for m in range(first, len(grids)):
+        # What `load` does, but for the wall around the grid, which is there, and for its check.
+        for row in range(rows):
+            cell = np.uint64((row + 1) * lattice.stride + 1)
+            for column in range(columns):
+                fresh[cell + np.uint64(column)] = UNSEEN | grids[m, row, np.uint64(column)]
+        used_before = used
         pair = pairs[m]
-        for q in range(n - 1):
-            goal = cells[q + 1]
+        for q in range(rooms[m] - 1):
+            start = cells[m, q]
+            goal = cells[m, q + 1]
             for k in range(lattice.cells):
                 came[k] = fresh[k]
             if costs is None:
-                expansions, _ = astar_manhattan(cells[q], goal, lattice, buffers)
+                expansions, _ = astar_manhattan(start, goal, lattice, buffers)
             else:
-                expansions, pushes = best_first(cells[q], goal, ASTAR, lattice, buffers)
-            straight, diagonal = count_moves(came, cells[q], goal, lattice)
+                expansions, pushes = best_first(start, goal, ASTAR, lattice, buffers)
+            straight, diagonal = count_moves(came, start, goal, lattice)
             length = max(straight + diagonal, 0)
             table[segments[m] + q, 0] = length
             table[segments[m] + q, 1] = expansions
-            moves = append_moves(came, goal, length, lattice, moves, used)
+            if used + length > len(moves):
+                return m, used_before
+            write_moves(came, goal, length, lattice, moves, used)
             used += length
             if costs is not None:
                 costs[pair, 0] = straight
                 costs[pair, 1] = diagonal
                 wipe(buffers, pushes)
-                others = cells[q + 2 :]
-                _fill_costs(cells[q : q + 1], others, lattice, buffers, costs[pair + 1 :])
+                others = cells[m, q + 2 : rooms[m]]
+                _fill_costs(cells[m, q : q + 1], others, lattice, buffers, costs[pair + 1 :])
                 pair += 1 + len(others)
-    return moves[:used], -1
+    return len(grids), used
 
 
 @kernel

@@ -107,14 +107,18 @@ class Lattice(NamedTuple):
     step: Int
 
 
-@kernel
-def lattice_of(shape: tuple[Int, Int], rule: Rule) -> Lattice:
+def plain_lattice(shape: tuple[Int, Int], rule: Rule) -> Lattice:
     """Return the lattice of maps of ``shape`` (rows, columns)."""
     diagonals, step = rule
     stride = shape[1] + 2
-    offsets = STEPS[:, 0] * stride + STEPS[:, 1]
-    moves = 8 if diagonals else 4
-    return Lattice(stride, (shape[0] + 2) * stride, offsets[:moves], diagonals, step)
+    offsets = np.empty(8 if diagonals else 4, np.int64)
+    for move in range(len(offsets)):
+        offsets[move] = STEPS[move, 0] * stride + STEPS[move, 1]
+    return Lattice(stride, (shape[0] + 2) * stride, offsets, diagonals, step)
+
+
+lattice_of = kernel(plain_lattice)
+"""The same for kernels; `plain_lattice` needs no compiling."""
 
 
 @inlined
@@ -202,12 +206,10 @@ def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Fl
 @inlined
 def is_binary(grid: Bytes) -> Int:
     """Return whether all of ``grid`` is 0 or 1."""
-    flat = grid.reshape(-1)
     seen = np.uint8(0)
-    for k in range(len(flat)):
-        # One byte wide, which numba would widen to eight, and with unsigned indices: so a vector
-        # instruction does 64 at once.
-        seen = np.uint8(seen | flat[np.uint64(k)])
+    for value in grid.flat:
+        # One byte wide, which numba would widen to eight: so a vector instruction does 64 at once.
+        seen = np.uint8(seen | value)
     return seen <= 1
 
 
@@ -219,17 +221,16 @@ def load(grid: Bytes, came: Bytes) -> Int:
     """
     rows, columns = grid.shape
     stride = columns + 2
-    flat = grid.reshape(-1)
     for k in range(stride):
         came[k] = WALL
         came[(rows + 1) * stride + k] = WALL
     for row in range(rows):
-        base = np.uint64((row + 1) * stride + 1)
-        first = np.uint64(row * columns)
-        came[base - np.uint64(1)] = WALL
-        for column in range(columns):
-            came[base + np.uint64(column)] = UNSEEN | flat[first + np.uint64(column)]  # 1: WALL
-        came[base + np.uint64(columns)] = WALL
+        first = np.uint64((row + 1) * stride + 1)
+        came[first - np.uint64(1)] = WALL
+        for k in range(columns):
+            column = np.uint64(k)
+            came[first + column] = UNSEEN | grid[row, column]  # 1: WALL
+        came[first + np.uint64(columns)] = WALL
     return is_binary(grid)
 
 

@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import hashlib
 from itertools import pairwise
+from math import prod
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Int32s, Ints, offsets_of
+from mapdata.arrays import Array, Bytes, Ints, offsets_of
 from mapdata.jit import kernel
-from mapdata.search.labels import Labels, SearchLabels
-
-_Arrays = tuple[Bytes, Ints, Ints, Ints]
-"""Of one search the moves, their offsets, length and iterations of each segment, and costs: kernels
-take no dataclass.
-"""
+from mapdata.search.labels import Labels
 
 
 def content_hash(labels: Labels) -> str:
@@ -56,92 +52,46 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
     header = np.stack(columns, axis=1)
     # After the header two words each: of a room, seed point and size; of a passage, directions;
     # then for either search, length and iterations of a segment, and the cost of a pair.
-    words = header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
+    lengths = header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
     move_offsets = labels.bfs.offsets + labels.astar.offsets  # in the moves of both
     moves = np.diff(move_offsets[maps.segment_offsets])
     padded_moves = (moves + 3) // 4 * 4  # a record is a whole number of words
-    sizes = 4 * words + packed.shape[1] + padded_moves
+    sizes = 4 * lengths + packed.shape[1] + padded_moves
     offsets = offsets_of(sizes)
     records = np.zeros(offsets[-1], np.uint8)
-    _write(
-        records,
-        records.view(np.int32),
-        offsets,
-        header,
-        packed,
-        maps.seed_points,
-        maps.sizes,
-        maps.directions,
-        maps.segment_offsets,
-        maps.pair_offsets,
-        (_arrays(labels.bfs), _arrays(labels.astar)),
-    )
+    words = records.view(np.int32)
+    at = offsets[:-1] // 4  # where the next word of each record goes
+    words[at[:, None] + np.arange(header.shape[1])] = header
+    at += header.shape[1]
+    for points, points_a_map in (
+        (maps.seed_points, rooms),
+        (maps.sizes, rooms),
+        (maps.directions, passages),
+    ):
+        first = np.arange(count) * prod(points.shape[1:])
+        _copy_runs(points.reshape(-1), first, first + 2 * points_a_map, words, at)
+    for search in (labels.bfs, labels.astar):
+        segments = np.stack((np.diff(search.offsets), search.iterations), axis=1)
+        for pairs, bounds in (
+            (segments, 2 * maps.segment_offsets),
+            (search.costs, 2 * maps.pair_offsets),
+        ):
+            _copy_runs(pairs.reshape(-1), bounds[:-1], bounds[1:], words, at)
+    at *= 4  # from here on the next byte of each record
+    first = np.arange(count) * packed.shape[1]
+    _copy_runs(packed.reshape(-1), first, first + packed.shape[1], records, at)
+    for search in (labels.bfs, labels.astar):
+        bounds = search.offsets[maps.segment_offsets]
+        _copy_runs(search.moves, bounds[:-1], bounds[1:], records, at)
     return records, offsets
 
 
-def _arrays(search: SearchLabels) -> _Arrays:
-    lengths = np.diff(search.offsets)
-    segments = np.stack((lengths, search.iterations), axis=1)
-    return search.moves, search.offsets, segments, search.costs
-
-
 @kernel
-def _write(
-    records: Bytes,
-    words: Int32s,
-    offsets: Ints,
-    header: Ints,
-    packed: Bytes,
-    seed_points: Ints,
-    room_sizes: Ints,
-    directions: Ints,
-    segments: Ints,
-    pairs: Ints,
-    searches: tuple[_Arrays, _Arrays],
-) -> None:
-    """Write the record of every map.
-
-    ``words`` is ``records`` as int32; ``header`` is (N, 7): rows, columns, index (low and high
-    half), split, passage width and rooms.
-    """
-    for m in range(len(header)):
-        rooms = header[m, 6]
-        segment = segments[m]
-        next_segment = segments[m + 1]
-        pair = pairs[m]
-        next_pair = pairs[m + 1]
-        # what is counted in words comes first, so that all of it is aligned
-        at = offsets[m] // 4
-        for k in range(7):
-            words[at] = header[m, k]
-            at += 1
-        at = _copy_pairs(words, at, seed_points[m, :rooms])
-        at = _copy_pairs(words, at, room_sizes[m, :rooms])
-        at = _copy_pairs(words, at, directions[m, : rooms - 1])
-        for _, _, counts, costs in searches:
-            at = _copy_pairs(words, at, counts[segment:next_segment])
-            at = _copy_pairs(words, at, costs[pair:next_pair])
-        # from here on ``at`` counts bytes
-        at *= 4
-        at = _copy_bytes(records, at, packed[m])
-        for moves, begins, _, _ in searches:
-            at = _copy_bytes(records, at, moves[begins[segment] : begins[next_segment]])
-
-
-@kernel
-def _copy_pairs(words: Int32s, at: int, rows: Ints) -> int:
-    """Copy rows of two numbers to ``words`` from ``at`` on; return where the next word goes."""
-    for k in range(len(rows)):
-        words[at] = rows[k, 0]
-        words[at + 1] = rows[k, 1]
-        at += 2
-    return at
-
-
-@kernel
-def _copy_bytes(records: Bytes, at: int, data: Bytes) -> int:
-    """Copy bytes to ``records`` from ``at`` on; return where the next one goes."""
-    for k in range(len(data)):
-        records[at] = data[k]
-        at += 1
-    return at
+def _copy_runs(values: Array, first: Ints, end: Ints, out: Array, at: Ints) -> None:
+    """Copy ``values[first[m]:end[m]]`` of each map m to ``out[at[m]:]``; ``at`` moves behind it."""
+    for m in range(len(at)):
+        place = at[m]
+        for k in range(first[m], end[m]):
+            out[place] = values[k]
+            place += 1
+        at[m] = place

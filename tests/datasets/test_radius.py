@@ -427,3 +427,21 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
             dataset[0]
     with pytest.raises(ValueError, match="no map has a problem"):
         ProblemSet.sample(samples.SPEC, 0, 5, radius=5)
+
+
+def test_without_a_radius_no_map_is_inflated(
+    roots: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel that would change nothing is never called, and so never compiled."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("a map was inflated")
+
+    for module in ("datasets.batches", "datasets.online", "problems.problem_set"):
+        monkeypatch.setattr(f"mapdata.{module}.inflate_all", refuse)
+    for radius in (0.0, 0.05):  # any free cell has room for half a cell of 0.1 m
+        assert MapDataset(roots["square"], radius=radius)[:].map.any()
+        assert OnlineMapDataset(samples.SPEC, SEED, 3, radius=radius)[:].map.any()
+        assert len(ProblemSet.sample(samples.SPEC, SEED, 3, problems=Random(), radius=radius)) == 3
+    with pytest.raises(AssertionError, match="inflated"):
+        MapDataset(roots["square"], problems="random", radius=0.1)[:]
