@@ -87,6 +87,7 @@ TESTED_IN = {
         "formats/test_paper.py",
     ),
     "models/model.py": ("models/test_model.py", "shards/test_hostile.py"),
+    "models/geometry.py": ("models/test_path_predictor.py", "models/test_neural_astar.py"),
     "models/lego/cvae.py": ("models/lego/test_sampler.py",),
     "models/lego/experience.py": ("models/lego/test_sampler.py",),
     "models/learned_planners.py": ("models/test_path_predictor.py",),

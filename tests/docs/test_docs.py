@@ -17,6 +17,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
+from types import ModuleType
 
 import matplotlib as mpl
 import numpy as np
@@ -160,6 +161,8 @@ def lookup(name: str) -> object:
         assert not part.startswith("_"), name
         if not hasattr(found, part) and part in getattr(found, "__dataclass_fields__", {}):
             return found
+        if isinstance(found, ModuleType) and not hasattr(found, part):
+            import_module(f"{found.__name__}.{part}")  # makes it an attribute of its package
         found = getattr(found, part)
     return found
 
