@@ -105,7 +105,7 @@ class Model(pl.LightningModule, ABC):
         for name, argument in self.hparams.items():
             if name.startswith("_"):
                 continue  # LightningCLI adds "_instantiator", which is no argument of the class
-            # torch.load reads tuples, but lists are what a configuration file has.
+            # A file has lists, like the configuration files of the command line, and no tuples.
             arguments[name] = list(argument) if isinstance(argument, tuple) else argument
         weights = {
             name: weight.to("cpu", torch.float16).contiguous()
@@ -186,7 +186,8 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
 def _check_arguments(arguments: dict[str, Any]) -> None:
     """Refuse arguments of which even the shapes of the weights would take much memory."""
     for name, argument in arguments.items():
-        for number in argument if isinstance(argument, list) else [argument]:
+        numbers = argument if isinstance(argument, (list, tuple)) else [argument]
+        for number in numbers:
             if not isinstance(number, (int, float)):
                 continue
             # "not <=" also refuses NaN, which is neither larger nor smaller than any number.

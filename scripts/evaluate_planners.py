@@ -78,7 +78,8 @@ def evaluate_command(
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
-    maps = 600 if not root and maps is None and until_hard is None else maps
+    if not root and maps is None and until_hard is None:
+        maps = 600
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)

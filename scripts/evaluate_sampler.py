@@ -59,7 +59,8 @@ def evaluate_command(
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
-    maps = 1000 if not root and maps is None else maps
+    if not root and maps is None:
+        maps = 1000
     problems = given_problems(root, preset, seed, maps)
     table = compare(rows, problems, sorted(set(sizes or SIZES)))
     print(

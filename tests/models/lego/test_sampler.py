@@ -51,7 +51,6 @@ from models.lego.roadmap import (
 )
 from models.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
 from models.model import load_model
-from models.symmetries import random_symmetry
 
 ROOT = Path(__file__).parents[3]
 WEIGHTS = sorted(
@@ -514,37 +513,6 @@ def test_selected_cells_follow_the_shares() -> None:
     first = select(repeated, noise, 1, 1.0)[:, 0, 1]
     frequencies = [(first == cell).mean() for cell in cells]
     np.testing.assert_allclose(frequencies, [0.5, 0.3, 0.2], atol=0.03)
-
-
-def test_symmetries_move_everything_along() -> None:
-    """Points, starts, goals and masks stay on their cells of the map under all symmetries. All
-    eight symmetries occur, each with and without a swap of start and goal.
-    """
-    problems = unseen_problems()
-    starts = torch.tensor(problems.starts)
-    goals = torch.tensor(problems.goals)
-    grids = torch.tensor(problems.grids)[:, None]
-    maps = torch.arange(len(grids))
-    marks = torch.zeros_like(grids)
-    for rows, columns in (starts.T, goals.T):
-        marks[maps, 0, rows, columns] = 1
-    fields = {"map": grids, "optimal_mask": marks, "start": starts, "goal": goals}
-    occupied = grids.sum(dim=(1, 2, 3))
-    torch.manual_seed(0)
-    outcomes = set()
-    for _ in range(300):
-        turned, points = random_symmetry(fields, starts + 0.25)
-        for name in ("start", "goal"):
-            rows, columns = turned[name].T
-            assert (turned["optimal_mask"][maps, 0, rows, columns] == 1).all()
-            assert (turned["map"][maps, 0, rows, columns] == 0).all()
-        assert torch.equal(turned["map"].sum(dim=(1, 2, 3)), occupied)
-        cells = points.floor().long()
-        swapped = not torch.equal(cells, turned["start"])
-        if swapped:
-            assert torch.equal(cells, turned["goal"])
-        outcomes.add((swapped, tuple(turned["start"][0].tolist())))
-    assert len(outcomes) == 16
 
 
 def test_the_input_of_the_networks() -> None:
