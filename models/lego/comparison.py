@@ -1,12 +1,12 @@
 """Samplers of roadmaps in one table: how often their roadmaps have a path, and how long it is.
 
-from mapdata import MapSpec, Problems
-from models.lego.comparison import compare, contenders, to_text
-from models.lego.sampler import Heatmap
+    from mapdata import MapSpec, ProblemSet
+    from models.lego.comparison import compare, contenders, to_text
+    from models.lego.sampler import Heatmap
 
-rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
-problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
-print(to_text(compare(rows, problems)))
+    rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
+    problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
+    print(to_text(compare(rows, problems)))
 """
 
 from __future__ import annotations

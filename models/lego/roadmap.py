@@ -6,7 +6,7 @@ a cell is its row and column plus 0.5. Two vertices of a roadmap are joined wher
 between cells is a path between their centres. Samplers are compared by the roadmaps of their
 points.
 
-    from mapdata import MapSpec, Problems
+    from mapdata import MapSpec, ProblemSet
     from models.lego.roadmap import halton, roadmap_between
 
     problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1)
