@@ -1,5 +1,7 @@
 """Samplers of roadmaps in one table: how often their roadmaps have a path, and how long it is.
 
+The table of docs/samplers.md is made so:
+
     from mapdata import MapSpec, ProblemSet
     from models.lego.comparison import compare, contenders, to_text
     from models.lego.sampler import Heatmap
