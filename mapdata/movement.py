@@ -9,8 +9,8 @@ import numpy as np
 
 from mapdata.checks import check_flag, check_number
 
-# Kernels read this table. Their cache is named by a hash of all files that mention @kernel, and so
-# of this one.
+# Kernels read this table, so it belongs to the sources that name their cache: those with the word
+# @kernel in them.
 STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
 """(8, 2): the moves N, E, S, W, NE, SE, SW, NW as (row, col); their numbers are their codes."""
 
