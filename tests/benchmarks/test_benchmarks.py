@@ -64,7 +64,7 @@ def test_a_difference_of_maps_is_seen() -> None:
     assert naive.differences(replace(labels, maps=other_maps), 0) == ["occupancy"]
 
 
-def test_no_path() -> None:
+def test_naive_labels_of_a_problem_without_a_path() -> None:
     """A wall between start and goal: one cell taken, no path, -1."""
     grid = np.array([[0, 1, 0]], np.uint8)
     start = (0, 0)
@@ -188,7 +188,7 @@ class Fake:
         return f"## {self.name} {quick} {parent}\n"
 
 
-def test_the_one_door(
+def test_one_command_runs_every_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """All tables by default, those named otherwise; printed, and written as a page."""
@@ -214,7 +214,7 @@ def test_the_one_door(
         (["--write", "no/such/page.md"], "no folder no/such"),
     ],
 )
-def test_the_one_door_refuses(
+def test_the_command_refuses_unknown_benchmarks(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit code 2 before anything is measured."""

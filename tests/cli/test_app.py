@@ -547,7 +547,9 @@ def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_p
         ),
     ],
 )
-def test_bad_specs(says: str, values: dict[str, Any], run: Command, tmp_path: Path) -> None:
+def test_bad_specs_are_refused_in_one_line(
+    says: str, values: dict[str, Any], run: Command, tmp_path: Path
+) -> None:
     """A recipe that cannot be: one line that names the value, exit code 2, and no folder."""
     run.refused(
         2, re.escape(says), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values)
@@ -569,7 +571,9 @@ def test_bad_specs(says: str, values: dict[str, Any], run: Command, tmp_path: Pa
         ),
     ],
 )
-def test_bad_recipe_files(says: str, content: bytes, run: Command, tmp_path: Path) -> None:
+def test_bad_recipe_files_are_refused_in_one_line(
+    says: str, content: bytes, run: Command, tmp_path: Path
+) -> None:
     """A file that is no recipe: one line, exit code 2, and no folder."""
     (tmp_path / "recipe.json").write_bytes(content)
     run.refused(2, says, "build", tmp_path / "maps", "--recipe", tmp_path / "recipe.json")
@@ -664,7 +668,7 @@ def test_roots_that_cannot_be(run: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("verb", ["info", "verify", "show"])
-def test_no_dataset(verb: str, run: Command, tmp_path: Path) -> None:
+def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_path: Path) -> None:
     """What was looked for and what makes one; exit code 2."""
     run.refused(
         2,
@@ -749,7 +753,7 @@ def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     "arguments", [["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]]
 )
-def test_usage(arguments: list[str], run: Command) -> None:
+def test_wrong_usage_is_refused_in_one_line(arguments: list[str], run: Command) -> None:
     """Usage errors are one line that points to the help."""
     run.refused(2, r"--help says more\)$", *arguments)
 

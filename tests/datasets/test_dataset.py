@@ -256,7 +256,7 @@ def test_several_roots(tmp_path: Path, root: str) -> None:
 
 
 @pytest.mark.parametrize("online", [False, True])
-def test_indices(root: str, online: bool) -> None:
+def test_indices_are_those_of_a_sequence(root: str, online: bool) -> None:
     """Numbers from either end, slices, lists, arrays, tensors; anything else is refused."""
     dataset: MapDataset | OnlineMapDataset
     dataset = OnlineMapDataset(samples.SPEC, length=50) if online else MapDataset(root)
@@ -634,7 +634,7 @@ def test_a_table_of_several_roots_numbers_maps_once(root: str) -> None:
     assert table["label"].is_unique
 
 
-def test_table(roots: dict[str, str]) -> None:
+def test_the_table_has_a_row_for_each_map(roots: dict[str, str]) -> None:
     """A row a map with every item that the paper lists, under its names."""
     for name, root in roots.items():
         labels = labels_of(name)

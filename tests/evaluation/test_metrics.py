@@ -138,7 +138,9 @@ CHEATS: dict[str, list[tuple[float, float]]] = {
 
 @pytest.mark.parametrize("path", CHEATS.values(), ids=CHEATS)
 @pytest.mark.parametrize("movement", [Movement(), Movement(8)], ids=["4", "8"])
-def test_cheats_fail(path: list[tuple[float, float]], movement: Movement) -> None:
+def test_invalid_paths_count_as_failures(
+    path: list[tuple[float, float]], movement: Movement
+) -> None:
     """Success 0, not optimal, no cost; what was expanded counts."""
     problems = three(movement)
     one = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)

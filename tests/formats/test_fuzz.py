@@ -123,7 +123,9 @@ def attempt(read: Callable[[], object]) -> None:
 @pytest.mark.parametrize("kind", sorted(seed_points()))
 @settings(SETTINGS, max_examples=120)
 @given(CHANGES)
-def test_changed_files(kind: str, changes: list[tuple[int, str, bytes]]) -> None:
+def test_a_changed_file_is_read_or_refused(
+    kind: str, changes: list[tuple[int, str, bytes]]
+) -> None:
     """A few bytes of a good file are changed."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -139,7 +141,7 @@ def test_changed_files(kind: str, changes: list[tuple[int, str, bytes]]) -> None
 
 @SETTINGS
 @given(st.binary(max_size=60))
-def test_any_bytes(data: bytes) -> None:
+def test_a_file_of_any_bytes_is_read_or_refused(data: bytes) -> None:
     """A file of any bytes under every ending, its format recognised or not."""
     with tempfile.TemporaryDirectory() as name:
         for ending in ("png", "jpg", "bmp", "pgm", "npy", "npz", "yaml", "map", "scen", "csv"):

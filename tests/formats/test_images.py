@@ -149,7 +149,7 @@ def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> N
         assert found == [exact.astype(int).tolist()] * 2
 
 
-def test_arrays(tmp_path: Path) -> None:
+def test_arrays_are_imported(tmp_path: Path) -> None:
     """Arrays of any number type and order, one grid or a stack: 1 is occupied."""
     stack = np.stack([GRID, 1 - GRID])
     np.save(tmp_path / "a.npy", stack)

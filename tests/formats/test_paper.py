@@ -83,7 +83,7 @@ def test_what_is_written(root: Path, release: Path) -> None:
         assert all(abs(r - s) + abs(c - d) == 1 for (r, c), (s, d) in pairwise(cells))
 
 
-def test_joined() -> None:
+def test_routes_are_joined_without_repeating_cells() -> None:
     """A joint stands once, also of two seed points on one cell; a missing segment has none."""
     one = np.array([[0, 0], [0, 1]])
     other = np.array([[0, 1], [1, 1]])
@@ -95,7 +95,7 @@ def test_joined() -> None:
     assert joined([none]).tolist() == []
 
 
-def test_gaps(root: Path, release: Path) -> None:
+def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
     """Each segment without a path is marked, and between the marks every cell is beside the next;
     the pieces are those of the route.
     """

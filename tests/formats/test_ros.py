@@ -140,7 +140,7 @@ def test_negate_and_thresholds(tmp_path: Path) -> None:
     assert read_map(write(tmp_path, mode="scale", free_thresh="0.1")).cells[1, 0] == 17
 
 
-def test_metres(tmp_path: Path) -> None:
+def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
     """The origin is the lower left corner; row 0 is on top; yaw turns about the origin."""
     one = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
     assert one.to_metres(1, 0) == pytest.approx((1.025, 2.025))
@@ -352,7 +352,7 @@ def test_hostile_pgm(name: str, tmp_path: Path) -> None:
         read_map(write(tmp_path, image))
 
 
-def test_limits(tmp_path: Path) -> None:
+def test_limits_come_before_decoding(tmp_path: Path) -> None:
     """Pixels are counted before decoding, for PNG too."""
     with pytest.raises(FormatError, match="expected at most 5 in all"):
         read_map(write(tmp_path), Limits(pixels=5))

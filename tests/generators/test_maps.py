@@ -24,7 +24,7 @@ SETTINGS = settings(max_examples=100)
         elements=st.integers(0, 1),
     )
 )
-def test_pack(grids: Bytes) -> None:
+def test_maps_are_packed_as_documented(grids: Bytes) -> None:
     """Bit k of word j is column 64 j + k; spare bits are 0."""
     packed = pack(grids)
     for m, row in np.ndindex(grids.shape[:2]):

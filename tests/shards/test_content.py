@@ -129,7 +129,7 @@ def test_no_hashes_add_up_to_nothing() -> None:
     assert combine(["0" * 64, some]) == combine([some]) == some
 
 
-def test_no_maps() -> None:
+def test_no_maps_hash_to_zero() -> None:
     """No maps hash to 0."""
     assert content_hash(labelled(SPECS["4"], 0)) == "0" * 64
 

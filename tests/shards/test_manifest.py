@@ -90,7 +90,7 @@ def test_the_manifest_on_disk_is_its_text(built: Path) -> None:
     assert read_manifest(built).to_json() == text == restated(text, lambda _: None)
 
 
-def test_recipe(built: Path) -> None:
+def test_the_recipe_states_all_that_makes_the_maps(built: Path) -> None:
     """The recipe states all that makes the maps, and what they hash to; imported maps have none."""
     manifest = read_manifest(built)
     recipe = json.loads(manifest.recipe())
