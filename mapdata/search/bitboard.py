@@ -270,30 +270,44 @@ def bit_search(
     ``seed_points`` are (N, most rooms, 2), all free cells. The other arguments and the result are
     those of `labels._flood_maps`.
     """
-    free = np.zeros((len(packed), _LEVEL), np.uint64)
     cells_of_a_row = _ALL >> np.uint64(WORD - columns)
-    free[:, _EDGE : _EDGE + packed.shape[1]] = ~packed[:, :, 0] & cells_of_a_row
     rows = seed_points[:, :, 0] + _EDGE
     bits = _ONE << (seed_points[:, :, 1] % WORD).astype(np.uint64)  # those beyond the rooms are -1
     # The words of level 0, then of level 1, and so on; touched only as far as they are used.
     levels = np.empty((2, _LEVELS * _LEVEL), np.uint64)
+    free = np.zeros(_LEVEL, np.uint64)
     unseen = np.empty(_LEVEL, np.uint64)
     before = np.empty((2, _LEVEL), np.uint64)
     used: int = _search_maps(
-        free, rooms, rows, bits, segments, pairs, levels, unseen, before, table, costs, moves
+        packed,
+        cells_of_a_row,
+        rooms,
+        rows,
+        bits,
+        segments,
+        pairs,
+        levels,
+        free,
+        unseen,
+        before,
+        table,
+        costs,
+        moves,
     )
     return used
 
 
 @kernel
 def _search_maps(
-    free: Words,
+    packed: Words,
+    cells_of_a_row: np.uint64,
     rooms: Ints,
     rows: Ints,
     bits: Words,
     segments: Ints,
     pairs: Ints,
     levels: Words,
+    free: Words,
     unseen: Words,
     before: Words,
     table: Ints,
@@ -303,14 +317,16 @@ def _search_maps(
     """Do the work of `bit_search`.
 
     Args:
-        free: (N, words) free cells of each map, a row in a word, with empty words above and below.
+        packed: (N, H, 1) packed maps.
+        cells_of_a_row: the bits of a word that are cells.
         rooms: (N,) number of rooms.
         rows: (N, most rooms) word of each seed point.
         bits: (N, most rooms) its bit in there.
         segments: as `bit_search` takes it, like ``pairs``, ``table``, ``costs`` and ``moves``.
         pairs: the first pair of each map.
         levels: (2, ...) room for the levels of two searches.
-        unseen: (words,) room for the cells that a search has not reached.
+        free: (words,) zeros, with room for the free cells of a map between empty rows.
+        unseen: (words,) room for those of them that a search has not reached.
         before: (2, words) room for `_trace`.
         table: (S, 2), filled with number of moves and iterations of each segment.
         costs: (P, 2), filled with moves between seeds and 0, or (-1, 0).
@@ -324,11 +340,13 @@ def _search_maps(
     start = np.int64(0)
     end = np.int64(len(unseen))
     used = np.int64(0)
-    for m in range(len(free)):
+    for m in range(len(packed)):
+        for r in range(packed.shape[1]):
+            free[_EDGE + r] = ~packed[m, r, 0] & cells_of_a_row
         n = rooms[m]
         pair = pairs[m]
         segment = segments[m]
-        count = count_bits(free[m], start, end)
+        count = count_bits(free, start, end)
         nearer = 0  # cells nearer than the next seed
         length = np.int64(-1)  # moves from the seed before, where a segment starts; -1 without path
         for s in range(n):
@@ -336,7 +354,7 @@ def _search_maps(
             # around that one are kept in the other half: `_trace` needs both.
             level = levels[s & 1]
             for r in range(end):
-                unseen[r] = free[m, r]
+                unseen[r] = free[r]
             low = rows[m, s]
             high = low
             # Level 0 is the seed alone; the rows about it are read by the next level.

@@ -496,26 +496,7 @@ def with_capacity(cells: Ints, used: Int, more: Int) -> Ints:
 # --- kernels: whole grids -----------------------------------------------------------------------
 
 
-def plain_scratch(search: Weights, lattice: Lattice) -> Scratch:
-    """Return what `find` writes to; for `shortest_costs`, that of ASTAR."""
-    # A cell is pushed at most once for each neighbour; two more are for the start, and for the
-    # entry 0 that does not exist.
-    pushes = (1 if search == BFS else len(lattice.offsets)) * lattice.cells + 2
-    return Scratch(
-        np.empty(lattice.cells, np.uint8),
-        np.empty(lattice.cells, np.int64),
-        np.empty(pushes, np.uint32),
-        np.empty(pushes, np.uint32),
-        np.empty(pushes, np.int64),
-    )
-
-
-scratch = kernel(plain_scratch)
-"""The same for kernels; `plain_scratch` needs no compiling."""
-
-
-@kernel
-def scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
+def plain_scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
     """Return what searches write to, in ``memory``: with room for as many pushes as fit in.
 
     Nothing is written yet: `load` makes ``came`` ready, and the rest needs no content.
@@ -530,6 +511,28 @@ def scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
     return Scratch(
         memory[came : came + cells], wide[:cells], narrow[:pushes], narrow[pushes:], wide[cells:]
     )
+
+
+scratch_in = kernel(plain_scratch_in)
+"""The same for kernels; `plain_scratch_in` needs no compiling."""
+
+
+@kernel
+def scratch(search: Weights, lattice: Lattice) -> Scratch:
+    """Return what `find` writes to; for `shortest_costs`, that of ASTAR.
+
+    It is one block: of several, malloc would give some back to the system after each call.
+    """
+    # A cell is pushed at most once for each neighbour; 32 bytes are for the start, and for the
+    # entry 0 that does not exist.
+    pushes = 1 if search == BFS else len(lattice.offsets)
+    return scratch_in(np.empty((9 + 16 * pushes) * lattice.cells + 32, np.uint8), lattice)
+
+
+def plain_scratch(lattice: Lattice) -> Scratch:
+    """Return what any search writes to, as `scratch` does, without compiling."""
+    pushes = len(lattice.offsets)
+    return plain_scratch_in(np.empty((9 + 16 * pushes) * lattice.cells + 32, np.uint8), lattice)
 
 
 @kernel

@@ -186,32 +186,37 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     # Without diagonals both searches are optimal, and each move costs 1: the costs of A* are those
     # of BFS.
     astar_costs = np.empty_like(bfs_costs) if maps.movement.connectivity == 8 else None
-    rows = maps.packed.shape[1]
-    lattice = plain_lattice((rows, maps.columns), rule_of(maps.movement))
-    buffers = plain_scratch(ASTAR, lattice)
+    size = maps.packed.shape[1], maps.columns
+    lattice = plain_lattice(size, rule_of(maps.movement))
+    buffers = plain_scratch(lattice)
     walls = np.full(lattice.cells, WALL)
     bfs_moves = []
     astar_moves = []
-    most = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (rows * maps.columns))
+    most = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (size[0] * size[1]))
     for first in range(0, max(len(maps), 1), most):  # once for no maps, too
         part = slice(first, first + most)
         packed = maps.packed[part]
         grids = unpacked(packed, maps.columns)
         rooms = maps.rooms[part]
         seed_points = maps.seed_points[part]
-        _check_seed_points(grids, rooms, seed_points, maps.index[part])
-        cells = (seed_points[:, :, 0] + 1) * lattice.stride + seed_points[:, :, 1] + 1  # `cell_at`
+        cells = _padded_cells(seed_points, size, lattice)
         where = (maps.segment_offsets[first:], maps.pair_offsets[first:])
         work = (grids, rooms, cells, *where, lattice, buffers)
-        moves = np.empty(lattice.stride * int(rooms.sum()), np.uint8)  # enough for most maps
+        # Enough but for mazes; what is not used takes no memory.
+        moves = np.empty(4 * lattice.stride * int(rooms.sum()), np.uint8)
         done = used = 0
+        # A* first: it checks the seed points, on which the others rely.
         while done < len(packed):
-            done, used = _astar_maps(*work, astar_table, astar_costs, walls, moves, done, used)
+            done, used, bad = _astar_maps(*work, astar_table, astar_costs, walls, moves, done, used)
+            if bad >= 0:
+                cell = tuple(seed_points[done, bad].tolist())
+                number = maps.index[first + done]
+                raise ValueError(f"seed_points: {cell} of map {number} is not a free cell")
             if done < len(packed):
                 moves = np.concatenate((moves, np.empty_like(moves)))
         astar_moves.append(moves[:used].copy())
         moves = np.empty(used, np.uint8)  # no path has fewer moves than that of BFS
-        if astar_costs is None and max(rows, maps.columns) <= BIT_SIDE:
+        if astar_costs is None and max(size) <= BIT_SIDE:
             used = bit_search(
                 packed, maps.columns, rooms, seed_points, *where, bfs_table, bfs_costs, moves
             )
@@ -227,22 +232,13 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     return Labels(maps, bfs, astar)
 
 
-def _check_seed_points(grids: Bytes, rooms: Ints, seed_points: Ints, index: Ints) -> None:
-    """Refuse grids (N, H, W) on which a seed point (N, R, 2) is no free cell.
-
-    The kernels rely on it.
-    """
-    count, height, width = grids.shape
+def _padded_cells(seed_points: Ints, size: tuple[int, int], lattice: Lattice) -> Ints:
+    """Return the padded cells of seed points, (N, R); cell 0, a wall, for those outside of maps."""
     rows, columns = seed_points[:, :, 0], seed_points[:, :, 1]
-    is_inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    cells = is_inside * (rows * width + columns)
-    is_free = np.take_along_axis(grids.reshape(count, height * width), cells, axis=1) == 0
-    is_used = np.arange(seed_points.shape[1]) < rooms[:, None]
-    bad = np.argwhere(is_used & ~(is_inside & is_free))
-    if len(bad):
-        k, q = bad[0]
-        cell = tuple(seed_points[k, q].tolist())
-        raise ValueError(f"seed_points: {cell} of map {index[k]} is not a free cell")
+    cells: Ints = (rows + 1) * lattice.stride + columns + 1  # as `cell_at` gives them
+    is_outside = (rows < 0) | (rows >= size[0]) | (columns < 0) | (columns >= size[1])
+    cells[is_outside] = 0
+    return cells
 
 
 def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
@@ -347,8 +343,8 @@ def _astar_maps(
     moves: Bytes,
     first: Int,
     used: Int,
-) -> tuple[Int, Int]:
-    """Label every map by A*.
+) -> tuple[Int, Int, Int]:
+    """Label every map by A*, and check that seed points are free cells.
 
     Arguments are those of `_flood_maps`, but ``costs`` are straight and diagonal moves, or None
     without diagonals: then numba compiles no branch that needs them, which shortens what a first
@@ -356,8 +352,8 @@ def _astar_maps(
     and have ``used`` moves.
 
     Returns:
-        Up to which map all are done, the next one having more moves than ``moves`` has room for;
-        and the number of moves of these.
+        Up to which map all are done; the number of their moves; why it stopped there: -1 if all are
+        done or ``moves`` has no room for the next map, else which seed point is no free cell.
     """
     came = buffers.came
     _, rows, columns = grids.shape
@@ -367,6 +363,9 @@ def _astar_maps(
             cell = np.uint64((row + 1) * lattice.stride + 1)
             for column in range(columns):
                 fresh[cell + np.uint64(column)] = UNSEEN | grids[m, row, np.uint64(column)]
+        for q in range(rooms[m]):
+            if fresh[cells[m, q]] == WALL:
+                return m, used, q
         used_before = used
         pair = pairs[m]
         for q in range(rooms[m] - 1):
@@ -383,7 +382,7 @@ def _astar_maps(
             table[segments[m] + q, 0] = length
             table[segments[m] + q, 1] = expansions
             if used + length > len(moves):
-                return m, used_before
+                return m, used_before, -1
             write_moves(came, goal, length, lattice, moves, used)
             used += length
             if costs is not None:
@@ -393,7 +392,7 @@ def _astar_maps(
                 others = cells[m, q + 2 : rooms[m]]
                 _fill_costs(cells[m, q : q + 1], others, lattice, buffers, costs[pair + 1 :])
                 pair += 1 + len(others)
-    return len(grids), used
+    return len(grids), used, -1
 
 
 @kernel
