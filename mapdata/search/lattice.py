@@ -11,10 +11,10 @@ cells can have one, of 8 million cells at most, but only if it is drawn for it. 
 back from a cost: modulo UNIT it is d * DIAGONAL, and DIAGONAL, being odd, has an inverse modulo
 UNIT, a power of two.
 
-The legal moves, the heuristic and hardness are defined here. The corner rule is written four times
-more, each for a reason that is given there: `flood`, `first_bad_cell` and
-`shortest_costs` in kernels.py, and on tensors `legal_moves` in models/geometry.py; tests hold all
-five together.
+The legal moves, the heuristic and hardness are defined here. The corner rule is written five times
+more, each for a reason that is given there: `flood`, `first_bad_cell` and `shortest_costs` in
+kernels.py, on tensors `legal_moves` in models/geometry.py, and in models/learned_planners.py, whose
+search works on rows and columns to be read without this module; tests hold all six together.
 """
 
 from __future__ import annotations
