@@ -99,16 +99,32 @@ def table_of(fields: Columns) -> pa.Table:
     """Return the Arrow table of B problems, whose metadata has the features for ``datasets``."""
     import pyarrow as pa
 
-    arrays = {}
+    arrays = []
+    columns = []
     features = {}
     for name, rows in fields.items():
-        is_path = name == "path"
         squeezed = rows[:, 0] if rows.ndim == 4 and rows.shape[1] == 1 else rows
-        arrays[name] = _ragged_paths(rows) if is_path else _nested(squeezed)
-        features[name] = _feature(name, squeezed)
+        array = _ragged_paths(rows) if name == "path" else _nested(squeezed)
+        feature = _feature(name, squeezed)
+        arrays.append(array)
+        columns.append(pa.field(name, array.type, metadata=_extension(feature)))
+        features[name] = feature
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
-    schema = pa.schema([(name, array.type) for name, array in arrays.items()], metadata)
-    return pa.Table.from_arrays(list(arrays.values()), schema=schema)
+    return pa.Table.from_arrays(arrays, schema=pa.schema(columns, metadata))
+
+
+def _extension(feature: dict[str, Any]) -> dict[str, str]:
+    """Return the metadata by which Arrow finds the type of an array column in ``datasets``.
+
+    Without it, ``datasets`` takes the column for nested lists, whatever the features say. Programs
+    that do not know the type read nested lists.
+    """
+    if not feature["_type"].startswith("Array"):
+        return {}
+    return {
+        "ARROW:extension:name": f"datasets.features.features.{feature['_type']}ExtensionType",
+        "ARROW:extension:metadata": json.dumps([feature["shape"], feature["dtype"]]),
+    }
 
 
 def _nested(rows: Array) -> pa.Array:
