@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
+from mapdata.datasets.maze_text import CHARACTERS, maze_tokens
 from mapdata.datasets.sample import PADDING
 from mapdata.limits import Size
 from mapdata.movement import STEPS, Movement
@@ -136,31 +137,10 @@ def _vin_images(columns: Columns) -> Bytes:
 
 # --- HRM and TRM ----------------------------------------------------------------------------------
 
-_CHARACTERS = "# SGo"
-"""The characters of maze-30x30-hard-1k; a token is the place here plus 1, and 0 is padding."""
 
-_WALL_TOKEN, _FREE_TOKEN, _START_TOKEN, _GOAL_TOKEN, _PATH_TOKEN = range(1, len(_CHARACTERS) + 1)
-
-
-def maze_tokens(columns: Columns, *, with_path: bool) -> Bytes:
-    """Return mazes as tokens (B, H * W) uint8, with or without the path between start and goal.
-
-    Tokens: 1 occupied, 2 free, 3 start, 4 goal, 5 path.
-
-    Args:
-        columns: ``map``, ``start``, ``goal`` and ``path``.
-        with_path: whether the cells between start and goal are marked.
-    """
-    grids = columns["map"][:, 0]
-    tokens = np.where(grids == 1, _WALL_TOKEN, _FREE_TOKEN).astype(np.uint8)
-    if with_path:
-        path = columns["path"]
-        problems, numbers = np.nonzero(path[:, :, 0] != PADDING)
-        rows, columns_of_path = path[problems, numbers].T
-        tokens[problems, rows, columns_of_path] = _PATH_TOKEN
-    every_problem = np.arange(len(tokens))
-    tokens[(every_problem, *columns["start"].T)] = _START_TOKEN
-    tokens[(every_problem, *columns["goal"].T)] = _GOAL_TOKEN
+def _maze_rows(columns: Columns, *, with_path: bool) -> Bytes:
+    """Return mazes as tokens (B, H * W)."""
+    tokens = maze_tokens(columns, with_path=with_path)
     return tokens.reshape(len(tokens), -1)
 
 
@@ -172,7 +152,7 @@ def _write_hrm_index(folder: Path, count: int, map_size: Size) -> None:
     rows, columns = map_size
     metadata = {
         "seq_len": rows * columns,
-        "vocab_size": len(_CHARACTERS) + 1,
+        "vocab_size": len(CHARACTERS) + 1,
         "pad_id": 0,
         "ignore_label_id": 0,
         "blank_identifier_id": 0,
@@ -269,13 +249,13 @@ LAYOUTS: dict[str, Layout] = {
                     "all__inputs",
                     "uint8",
                     "(N, H * W)",
-                    lambda columns, movement: maze_tokens(columns, with_path=False),
+                    lambda columns, movement: _maze_rows(columns, with_path=False),
                 ),
                 LayoutArray(
                     "all__labels",
                     "uint8",
                     "(N, H * W)",
-                    lambda columns, movement: maze_tokens(columns, with_path=True),
+                    lambda columns, movement: _maze_rows(columns, with_path=True),
                 ),
                 LayoutArray(
                     "all__puzzle_identifiers",

@@ -9,15 +9,11 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from mapdata.export.layouts import Columns, maze_tokens
+from mapdata.datasets.maze_text import maze_texts, maze_tokens
+from mapdata.export.layouts import Columns
 from mapdata.limits import Size
 
 HEADER = "source,question,answer,rating"
-
-_CHARACTERS = np.frombuffer(b"\0# SGo", np.uint8)
-"""The character of each token of `maze_tokens`."""
 
 
 class MazeTextWriter:
@@ -40,8 +36,8 @@ class MazeTextWriter:
                 self._lines[split] = 0
                 print(HEADER, file=file)
             moves = (columns["path"][:, :, 0] >= 0).sum(axis=1) - 1
-            questions = maze_texts(columns, with_path=False)
-            answers = maze_texts(columns, with_path=True)
+            questions = maze_texts(maze_tokens(columns, with_path=False), line_end="")
+            answers = maze_texts(maze_tokens(columns, with_path=True), line_end="")
             for question, answer, rating in zip(questions, answers, moves.tolist(), strict=True):
                 number = self._lines[split]
                 print(f"problem{number},{question},{answer},{rating}", file=file)
@@ -57,14 +53,3 @@ class MazeTextWriter:
 
     def abort(self) -> None:
         """Nothing is open between batches."""
-
-
-def maze_texts(columns: Columns, *, with_path: bool) -> list[str]:
-    """Return the cells of B mazes as text, row by row.
-
-    Args:
-        columns: ``map``, ``start``, ``goal`` and ``path``.
-        with_path: whether the cells between start and goal are marked with "o".
-    """
-    characters = _CHARACTERS[maze_tokens(columns, with_path=with_path)]
-    return [row.tobytes().decode() for row in characters]
