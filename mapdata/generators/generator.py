@@ -6,13 +6,12 @@ Stored maps of a family that is not registered have an `UnknownFamily` as their 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from inspect import isabstract
+from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
-
-import numpy as np
 
 from mapdata.arrays import Ints
 from mapdata.checks import (
@@ -279,8 +278,10 @@ def _depth(values: object) -> int:
 GENERATORS: dict[str, type[MapGenerator]] = {}
 """All families, by the name that JSON calls them."""
 
-PRESETS: dict[str, MapGenerator] = {}
-"""Specs with a name, of all families."""
+_presets: dict[str, MapGenerator] = {}
+
+PRESETS: Mapping[str, MapGenerator] = MappingProxyType(_presets)
+"""The presets of all families: a read-only mapping from name to generator."""
 
 
 def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {}) -> None:
@@ -304,7 +305,7 @@ def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {
         if there != spec and (there.name != family.name or isinstance(there, family)):
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
     GENERATORS[family.name] = family
-    PRESETS.update(presets)
+    _presets.update(presets)
     # What was read before may be of this family, or of the class that it replaces.
     stored_generator.cache_clear()
 
@@ -356,56 +357,6 @@ def why_unknown(name: str) -> str:
     return (
         f"the family {name!r} is not known here; {advice}; known are {', '.join(GENERATORS)}{hint}"
     )
-
-
-def check_spec(spec: object) -> None:
-    """Refuse what draws no maps.
-
-    Raises:
-        ValueError: it is no family with its parameters, such as the name of a preset, or the family
-            is not known.
-    """
-    if not isinstance(spec, MapGenerator):
-        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another MapGenerator")
-    if isinstance(spec, UnknownFamily):
-        raise ValueError(f"spec: {why_unknown(spec.name)}")
-
-
-def generate(spec: MapGenerator, seed: int, indices: Iterable[int]) -> Maps:
-    """Return the maps ``indices`` of (spec, seed).
-
-    Map i is a pure function of (format version, spec, seed, i): the batch, its order and the
-    machine do not matter.
-
-    Raises:
-        ValueError: what is no spec; a seed or an index that is not a non-negative integer of 64
-            (63) bits; a family that draws no seed points, or some outside of the map.
-
-    >>> from mapdata import MapSpec
-    >>> maps = generate(MapSpec(), seed=0, indices=range(3))
-    >>> maps.occupancy.shape, maps.rooms.tolist()
-    ((3, 64, 64), [5, 9, 2])
-    """
-    check_spec(spec)
-    if isinstance(indices, Iterable) and not isinstance(indices, np.ndarray):
-        indices = list(indices)
-    index = np.asarray(indices)
-    whole = index.dtype.kind in "iu"
-    good = index.size == 0 or (whole and index.min() >= 0 and int(index.max()) < 2**63)
-    if index.ndim != 1 or not good:
-        raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
-    maps = spec.draw(check_seed(seed), np.array(index, np.int64))
-    # Compiled code relies on these, and a family of one's own may not keep them.
-    points = maps.seed_points
-    is_outside = (points < -1) | (points >= spec.map_size)
-    counts = (points[:, :, 0] >= 0).sum(axis=1)
-    # Of fewer bits, products of counts would overflow.
-    as_stated = maps.rooms.dtype == np.int64 and (counts == maps.rooms).all()
-    if is_outside.any() or not (counts.all() and as_stated):
-        raise ValueError(
-            f"{spec.name}: drew seed points outside of a map, none, or not as stated (by int64)"
-        )
-    return maps
 
 
 def identity(spec: MapGenerator, seed: int) -> str:

@@ -46,8 +46,9 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.generators import Recipe, as_recipe
 from mapdata.movement import Movement
-from mapdata.shards import MANIFEST, Manifest, Recipe, builder, content_hash, read_manifest
+from mapdata.shards import MANIFEST, Manifest, builder, content_hash, read_manifest
 from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.merging import merge
 
@@ -635,9 +636,9 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("papers", "is no preset"),
+        ("papers", "recipe: got 'papers', expected a preset (paper, narrow,"),
         ("{", "not JSON"),
-        ("[]", "is no preset"),
+        ("[]", "recipe: got '[]', expected a preset"),
         ('{"maps": 5, "rooms": [2, 3]}', "recipe: got 'rooms', expected one of content_hash"),
         ('{"maps": 0}', "maps: got 0"),
         ('{"maps": "many"}', "maps: got 'many'"),
@@ -651,18 +652,18 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
 def test_bad_recipes_are_named(text: str, says: str) -> None:
     """A recipe that cannot be followed says why."""
     with pytest.raises(ValueError, match=re.escape(says)):
-        Recipe.load(text)
+        as_recipe(text)
 
 
 def test_recipes_come_from_presets_files_and_text(tmp_path: Path) -> None:
     """A preset's name, a file, or the JSON itself; what is left out takes its default."""
     text = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": 11})
     (tmp_path / "recipe.json").write_text(text, encoding="utf-8")
-    assert Recipe.load("narrow") == Recipe(MapSpec.preset("narrow"))
-    assert Recipe.load("{}") == Recipe.load({}) == Recipe(MapSpec())
-    assert Recipe.load(json.loads(text)) == Recipe.load(text)
-    assert Recipe.load(MappingProxyType(json.loads(text))) == Recipe.load(text)
-    assert Recipe.load(text) == Recipe.load(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
+    assert as_recipe("narrow") == Recipe(MapSpec.preset("narrow"))
+    assert as_recipe("{}") == as_recipe({}) == Recipe(MapSpec())
+    assert as_recipe(json.loads(text)) == as_recipe(text)
+    assert as_recipe(MappingProxyType(json.loads(text))) == as_recipe(text)
+    assert as_recipe(text) == as_recipe(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
 
 
 # --- crashes ------------------------------------------------------------------------------------
