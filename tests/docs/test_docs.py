@@ -102,7 +102,7 @@ def test_pages_that_use_the_models_say_what_to_install() -> None:
         if re.search(r"^ *(from|import) models|^ {4}python scripts/(train|evaluate)", text, re.M):
             users.append(page.name)
             assert ".[examples]" in text, page
-    assert {"tutorial.md", "planners.md", "worlds.md"} <= set(users)
+    assert {"tutorial.md", "planners.md", "families.md"} <= set(users)
 
 
 def test_the_table_of_fields_is_complete() -> None:
