@@ -155,7 +155,7 @@ def _from_json(source: str, text: str | bytes) -> Recipe:
     """Return the recipe of a JSON text; ``source`` begins the error message."""
     values = parsed_json(source, text)
     if not isinstance(values, Mapping):
-        raise ValueError(f"{source}: expected a JSON object with {', '.join(_KEYS)}")
+        raise ValueError(f"{source}: expected an object with {', '.join(_KEYS)}")
     return _from_mapping(values)
 
 

@@ -176,7 +176,7 @@ def test_a_recipe_file_is_a_json_object_of_limited_size(tmp_path: Path) -> None:
     """A list, and a file that is much larger than a recipe, are refused by the name of the file."""
     path = tmp_path / "recipe.json"
     path.write_text("[]", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"recipe: .*recipe\.json: expected a JSON object with"):
+    with pytest.raises(ValueError, match=r"recipe: .*recipe\.json: expected an object with"):
         as_recipe(path)
     path.write_bytes(b" " * (2**20 + 1))
     with pytest.raises(ValueError, match=r"recipe\.json has 1048577 bytes, expected at most"):

@@ -53,7 +53,7 @@ from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.merging import merge
 
 OTHER = replace(SPEC, skip_probability=0.2)
-KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
+KNOWN: dict[str, Any] = {"recipe": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
 """The arguments of the dataset of these tests."""
 
 SLOW = pytest.mark.skipif(
@@ -467,10 +467,10 @@ def test_extending_removes_the_partial_shard(root: Path) -> None:
 @pytest.mark.parametrize(
     ("says", "arguments"),
     [
-        (["skip_probability 0.3, asked for skip_probability 0.2"], {"spec": OTHER}),
+        (["skip_probability 0.3, asked for skip_probability 0.2"], {"recipe": OTHER}),
         (
             ["generator rooms, asked for generator maze"],
-            {"spec": Maze(SPEC.map_size)},
+            {"recipe": Maze(SPEC.map_size)},
         ),
         (["seed", "5", "6"], {"seed": 6}),
         (["shard_size", "4", "5"], {"shard_size": 5}),
@@ -610,9 +610,9 @@ def test_what_is_there_is_checked_with_a_bar(
 @pytest.mark.parametrize(
     ("culprit", "arguments"),
     [
-        ("spec", {"spec": "paper"}),
+        ("recipe", {"recipe": "papers"}),
         ("maps", {"maps": 10_000_000, "shard_size": 1, "part": (3, 1000)}),
-        ("spec", {"spec": {"rooms": (2, 3)}}),
+        ("recipe", {"recipe": {"rooms": (2, 3)}}),
         ("maps", {"maps": 0}),
         ("maps", {"maps": -5}),
         ("maps", {"maps": 1.5}),
