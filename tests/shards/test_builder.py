@@ -53,7 +53,13 @@ from mapdata.shards.builder import headers, make_shard
 from mapdata.shards.merging import merge
 
 OTHER = replace(SPEC, skip_probability=0.2)
-KNOWN: dict[str, Any] = {"recipe": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
+KNOWN: dict[str, Any] = {
+    "recipe": SPEC,
+    "maps": MAPS,
+    "seed": SEED,
+    "shard_size": SIZE,
+    "workers": 1,
+}
 """The arguments of the dataset of these tests."""
 
 SLOW = pytest.mark.skipif(
