@@ -1,4 +1,4 @@
-"""Where maps come from: families, each a `MapGenerator` in a file of its own, and their `Maps`."""
+"""Families of maps, each a `MapGenerator` in its own file; presets, recipes, and the `Maps`."""
 
 from mapdata.generators import caves, forests, mazes, rooms
 from mapdata.generators.caves import Cave

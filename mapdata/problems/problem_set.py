@@ -341,6 +341,10 @@ class _MapBatch(NamedTuple):
     grids: Bytes
     first_seed_points: Ints
 
+    def first(self, count: int) -> _MapBatch:
+        """Return the first ``count`` maps, or all if there are fewer."""
+        return _MapBatch(self.indices[:count], self.grids[:count], self.first_seed_points[:count])
+
 
 class _SampledProblems(NamedTuple):
     """M sampled problems with a path.
@@ -357,6 +361,12 @@ class _SampledProblems(NamedTuple):
     starts: Ints
     goals: Ints
 
+    def first(self, count: int) -> _SampledProblems:
+        """Return the first ``count`` problems, or all if there are fewer."""
+        return _SampledProblems(
+            self.indices[:count], self.grids[:count], self.starts[:count], self.goals[:count]
+        )
+
 
 def _map_batch(maps: Maps, rows: Flags | slice) -> _MapBatch:
     """Return the maps that ``rows`` selects."""
@@ -367,7 +377,7 @@ def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBat
     """Yield batches that together hold the first ``max_maps`` maps of ``batches``."""
     remaining = max_maps
     for batch in batches:
-        yield _MapBatch(*(array[:remaining] for array in batch))
+        yield batch.first(remaining)
         remaining -= min(len(batch.indices), remaining)
         if remaining == 0:
             return
@@ -459,4 +469,4 @@ def _until_hard(
     is_hard = hardness(cost, starts, goals, movement) >= HARD
     hard_rows = np.flatnonzero(is_hard)[:max_hard]
     row_count = hard_rows[-1] + 1 if len(hard_rows) == max_hard else len(is_hard)
-    return _SampledProblems(*(array[:row_count] for array in sampled)), len(hard_rows)
+    return sampled.first(row_count), len(hard_rows)
