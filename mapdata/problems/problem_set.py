@@ -419,13 +419,18 @@ def _sample_until(
         raise ValueError(
             f"until_hard: got {until_hard}, found only {hard_count} hard problems on {source}"
         )
-    sampled = _SampledProblems(*map(np.concatenate, zip(*parts, strict=True)))
-    first, last = sampled.indices[[0, -1]]
-    description = f"maps {first} to {last} of {source}, problems by seed {seed}"
+    indices = np.concatenate([part.indices for part in parts])
+    description = f"maps {indices[0]} to {indices[-1]} of {source}, problems by seed {seed}"
     if min_clearance > 0:
-        # `min_clearance` is in half cells, squared
-        description += f", inflated by {math.sqrt(min_clearance) / 2:.3g} cells"
-    return ProblemSet(sampled.grids, sampled.starts, sampled.goals, movement, description)
+        inflation = math.sqrt(min_clearance) / 2  # `min_clearance` is in half cells, squared
+        description += f", inflated by {inflation:.3g} cells"
+    return ProblemSet(
+        np.concatenate([part.grids for part in parts]),
+        np.concatenate([part.starts for part in parts]),
+        np.concatenate([part.goals for part in parts]),
+        movement,
+        description,
+    )
 
 
 def _sample_on(
