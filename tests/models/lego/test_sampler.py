@@ -777,7 +777,7 @@ def test_evaluate_script(main: Callable[[str], Main], tmp_path: Path) -> None:
     [
         ("--json none/rows.json", "there is no folder none"),
         ("--weights none", "weights: there is no folder none"),
-        ("--preset caves", "preset: got 'caves', expected one of paper"),
+        ("--preset caves", "recipe: got 'caves', expected a preset (paper"),
         ("--sizes 1", "sizes of 2 or more"),
     ],
 )
