@@ -72,7 +72,7 @@ def build_command(
 
     for flag, value in (("--preset", preset), ("--map-size", map_size)):
         if value is not None and recipe is not None:
-            raise ValueError(f"{flag}: not allowed with --recipe, which says the spec")
+            raise ValueError(f"{flag}: not allowed with --recipe, which states the generator")
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")

@@ -64,12 +64,9 @@ class Recipe:
             raise ValueError(f"spec: got {self.spec!r}, expected a MapSpec or another MapGenerator")
         if isinstance(self.spec, UnknownFamily):
             raise ValueError(f"spec: {why_unknown(self.spec.name)}")
-        content_hash = self.content_hash
-        if content_hash is not None and not (
-            isinstance(content_hash, str) and re.fullmatch("[0-9a-f]{64}", content_hash)
-        ):
+        if self.content_hash is not None and not _is_sha256(self.content_hash):
             raise ValueError(
-                f"content_hash: got {content_hash!r}, expected a SHA-256 in hexadecimal digits"
+                f"content_hash: got {self.content_hash!r}, expected a SHA-256 in hexadecimal digits"
             )
         object.__setattr__(self, "seed", check_seed(self.seed))
         object.__setattr__(self, "maps", check_count("maps", self.maps))
@@ -117,6 +114,11 @@ def as_recipe(recipe: RecipeLike, *, seed: int | None = None, maps: int | None =
     )
     is_unchanged = (overridden.seed, overridden.maps) == (loaded.seed, loaded.maps)
     return loaded if is_unchanged else overridden
+
+
+def _is_sha256(text: object) -> bool:
+    """Return whether ``text`` is a SHA-256 in lower-case hexadecimal digits."""
+    return isinstance(text, str) and re.fullmatch("[0-9a-f]{64}", text) is not None
 
 
 def _load(recipe: object) -> Recipe:
@@ -204,10 +206,11 @@ def generate(
     >>> maps.occupancy.shape, maps.rooms.tolist()
     ((3, 64, 64), [5, 9, 2])
     """
-    meant = as_recipe(recipe, seed=seed)
-    numbers = np.arange(meant.maps, dtype=np.int64) if indices is None else _map_numbers(indices)
-    maps = meant.spec.draw(meant.seed, numbers)
-    _check_seed_points(meant.spec, maps)
+    recipe = as_recipe(recipe, seed=seed)
+    if indices is None:
+        indices = range(recipe.maps)
+    maps = recipe.spec.draw(recipe.seed, _map_numbers(indices))
+    _check_seed_points(recipe.spec, maps)
     return maps
 
 

@@ -419,6 +419,14 @@ def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
     assert refused > len(sound) / 2
 
 
+def test_the_movement_of_a_set_has_no_default(tmp_path: Path) -> None:
+    """Generators move 4-connected by default, so no default here could be expected by everyone."""
+    with pytest.raises(TypeError, match="'movement'"):
+        ProblemSet.sample(DUNGEON, 0, 3)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="'movement'"):
+        ProblemSet.read(tmp_path)  # type: ignore[call-arg]
+
+
 def test_conditions_that_are_no_random_problems_are_refused() -> None:
     """A name, or problems of another kind."""
     with pytest.raises(ValueError, match=r"problems: got 'random', expected mapdata\.Random"):
