@@ -283,7 +283,7 @@ class ProblemSet:
         if seed is None:
             seed = dataset.manifests[0].seed or 0
         code = SPLITS.index(split)
-        # `dataset.resolution` refuses roots of several resolutions, which only a radius minds.
+        # Without a radius, roots may have several resolutions, which `dataset.resolution` refuses.
         min_clearance = least_squared(radius, dataset.resolution) if radius else 0
         batches = (
             _map_batch(labels.maps, labels.maps.split == code) for labels in dataset.labels()
