@@ -28,7 +28,7 @@ from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
 from mapdata.shards.remote import is_url
-from mapdata.shards.root import places
+from mapdata.shards.root import locations
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule
@@ -107,7 +107,7 @@ class MapDataModule(_Base):
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
-        roots = () if root is None else places(root)
+        roots = () if root is None else locations(root)
         if not roots and build is None:
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"

@@ -25,8 +25,8 @@ from mapdata.checks import (
     known_values,
 )
 from mapdata.generators.maps import Maps
-from mapdata.hashing import canonical_json, hash_of, parsed_json
-from mapdata.limits import MAX_ROOMS, Size, least_version
+from mapdata.hashing import canonical_json, json_hash, parsed_json
+from mapdata.limits import MAX_ROOMS, Size, min_version
 from mapdata.movement import Movement
 
 G = TypeVar("G", bound="MapGenerator")
@@ -104,7 +104,7 @@ class MapGenerator(ABC):
     @property
     def format_version(self) -> int:
         """The least version of the format that can say this distribution."""
-        return least_version(self.map_size) if self.name == _FIRST else 2
+        return min_version(self.map_size) if self.name == _FIRST else 2
 
     def to_dict(self) -> dict[str, Any]:
         """Return the spec as plain values for JSON."""
@@ -153,9 +153,7 @@ class MapGenerator(ABC):
             raise ValueError(f"generator: {why_unknown(name)}")
         if not issubclass(family, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
-        known = known_values(
-            "spec", values, family, "generator", other_words={"family": "generator"}
-        )
+        known = known_values("spec", values, family, "generator", synonyms={"family": "generator"})
         known.pop("generator", None)
         if "movement" in known:
             known["movement"] = _movement(known["movement"])
@@ -419,4 +417,4 @@ def identity(spec: MapGenerator, seed: int) -> str:
         "spec": spec.to_dict(),
         "seed": check_seed(seed),
     }
-    return hash_of(recipe)
+    return json_hash(recipe)

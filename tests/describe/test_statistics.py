@@ -159,11 +159,11 @@ def test_read_map_finds_the_shard(tmp_path: Path) -> None:
     """`Root.map` finds the shard of a map, and refuses numbers that the dataset does not have."""
     root = build_small(tmp_path / "d")
     expected = generate(SPEC, 5, [37]).occupancy[0]
-    labels, i = Root.open(root).map(37)
+    labels, i = Root.open(root).locate(37)
     assert (labels.maps.occupancy[i] == expected).all()
     for index in (-1, 60):
         with pytest.raises(ValueError, match=f"got {index}, .* holds maps 0 to 59"):
-            Root.open(root).map(index)
+            Root.open(root).locate(index)
 
 
 def test_a_missing_or_cut_shard_is_named(tmp_path: Path) -> None:

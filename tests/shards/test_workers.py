@@ -18,7 +18,7 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, InTheCaller, make, names
 
 from mapdata import build, verify
 from mapdata.shards import Manifest, read_manifest
-from mapdata.shards.workers import bar, finished, threads
+from mapdata.shards.workers import bar, completed, thread_pool
 
 
 def twice(number: int) -> int:
@@ -32,8 +32,8 @@ def twice(number: int) -> int:
 def test_every_task_comes_back_once(most: int) -> None:
     """Each with its own result, whatever finished first."""
     with ThreadPoolExecutor(2) as pool:
-        assert sorted(finished(pool, twice, range(10), most)) == [(k, 2 * k) for k in range(10)]
-        assert list(finished(pool, twice, [], most)) == []
+        assert sorted(completed(pool, twice, range(10), most)) == [(k, 2 * k) for k in range(10)]
+        assert list(completed(pool, twice, [], most)) == []
 
 
 class Counting(ThreadPoolExecutor):
@@ -53,7 +53,7 @@ class Counting(ThreadPoolExecutor):
 def test_so_many_are_under_way() -> None:
     """What the caller took is no longer under way."""
     with Counting(2) as pool:
-        for _ in finished(pool, twice, range(14, 40), 4):
+        for _ in completed(pool, twice, range(14, 40), 4):
             pool.under_way -= 1
         assert pool.most <= 5  # the next one is submitted before the caller has counted the last
 
@@ -67,7 +67,7 @@ def test_results_come_before_the_last_task_is_given() -> None:
             given.append(k)
             yield k
 
-    for number, _ in finished(InTheCaller(), twice, tasks(), 1000):
+    for number, _ in completed(InTheCaller(), twice, tasks(), 1000):
         assert given[-1] == number
 
 
@@ -79,8 +79,8 @@ def test_an_error_comes_out_and_the_rest_is_cancelled() -> None:
         begun.append(number)
         return twice(number)
 
-    with pytest.raises(OSError, match="no space left"), threads(1) as pool:
-        list(finished(pool, task, range(12, 500), 20))
+    with pytest.raises(OSError, match="no space left"), thread_pool(1) as pool:
+        list(completed(pool, task, range(12, 500), 20))
     assert len(begun) < 25
 
 
@@ -89,7 +89,7 @@ def test_ctrl_c_neither_waits_nor_begins_anything() -> None:
     gate = Event()
 
     def interrupted() -> Iterator[Future[Any]]:
-        with threads(1) as pool:
+        with thread_pool(1) as pool:
             yield pool.submit(gate.wait, 60)
             yield pool.submit(twice, 1)
             raise KeyboardInterrupt
@@ -231,7 +231,7 @@ def test_writing_the_manifest_takes_a_twentieth_of_a_build(
     monkeypatch.setattr("mapdata.shards.builder.merge", write)
     monkeypatch.setattr("mapdata.shards.builder.time.monotonic", lambda: clock["now"])
     monkeypatch.setattr(
-        "mapdata.shards.builder._made", lambda *_: (shard(k) for k in range(10_000))
+        "mapdata.shards.builder._built_entries", lambda *_: (shard(k) for k in range(10_000))
     )
     build(tmp_path / "maps", SPEC, maps=MAPS + 1, seed=SEED, shard_size=SIZE)
     assert clock["now"] > 1000
