@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from typing import Any
 
 
@@ -37,3 +38,8 @@ def json_hash(values: object) -> str:
 def sha256_hex(content: bytes | memoryview) -> str:
     """Return the SHA-256 of ``content`` as 64 hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
+
+
+def is_sha256_hex(text: str) -> bool:
+    """Return whether ``text`` has the form of a SHA-256: 64 hexadecimal digits."""
+    return re.fullmatch(r"[0-9a-f]{64}", text) is not None

@@ -127,7 +127,7 @@ def info_command(
     """
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
-    from mapdata.shards.root import local_path, target_folder
+    from mapdata.shards.locations import local_path, target_folder
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
@@ -157,7 +157,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         repair: make damaged and missing shards again from the recipe
     """
     from mapdata.shards.corruption import inspect, repair_faults
-    from mapdata.shards.root import locations, target_folder
+    from mapdata.shards.locations import locations, target_folder
 
     where = locations(root)
     if repair:
@@ -213,7 +213,7 @@ def show_command(
         figure: what to draw
     """
     from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
-    from mapdata.shards.root import local_path
+    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("map.png")
@@ -246,7 +246,7 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
-    from mapdata.shards.root import local_path
+    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("report.html")

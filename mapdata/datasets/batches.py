@@ -29,8 +29,9 @@ from mapdata.search.labels import connected_components, pairs_of
 from mapdata.search.lattice import BFS, UNIT, Rule, cells_of, lattice_of, load
 from mapdata.shards.arrays import Shard, bits_per_move
 from mapdata.shards.errors import ShardError
+from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import Entry, Manifest
-from mapdata.shards.root import Locations, Root
+from mapdata.shards.root import Root
 
 ARRAYS = (
     "maps",

@@ -25,10 +25,9 @@ from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
+from mapdata.shards.locations import is_url, locations
 from mapdata.shards.manifest import MANIFEST, read_manifest
 from mapdata.shards.recipe import Recipe
-from mapdata.shards.remote import is_url
-from mapdata.shards.root import locations
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule

@@ -27,7 +27,7 @@ from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
-from mapdata.shards.root import Locations
+from mapdata.shards.locations import Locations
 
 if TYPE_CHECKING:
     import pandas as pd

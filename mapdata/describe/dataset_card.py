@@ -21,8 +21,9 @@ from mapdata.generators.generator import PRESETS, MapGenerator, UnknownFamily
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.lattice import HARD
+from mapdata.shards.dataset_files import read_provenance
+from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import PROVENANCE, SPLIT_COUNTS, Manifest
-from mapdata.shards.root import Locations, read_provenance
 
 _SIZE_CATEGORIES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
 """Size categories of the Hugging Face Hub; their bounds are 10**3, 10**4, ... 10**7 rows."""

@@ -16,7 +16,8 @@ from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
-from mapdata.shards.root import Locations, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 _CELLS_AT_ONCE = 2**22
 """Cells that are unpacked to bytes at a time, so that memory does not grow with the shard size."""

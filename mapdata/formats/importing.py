@@ -29,9 +29,10 @@ from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
 from mapdata.shards.builder import planned_headers
-from mapdata.shards.files import StrPath, make_folder, write_file
+from mapdata.shards.files import StrPath, file_hash, make_folder, write_file
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
+from mapdata.shards.locations import target_folder
 from mapdata.shards.manifest import (
     MANIFEST,
     PROVENANCE,
@@ -42,7 +43,6 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.merging import check_names, locked, merge_locked
-from mapdata.shards.root import file_hash, target_folder
 from mapdata.shards.workers import Advance, bar, thread_pool
 
 RESOLUTION = 0.1

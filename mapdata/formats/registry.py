@@ -15,7 +15,8 @@ from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
-from mapdata.shards.root import Locations, Root, local_path
+from mapdata.shards.locations import Locations, local_path
+from mapdata.shards.root import Root
 
 
 @dataclass(frozen=True)

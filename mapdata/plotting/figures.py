@@ -22,7 +22,8 @@ from mapdata.plotting.plot import (
     same_matrices,
 )
 from mapdata.search.api import SEARCHES
-from mapdata.shards.root import Locations, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

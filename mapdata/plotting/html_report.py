@@ -29,7 +29,7 @@ from mapdata.plotting.figures import figure_of, plot_distribution
 from mapdata.plotting.plot import new_axes
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.root import Locations
+from mapdata.shards.locations import Locations
 
 MAPS = 500
 """Maps in the browser of a report."""

@@ -28,7 +28,8 @@ from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import HARD, hardness, rule_of
 from mapdata.shards.files import StrPath, write_output
-from mapdata.shards.root import Locations, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 _DRAWS = (0, 1000)
 """The draws that are tried on a map; a dataset goes on to another map sooner."""

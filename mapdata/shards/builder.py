@@ -17,13 +17,13 @@ from mapdata.checks import check_count, check_integers, check_seed
 from mapdata.generators.generator import MapGenerator, check_spec, generate
 from mapdata.search.labels import label
 from mapdata.shards.errors import ShardError
-from mapdata.shards.files import StrPath, file_size, make_folder, write_file
+from mapdata.shards.files import StrPath, file_hash, file_size, make_folder, write_file
 from mapdata.shards.header import Header, Span
 from mapdata.shards.image import shard_image
+from mapdata.shards.locations import target_folder
 from mapdata.shards.manifest import MANIFEST, Entry, Manifest, entry_of, path_in, read_manifest
 from mapdata.shards.merging import check_names, load_shard, merge, sweep, union
 from mapdata.shards.reader import map_shard
-from mapdata.shards.root import file_hash, target_folder
 from mapdata.shards.workers import (
     MAX_PENDING_IN_THREADS,
     Advance,

@@ -20,10 +20,12 @@ from mapdata.generators.generator import MapGenerator, UnknownFamily, why_unknow
 from mapdata.shards.arrays import decode
 from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.content import content_hash
-from mapdata.shards.errors import REPAIRS, DatasetNotFoundError, ShardError
-from mapdata.shards.files import StrPath, write_file
+from mapdata.shards.dataset_files import load_manifest, local_shard_path, read_dataset_file
+from mapdata.shards.errors import REPAIRS, UNSOUND, DatasetNotFoundError, ShardError
+from mapdata.shards.files import StrPath, file_hash, write_file
 from mapdata.shards.header import Header, Span, is_shard_name, limits_of
 from mapdata.shards.image import shard_image
+from mapdata.shards.locations import Locations, is_url, locations, target_folder
 from mapdata.shards.manifest import (
     MANIFEST,
     MAX_SHARDS,
@@ -36,17 +38,7 @@ from mapdata.shards.manifest import (
     provenance_text,
 )
 from mapdata.shards.merging import checked_entry, is_known, load_shard, merge, union
-from mapdata.shards.reader import UNSOUND, map_shard, sound_labels
-from mapdata.shards.remote import is_url
-from mapdata.shards.root import (
-    Locations,
-    file_hash,
-    load_manifest,
-    local_shard_path,
-    locations,
-    read_dataset_file,
-    target_folder,
-)
+from mapdata.shards.reader import map_shard, sound_labels
 from mapdata.shards.workers import bar, completed, thread_pool
 
 _NOT_OURS = "no file of this dataset: keep it elsewhere"

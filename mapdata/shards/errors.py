@@ -9,6 +9,17 @@ REPAIRS = "'mapdata verify' with --repair makes it again where there is a recipe
 """The end of error messages about a damaged or missing shard, which says what to do."""
 
 
+UNSOUND = (
+    TypeError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+)
+"""Errors that parsing the content of a damaged file may raise."""
+
+
 class ShardError(ValueError):
     """A file that is not a sound shard; the message names the file and what is wrong with it."""
 

@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import IO
 from uuid import uuid4
 
+from mapdata.hashing import sha256_hex
+
 if sys.platform != "win32":
     import fcntl
 
@@ -104,6 +106,11 @@ def file_size(path: Path) -> int | None:
         return path.stat().st_size
     except FileNotFoundError:
         return None
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file as 64 hexadecimal digits."""
+    return sha256_hex(path.read_bytes())
 
 
 _TEMPORARY_SUFFIX = ".mapdata.tmp"

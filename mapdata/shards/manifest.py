@@ -16,14 +16,13 @@ import numpy as np
 from mapdata.arrays import Flags, Ints
 from mapdata.checks import check_count, check_integers, check_number, check_seed
 from mapdata.generators.generator import UnknownFamily, stored_generator
-from mapdata.hashing import json_hash, sha256_hex
+from mapdata.hashing import is_sha256_hex, json_hash, sha256_hex
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
-from mapdata.shards.errors import DatasetNotFoundError, ShardError
+from mapdata.shards.errors import UNSOUND, DatasetNotFoundError, ShardError
 from mapdata.shards.header import Header, MapRange, Origin, Span, check_version
-from mapdata.shards.reader import UNSOUND, is_hash
 
 MANIFEST = "manifest.json"
 
@@ -296,7 +295,7 @@ def _parse_entry(stored: dict[str, Any], path: str) -> Entry:
             f"{entry.stop}"
         )
     check_count("bytes", entry.bytes)
-    if not (is_hash(entry.sha256) and is_hash(entry.content_hash)):
+    if not (is_sha256_hex(entry.sha256) and is_sha256_hex(entry.content_hash)):
         raise ShardError(f"{path}: {entry.name} has no hashes")
     for name in _SHARD_COUNTS:
         check_count(name, entry.counts[name], 0)

@@ -10,7 +10,6 @@ import json
 import math
 import mmap
 import os
-import re
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
@@ -25,13 +24,13 @@ from mapdata.arrays import Array, Bytes
 from mapdata.checks import check_integers
 from mapdata.generators.generator import stored_generator
 from mapdata.generators.maps import WORD
-from mapdata.hashing import sha256_hex
+from mapdata.hashing import is_sha256_hex, sha256_hex
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.arrays import Shard, bits_per_move, decode
 from mapdata.shards.content import content_hash
-from mapdata.shards.errors import REPAIRS, ShardError
+from mapdata.shards.errors import REPAIRS, UNSOUND, ShardError
 from mapdata.shards.files import StrPath
 from mapdata.shards.hdf5 import check_metadata
 from mapdata.shards.header import Header, check_version, is_shard_name
@@ -140,17 +139,6 @@ def _wrong_size_message(image: memoryview, reason: str) -> str:
     if not is_as_written(image):
         return foreign_file_message(image, reason)
     return f"{reason}: not the shard that the manifest lists; {REPAIRS}"
-
-
-UNSOUND = (
-    TypeError,
-    ValueError,
-    LookupError,
-    AttributeError,
-    ArithmeticError,
-    RecursionError,
-)
-"""Errors that `hdf5.py`, JSON and our own checks raise on damaged files."""
 
 
 class _HashedFile(NamedTuple):
@@ -289,14 +277,9 @@ def _parse_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     if not 0 < header.resolution < math.inf:
         raise ShardError(f"its attribute 'resolution' is {header.resolution}")
     stated_hash = attributes["content_hash"]
-    if not (isinstance(stated_hash, str) and is_hash(stated_hash)):
+    if not (isinstance(stated_hash, str) and is_sha256_hex(stated_hash)):
         raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
     return header, stated_hash
-
-
-def is_hash(text: str) -> bool:
-    """Return whether ``text`` has the form of a SHA-256: 64 hexadecimal digits."""
-    return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
 def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:

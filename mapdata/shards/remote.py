@@ -23,11 +23,6 @@ PAUSES = (1.0, 4.0)
 """Seconds before each repeated attempt."""
 
 
-def is_url(location: str) -> bool:
-    """Return whether the location of a dataset is a URL rather than a folder."""
-    return "://" in location
-
-
 def cache_folder(url: str) -> Path:
     """Return the folder that keeps the files of the dataset at a URL."""
     return cache_home() / "mapdata" / "remote" / sha256_hex(url.encode())[:24]

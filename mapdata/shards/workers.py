@@ -1,4 +1,4 @@
-"""Workers: a progress bar, a pool of threads, and the results of tasks as they are finished."""
+"""Running tasks in parallel: a pool of threads, results in order of completion, a progress bar."""
 
 from __future__ import annotations
 

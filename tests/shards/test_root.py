@@ -44,7 +44,7 @@ from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
 from mapdata.shards import MANIFEST, PROVENANCE, Root, content_hash, read_manifest, remote
 from mapdata.shards.corruption import inspect, repair_faults
-from mapdata.shards.root import locations, target_folder
+from mapdata.shards.locations import locations, target_folder
 
 TRIES = (remote.PAUSES, remote.MAX_SILENCE, remote.MAX_SECONDS)
 """What users have; tests wait for less."""
