@@ -182,25 +182,25 @@ class MergePacer:
         return replace(self._dataset, shards=tuple(self._entries))
 
     def add(self, entry: Entry) -> None:
-        """Add a finished shard, and write the manifest if the last write is long enough ago."""
+        """Add a finished shard; write the manifest if the pause since the last write is over."""
         self._entries.append(entry)
         start = time.monotonic()
         if start > self._due:
-            # While another builder holds the lock nothing is written: the next merge lists them.
+            # Nothing is written while another builder holds the lock; a later merge lists it.
             merge(self.root, self.manifest, wait=False)
             end = time.monotonic()
             self._due = end + max(_MIN_MERGE_PAUSE, _PAUSE_PER_MERGE_TIME * (end - start))
 
     def finish(self, *, wait: bool) -> Manifest:
-        """Write the manifest a last time and return what it lists then."""
+        """Write the manifest a last time and return it, with the shards of other builders."""
         return merge(self.root, self.manifest, wait=wait)
 
 
 def _merge_while_building(root: Path, manifest: Manifest, entries: Iterable[Entry]) -> Manifest:
-    """List shards in the manifest on disk while they are finished; return the last manifest.
+    """Consume the entries of finished shards and list them on disk; return the last manifest.
 
-    What was finished is listed after errors, too. After Ctrl-C the lock of another builder is not
-    waited for: the next build adopts the shards that the manifest does not list.
+    After an error, the shards that were finished are still listed. After Ctrl-C this does not wait
+    while another builder holds the lock: the next build adopts the shards that are not listed.
     """
     pacer = MergePacer(root, manifest)
     wait = True
@@ -216,7 +216,7 @@ def _merge_while_building(root: Path, manifest: Manifest, entries: Iterable[Entr
 
 
 def _check_shared_folder(root: Path, entries: Iterable[Entry], advance: Advance) -> Iterator[Entry]:
-    """Yield the entries of shards that other processes built, once they are seen in ``root``.
+    """Yield the entries of shards that other processes built, after seeing the files in ``root``.
 
     Raises:
         OSError: a worker wrote its shard to a folder that this process does not share.

@@ -254,8 +254,8 @@ def _repair_shards(
     remaining = []
     map_count = sum(header.maps for header in faults)
     with bar(progress, map_count) as advance, thread_pool() as pool:
-        repair_one = partial(_repair_shard, root, stated_hashes, damaged)
-        for header, entry in completed(pool, repair_one, faults):
+        repair_header = partial(_repair_shard, root, stated_hashes, damaged)
+        for header, entry in completed(pool, repair_header, faults):
             if entry is None:
                 remaining.append(_ask_for_import(faults[header]))
                 continue
@@ -345,7 +345,10 @@ def _check_listed_shards(location: str, manifest: Manifest, progress: bool) -> l
 
 
 def _check_planned_shards(location: str, manifest: Manifest, is_listed: bool) -> list[Corruption]:
-    """Return a fault for each shard that is planned and not listed; `_check_files` has the args."""
+    """Return a fault for each shard that is planned but not listed.
+
+    See `_check_files` for the arguments.
+    """
     listed_names = {entry.name for entry in manifest.shards}
     missing = "missing (the build did not finish)" if is_listed else "missing"
     faults = []
