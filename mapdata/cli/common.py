@@ -162,7 +162,7 @@ def parser_of(command: Command, prog: str | None = None, **defaults: object) -> 
         allow_abbrev=False,
     )
     for name, option in options_of(command, inspect.Parameter.POSITIONAL_OR_KEYWORD).items():
-        nargs = "+" if get_origin(option.kind) is list else None
+        nargs = "+" if get_origin(option.annotation) is list else None
         if name in defaults:
             nargs = "*" if nargs else "?"
         parser.add_argument(
@@ -184,7 +184,7 @@ def add_flag(
     """Add the flag of a keyword-only parameter."""
     short = ["-o"] if name == "output" else []
     flag = f"--{name.replace('_', '-')}"
-    kind = option.kind
+    kind = option.annotation
     origin = get_origin(kind)
     metavar = {int: "N", float: "X"}.get(kind, name.rpartition(".")[2].upper())
     how: dict[str, Any] = {"type": whole_number if kind is int else kind, "metavar": metavar}

@@ -48,7 +48,7 @@ def import_command(
     """
     from mapdata.checks import check_count
     from mapdata.formats import Limits, import_maps, read_any, recognise
-    from mapdata.formats.registry import functions
+    from mapdata.formats.registry import functions_by_format
     from mapdata.options import options_of
 
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
@@ -56,7 +56,7 @@ def import_command(
     name = options.pop("format") or recognise(src)
     of_import = {key: options.pop(key) for key in _OF_IMPORTS}
     of_format = _own_options(name, options)
-    for key in options_of(functions("read")[name]).keys() & of_import:
+    for key in options_of(functions_by_format("read")[name]).keys() & of_import:
         of_format[key] = of_import[key]
     found = read_any(src, name, Limits(pixels=max_pixels, progress=True), **of_format)
     made = []
@@ -173,10 +173,10 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
 def add_import_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``mapdata import`` that the formats and `import_maps` bring."""
     from mapdata.formats.importing import import_maps
-    from mapdata.formats.registry import functions
+    from mapdata.formats.registry import functions_by_format
     from mapdata.options import options_of
 
-    formats = functions("read")
+    formats = functions_by_format("read")
     parser.add_argument("--format", choices=formats, help="default: recognised by the files")
     options = options_of(import_maps)
     for name in _OF_IMPORTS:
@@ -186,9 +186,9 @@ def add_import_flags(parser: argparse.ArgumentParser) -> None:
 
 def add_export_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``mapdata export`` that the formats bring."""
-    from mapdata.formats.registry import functions
+    from mapdata.formats.registry import functions_by_format
 
-    formats = functions("write")
+    formats = functions_by_format("write")
     parser.add_argument("--format", choices=formats, required=True, help="what to write")
     _add_format_options(parser, formats)
 

@@ -19,7 +19,7 @@ from PIL import Image
 from mapdata import MapSpec, build, read_shard, verify
 from mapdata.describe.table import gaps, joined
 from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
-from mapdata.formats.paper import PARAMETERS, numbers, read
+from mapdata.formats.paper import PARAMETERS, parse_numbers, read
 from mapdata.shards import read_manifest
 
 csv.field_size_limit(2**27)
@@ -74,7 +74,11 @@ def test_what_is_written(root: Path, release: Path) -> None:
     assert row["seed_rows"] == str(labels.maps.seed_points[7, :n, 0].tolist())
     route = labels.route("astar", 7)
     cells = list(
-        zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True)
+        zip(
+            parse_numbers(row["astar_row_path"]),
+            parse_numbers(row["astar_column_path"]),
+            strict=True,
+        )
     )
     joints = [1 for one, other in pairwise(route) if len(one) and len(other)]
     assert len(cells) == sum(len(segment) for segment in route) - len(joints)
@@ -108,9 +112,9 @@ def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
     for row in rows_of(release):
         batch = labels[int(row["item"]) // 16]
         for search in ("bfs", "astar"):
-            places = numbers(row[f"{search}_path_gaps"])
-            rows = np.split(numbers(row[f"{search}_row_path"]), places)
-            columns = np.split(numbers(row[f"{search}_column_path"]), places)
+            places = parse_numbers(row[f"{search}_path_gaps"])
+            rows = np.split(parse_numbers(row[f"{search}_row_path"]), places)
+            columns = np.split(parse_numbers(row[f"{search}_column_path"]), places)
             for piece in zip(rows, columns, strict=True):
                 assert (np.abs(np.diff(piece, axis=1)).sum(axis=0) == 1).all()
             missing = [len(part) == 0 for part in batch.route(search, int(row["item"]) % 16)]
@@ -123,8 +127,8 @@ def test_iterations_are_those_of_the_map(release: Path) -> None:
     """One number a map as in Figure 3, and one a segment."""
     for row in rows_of(release):
         for search in ("bfs", "astar"):
-            segments = numbers(row[f"{search}_segment_iterations"])
-            assert [sum(segments)] == numbers(row[f"{search}_iterations"])
+            segments = parse_numbers(row[f"{search}_segment_iterations"])
+            assert [sum(segments)] == parse_numbers(row[f"{search}_iterations"])
 
 
 def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Path) -> None:
@@ -277,7 +281,7 @@ def test_limits(release: Path) -> None:
 def test_cells_never_crash(text: str) -> None:
     """Any text is a list of whole numbers or a FormatError."""
     try:
-        values = numbers(text)
+        values = parse_numbers(text)
     except FormatError:
         return
     assert values.dtype == np.int64

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mapdata import MapDataModule, MapDataset, ProblemSet, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
-from mapdata.formats.planning import hops, policy, read, starts_of
+from mapdata.formats.planning import negative_distances, policy, read, start_candidates
 from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.shards import read_manifest
 
@@ -149,7 +149,7 @@ def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) ->
     if not free:
         return
     goal = data.draw(st.sampled_from(free))
-    values = hops(grid, goal)
+    values = negative_distances(grid, goal)
     truth = lengths(grid, (goal[0], goal[1]), cut=True, diagonal=1.0)
     assert np.array_equal(values, np.where(np.isfinite(truth), -truth, -grid.size))
     actions = policy(values)
@@ -162,9 +162,9 @@ def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) ->
 
 def test_maps_without_starts_are_left_out() -> None:
     """Two cells: the loader would fail; one: its start would be the goal."""
-    assert not starts_of(hops(np.array([[0, 1, 1]], np.uint8), (0, 0)))
-    assert not starts_of(hops(np.array([[0, 0, 1]], np.uint8), (0, 0)))
-    assert starts_of(hops(np.zeros((8, 8), np.uint8), (0, 0)))
+    assert not start_candidates(negative_distances(np.array([[0, 1, 1]], np.uint8), (0, 0)))
+    assert not start_candidates(negative_distances(np.array([[0, 0, 1]], np.uint8), (0, 0)))
+    assert start_candidates(negative_distances(np.zeros((8, 8), np.uint8), (0, 0)))
 
 
 def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDArray[np.generic]]:

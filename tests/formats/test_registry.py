@@ -25,7 +25,7 @@ from mapdata.formats import (
     recognise,
     register,
 )
-from mapdata.formats.registry import functions
+from mapdata.formats.registry import functions_by_format
 from mapdata.shards import Root
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -36,8 +36,8 @@ def test_the_page_is_complete(
 ) -> None:
     """Its table has every format, and its Python runs."""
     rows = re.findall(r"^\| `([a-z-]+)` \| (yes|) ?\| (yes|) ?\|", PAGE, re.MULTILINE)
-    assert {name for name, reads, _ in rows if reads} == set(functions("read"))
-    assert {name for name, _, writes in rows if writes} == set(functions("write"))
+    assert {name for name, reads, _ in rows if reads} == set(functions_by_format("read"))
+    assert {name for name, _, writes in rows if writes} == set(functions_by_format("write"))
     monkeypatch.chdir(tmp_path)
     Path("floorplans").mkdir()
     Image.fromarray(np.full((128, 128), 255, np.uint8)).save("floorplans/a.png")
@@ -56,7 +56,7 @@ def test_the_page_names_the_papers_columns(root: Path, tmp_path: Path) -> None:
     assert {name for line in table for name in line.split(", ")} == set(header.split(","))
 
 
-@pytest.mark.parametrize("kind", sorted(functions("write")))
+@pytest.mark.parametrize("kind", sorted(functions_by_format("write")))
 def test_an_export_is_whole_or_nothing(
     kind: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,7 +139,7 @@ def test_what_cannot_be_exported(
 
 def test_recognising(square: Path, tmp_path: Path) -> None:
     """Formats that are written and read are recognised again; nothing and nonsense are refused."""
-    for kind in sorted(set(functions("write")) & set(functions("read"))):
+    for kind in sorted(set(functions_by_format("write")) & set(functions_by_format("read"))):
         target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
         export(square, target, kind)
         assert recognise(target) == kind
