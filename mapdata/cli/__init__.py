@@ -1,4 +1,4 @@
-"""The command ``mapdata``, and what the scripts take over from it."""
+"""The command ``mapdata``, and the functions that the scripts share with it."""
 
 from mapdata.cli.app import build_main, main
 from mapdata.cli.common import run_parsed

@@ -149,7 +149,7 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
     raise FormatError(f"{path}: no line 'map' near the top, expected a MovingAI map")
 
 
-def grid_of_terrain(terrain: Bytes, free_letters: str = LAND) -> Bytes:
+def terrain_grid(terrain: Bytes, free_letters: str = LAND) -> Bytes:
     """Return a grid, (H, W) uint8, in which only cells of ``free_letters`` are free.
 
     Args:
@@ -310,7 +310,7 @@ def check_scen(
     is_long = report.total > _BATCH
     with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
         for (name, free_letters), group in groups.items():
-            grid = grid_of_terrain(terrains[name], free_letters)
+            grid = terrain_grid(terrains[name], free_letters)
             for first in range(0, len(group), _BATCH):
                 batch = group[first : first + _BATCH]
                 _check_lengths(batch, grid, path, report)
@@ -499,7 +499,7 @@ def read(
     for path, cells in end_points:
         with collection.leaving_out(path):
             terrain = read_terrain(path, limits)
-            grid = grid_of_terrain(terrain)
+            grid = terrain_grid(terrain)
             letter_counts += np.bincount(terrain.ravel(), minlength=len(letter_counts))
             distinct_cells = dict.fromkeys(cells)
             free_cells = [cell for cell in distinct_cells if grid[cell] == 0]

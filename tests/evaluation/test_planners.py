@@ -45,7 +45,7 @@ def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
 
 
 def reference_best_first(
-    grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, counts_way: bool
+    grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, uses_path_cost: bool
 ) -> Plan:
     """Pop the least f = g + weight * h, among equal f the most recently pushed: exact fractions,
     plain Python.
@@ -53,7 +53,7 @@ def reference_best_first(
 
     def f(cost: reference.Pair, cell: Cell) -> Fraction:
         heuristic = reference.weigh(reference.heuristic(cell, goal, movement), movement)
-        way = reference.weigh(cost, movement) if counts_way else 0
+        way = reference.weigh(cost, movement) if uses_path_cost else 0
         return way + Fraction(weight) * heuristic
 
     rows = grid.tolist()
@@ -107,17 +107,17 @@ def plan_all(planner: BatchPlanner, problems: ProblemSet) -> Sequence[Plan]:
 
 
 @movements
-@pytest.mark.parametrize(("weight", "counts_way"), WEIGHTS)
+@pytest.mark.parametrize(("weight", "uses_path_cost"), WEIGHTS)
 def test_best_first_equals_the_reference(
-    movement: Movement, weight: float, counts_way: bool
+    movement: Movement, weight: float, uses_path_cost: bool
 ) -> None:
     """Path and expansions, cell by cell: Dijkstra, A*, weighted A* and greedy search, with and
     without a path.
     """
-    planner = BestFirst("it", movement, weight, counts_way)
+    planner = BestFirst("it", movement, weight, uses_path_cost)
     solved = 0
     for grid, start, goal in grids(60, 1):
-        expected = reference_best_first(grid, start, goal, movement, weight, counts_way)
+        expected = reference_best_first(grid, start, goal, movement, weight, uses_path_cost)
         assert_same(planner.plan(grid, start, goal), expected)
         solved += len(expected.path) > 0
     assert 0 < solved < 60

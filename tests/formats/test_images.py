@@ -15,7 +15,7 @@ from PIL import Image
 
 from mapdata import read_shard
 from mapdata.formats import Collection, FormatError, Limits, read_any, recognise
-from mapdata.formats.files import natural, walk
+from mapdata.formats.files import natural_key, files_below
 from mapdata.formats.images import brightness, read, read_pixels
 from mapdata.shards import read_manifest
 
@@ -173,9 +173,9 @@ def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
     found = read(tmp_path)
     assert sorted(one.split or 0 for one in found.maps) == [0, 0, 1, 1, 2, 2]
     assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
-    assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural)[:2] == ["a9", "a9b"]
+    assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural_key)[:2] == ["a9", "a9b"]
     with pytest.raises(FormatError, match="more than 3 files"):
-        walk(tmp_path, (".png",), Limits(files=3), Collection())
+        files_below(tmp_path, (".png",), Limits(files=3), Collection())
 
 
 def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:

@@ -22,9 +22,9 @@ from mapdata.formats.movingai import (
     Problem,
     agrees,
     check_scen,
-    grid_of_terrain,
     read_scen,
     read_terrain,
+    terrain_grid,
 )
 from mapdata.movement import Movement
 from mapdata.shards import read_manifest
@@ -71,8 +71,8 @@ def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
     """CRLF, text after the rows, no last line feed, another order of the header."""
     (tmp_path / "a.map").write_bytes(text.encode("utf-8"))
     terrain = read_terrain(tmp_path / "a.map")
-    assert grid_of_terrain(terrain).tolist() == LAND
-    assert grid_of_terrain(terrain, "W").tolist() == WATER
+    assert terrain_grid(terrain).tolist() == LAND
+    assert terrain_grid(terrain, "W").tolist() == WATER
 
 
 def test_a_blank_line_hides_no_damage(tmp_path: Path) -> None:
