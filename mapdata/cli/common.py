@@ -228,7 +228,7 @@ def add_flag(
 
 
 def add_import_flag(parser: argparse.ArgumentParser) -> None:
-    """Add ``--import MODULE``, which may be repeated; it becomes the argument ``modules`` of `run`."""
+    """Add the flag ``--import MODULE``, which may be repeated and becomes ``modules`` of `run`."""
     parser.add_argument(
         "--import",
         dest="modules",

@@ -1,4 +1,4 @@
-"""What scripts that compare planners or samplers share: problems and tables."""
+"""Problems and tables for the scripts that compare planners or samplers."""
 
 from __future__ import annotations
 
@@ -51,10 +51,13 @@ def given_problems(
 
 
 def check_outputs(*files: str | None) -> None:
-    """Refuse a file that could not be written after the work.
+    """Check, before the work begins, that the folders of output files exist.
+
+    Args:
+        files: names of files; None for a file that is not to be written.
 
     Raises:
-        ValueError: its folder does not exist.
+        ValueError: a folder does not exist.
     """
     for file in files:
         if file is not None and not Path(file).parent.is_dir():
@@ -62,7 +65,7 @@ def check_outputs(*files: str | None) -> None:
 
 
 def write_table(table: pd.DataFrame, csv: str | None, json: str | None) -> None:
-    """Write a table to the files that were asked for."""
+    """Write a table as a CSV file, a JSON file or both; None for a file that is not wanted."""
     if csv is not None:
         table.to_csv(csv, index=False)
     if json is not None:
