@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from mapdata.plotting.arrows import CLOSEST, SHORTEST, SPACING
+from mapdata.plotting.arrows import MIN_DISTANCE, MIN_LENGTH, SPACING
 from mapdata.plotting.plot import plot_cells
 
 Floats = npt.NDArray[np.float64]
@@ -78,7 +78,7 @@ def test_short_paths_have_no_arrow_head() -> None:
     """Their ends may bear marks that would cover it."""
     axes = whole_figure(64, 6)
     per_cell = 72 * 6 / 64
-    for cells in (0, 1, int(SHORTEST / per_cell)):
+    for cells in (0, 1, int(MIN_LENGTH / per_cell)):
         plot_cells(axes, np.stack([np.arange(cells), np.arange(cells) * 0], 1), "black", "_")
         assert len(on_page(axes)) == 0
         axes.collections[-1].remove()
@@ -93,7 +93,7 @@ def test_arrow_heads_of_a_winding_path_do_not_crowd() -> None:
     places = on_page(axes)
     distances = np.linalg.norm(places[:, None] - places[None], axis=-1)
     assert len(places) > 3
-    assert distances[~np.eye(len(places), dtype=bool)].min() >= CLOSEST
+    assert distances[~np.eye(len(places), dtype=bool)].min() >= MIN_DISTANCE
 
 
 def test_arrow_heads_follow_the_scale_when_a_figure_is_drawn_again() -> None:
