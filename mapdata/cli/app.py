@@ -172,7 +172,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         faults = findings.faults
         for fault in faults:
             print(fault)
-        unrepaired = faults
+        unrepaired = list(faults)
         if repair and faults:
             unrepaired = repair_found(findings, progress=True)
             for fault in unrepaired:

@@ -142,7 +142,7 @@ def _strip_brightness(values: Array, maximum: int) -> Bytes:
     # A pixel that is not quite black gets at least 1. Otherwise masks of 0 and 1 in 16 bits would
     # be black everywhere.
     mean[(mean == 0) & (total > 0)] = 1
-    return mean.astype(np.uint8)
+    return np.asarray(mean, np.uint8)
 
 
 def read(

@@ -278,7 +278,7 @@ def to_grid(cells: Int8s, unknown: str | None, label: str) -> Bytes:
 
 def _unknown_cells(cells: Int8s) -> Flags:
     """Return which cells, (H, W), are neither free nor occupied."""
-    return (cells != 0) & (cells != 100)
+    return np.isin(cells, (0, 100), invert=True)
 
 
 def _is_filter_mask(ros_map: RosMap) -> bool:

@@ -107,8 +107,8 @@ def test_the_metrics_by_hand() -> None:
     assert {name: hard[name] for name in expected} == expected
 
 
-def test_another_row_may_be_the_baseline() -> None:
-    """Expansions are over those of the row that is named, problem by problem."""
+def test_another_planner_may_be_the_baseline() -> None:
+    """Expansions are divided by those of the named planner, problem by problem."""
     problems = three()
     halves = Scripted([([], 5), ([], 6), ([], 8)], "halves")
     ones = Scripted([([], 5), ([], 3), ([], 16)], "ones")
@@ -141,7 +141,7 @@ CHEATS: dict[str, list[tuple[float, float]]] = {
 def test_invalid_paths_count_as_failures(
     path: list[tuple[float, float]], movement: Movement
 ) -> None:
-    """Success 0, not optimal, no cost; what was expanded counts."""
+    """They have success 0, are not optimal and have no cost, but their expansions count."""
     problems = three(movement)
     one = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
     found = row(evaluate([Scripted([(path, 1)])], one, bootstrap=5), "scripted", "all")
@@ -154,7 +154,7 @@ def test_invalid_paths_count_as_failures(
 
 
 def test_a_path_of_another_rank_fails() -> None:
-    """What is no list of cells is no path."""
+    """An array that is no list of cells is no path."""
     problems = three()
     for path in (np.array(3), np.zeros((1, 2, 2), np.int64), np.zeros(4, np.int64)):
         planner = Functional(lambda grid, start, goal, path=path: Plan(path, 1))  # type: ignore[misc]
@@ -165,7 +165,9 @@ def test_a_path_of_another_rank_fails() -> None:
     "movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"]
 )
 def test_the_row_of_astar_is_exact(movement: Movement) -> None:
-    """Everything is measured with A*: 1, 1, 1, 1, 0, 0, and so are both ends of its intervals."""
+    """A* is compared with itself, so its metrics and both ends of their intervals are 1, 1, 1, 1,
+    0, 0.
+    """
     table = evaluate(
         classical(movement), ProblemSet.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20
     )
@@ -179,7 +181,7 @@ def test_the_row_of_astar_is_exact(movement: Movement) -> None:
     assert table["success"].eq(1).all()
 
 
-def test_the_table() -> None:
+def test_the_table_has_two_rows_for_each_planner() -> None:
     """Two rows a planner, planners in their order; without plan_batch there is no time in
     batches.
     """
@@ -199,8 +201,8 @@ def test_the_table() -> None:
     assert max(map(len, text.splitlines())) < 130
 
 
-def test_no_hard_problem() -> None:
-    """The row is there, with n = 0 and NaN."""
+def test_a_subset_without_problems_has_nan() -> None:
+    """Its row has n = 0."""
     easy = ProblemSet(
         np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement()
     )
@@ -211,7 +213,7 @@ def test_no_hard_problem() -> None:
     assert plot_planners(table, subset="hard").get_title() == "hard problems: 0"
 
 
-def test_the_interval_is_that_of_a_share() -> None:
+def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
     """
@@ -239,8 +241,10 @@ def test_the_interval_is_that_of_a_share() -> None:
     )
 
 
-def test_what_a_planner_does_to_its_arguments_stays_with_it() -> None:
-    """A planner that paints over its grid hurts nobody else; one that raises is heard."""
+def test_planners_get_their_own_copy_of_a_grid() -> None:
+    """A planner that writes to its grid does not affect others, and an error of a planner is
+    raised.
+    """
 
     def paint(grid: Grid, start: Cell, goal: Cell) -> Plan:
         grid[:] = 0
@@ -258,7 +262,7 @@ def test_what_a_planner_does_to_its_arguments_stays_with_it() -> None:
 
 
 def test_bad_arguments_are_refused() -> None:
-    """No planner, a name twice, no resample, a batch with too few plans."""
+    """Refused are no planner, a name twice, no resample and a batch with too few plans."""
     planners = classical(Movement())
     with pytest.raises(ValueError, match="planners"):
         evaluate([], three())
@@ -285,7 +289,7 @@ def test_bad_arguments_are_refused() -> None:
     [(Movement(8), 0.44, 0.53, 0.827), (Movement(8, corner_cutting=True), 0.38, 0.49, 0.829)],
     ids=["8", "cutting"],
 )
-def test_the_classical_rows_are_where_they_were(
+def test_the_classical_planners_have_their_known_metrics(
     movement: Movement, greedy: float, weighted: float, limit: float
 ) -> None:
     """Hmean on hard problems of "dungeon", as a prototype with another A* order measured it on
@@ -315,7 +319,7 @@ def run(*arguments: str) -> None:
 def test_the_script_writes_a_list_of_rows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """JSON, CSV and figure; the same numbers on a second run; the table in the terminal."""
+    """It writes JSON, CSV and a figure, prints the table, and a second run has the same numbers."""
     outputs = {name: tmp_path / f"out.{name}" for name in ("json", "csv", "png")}
     arguments = [
         "--preset",
@@ -356,7 +360,7 @@ def test_the_script_writes_a_list_of_rows(
 
 
 def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A root in place of preset and seed: one problem on each map of its test split."""
+    """A root replaces preset and seed, and gives one problem on each map of its test split."""
     build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
     run(str(tmp_path / "maps"), "--connectivity", "4", "--json", str(tmp_path / "out.json"))
     rows = json.loads((tmp_path / "out.json").read_text())
@@ -367,7 +371,7 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_the_script_takes_files_of_problems(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A .scen and a saved set, each with its own movement; flags that would do nothing do not."""
+    """A .scen and a saved set keep their own movement, and flags that would do nothing are refused."""
     text = "type octile\nheight 2\nwidth 9\nmap\n.........\n.........\n"
     (tmp_path / "a.map").write_text(text)
     scen = tmp_path / "a.scen"
@@ -406,7 +410,7 @@ def test_the_script_takes_files_of_problems(
 def test_the_script_says_what_is_wrong_in_one_line(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 2 and one line, no traceback."""
+    """The exit code is 2, and there is no traceback."""
     with pytest.raises(SystemExit) as error:
         run(*arguments)
     captured = capsys.readouterr()
@@ -414,8 +418,10 @@ def test_the_script_says_what_is_wrong_in_one_line(
     assert captured.err.startswith("mapdata: ")
 
 
-def test_the_weights_go_by_the_problems(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A set where corners may be cut has rows of the predictor, without the flag."""
+def test_the_script_loads_weights_for_the_movement_of_the_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """If corners may be cut, the predictor for that movement is compared without a flag."""
     cut = ProblemSet.sample(
         MapSpec.preset("dungeon"), 77, maps=4, movement=Movement(8, corner_cutting=True)
     )

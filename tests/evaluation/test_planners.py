@@ -124,8 +124,8 @@ def test_best_first_equals_the_reference(
 
 
 @movements
-def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
-    """With f = g + h the generic search takes the very cells that the format's A* takes."""
+def test_best_first_search_with_weight_one_is_astar(movement: Movement) -> None:
+    """With f = g + h it expands the same cells as the A* of the format."""
     problems = ProblemSet.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
     generic = plan_all(BestFirst("A*", movement, 1), problems)
     own = plan_all(Search("A*", movement, "astar"), problems)
@@ -162,7 +162,7 @@ def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
 
 
 @movements
-def test_the_rows_that_come_along(movement: Movement) -> None:
+def test_classical_planners_solve_problems_alone_and_in_batches(movement: Movement) -> None:
     """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched
     answer the same.
     """
@@ -226,8 +226,8 @@ def test_a_large_grid_works_and_a_too_large_one_is_refused() -> None:
 
 
 @pytest.mark.parametrize("weight", [-1, float("nan"), float("inf")])
-def test_a_weight_is_a_number_from_zero(weight: float) -> None:
-    """Others are refused."""
+def test_weights_below_zero_or_not_finite_are_refused(weight: float) -> None:
+    """The message names the weight."""
     with pytest.raises(ValueError, match="weight"):
         BestFirst("weighted", Movement(), weight)
 
@@ -243,7 +243,9 @@ def test_a_weight_is_a_number_from_zero(weight: float) -> None:
     ],
 )
 def test_bad_problems_are_refused(grid: npt.ArrayLike, start: Cell, goal: Cell, why: str) -> None:
-    """A cell outside or in a wall, other values, another rank: never a crash in a kernel."""
+    """A cell outside the map or in a wall, other grid values and another rank raise an error, and
+    never crash a kernel.
+    """
     for planner in classical():
         with pytest.raises(ValueError, match=why):
             planner.plan(np.array(grid, np.uint8), start, goal)

@@ -126,7 +126,7 @@ def attempt(read: Callable[[], object]) -> None:
 def test_a_changed_file_is_read_or_refused(
     kind: str, changes: list[tuple[int, str, bytes]]
 ) -> None:
-    """A few bytes of a good file are changed."""
+    """A few bytes of a valid file are changed."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for k, (file, data) in enumerate(seed_points()[kind].items()):
@@ -142,7 +142,7 @@ def test_a_changed_file_is_read_or_refused(
 @SETTINGS
 @given(st.binary(max_size=60))
 def test_a_file_of_any_bytes_is_read_or_refused(data: bytes) -> None:
-    """A file of any bytes under every ending, its format recognised or not."""
+    """The file has any bytes and any ending, and its format is recognised or named."""
     with tempfile.TemporaryDirectory() as name:
         for ending in ("png", "jpg", "bmp", "pgm", "npy", "npz", "yaml", "map", "scen", "csv"):
             path = Path(name) / f"a.{ending}"

@@ -87,8 +87,8 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
     }
 
 
-def test_the_content_is_what_it_was(tmp_path: Path) -> None:
-    """A golden hash: draws, labels and layout are the same in every version."""
+def test_the_content_of_an_import_is_the_golden_one(tmp_path: Path) -> None:
+    """Draws, labels and layout are the same in every version."""
     rows, columns = np.indices((9, 33))
     grids = [np.asarray((rows * (k + 3) + columns * 5) % 7 == 0, np.uint8) for k in range(3)]
     (made,) = import_maps(
@@ -100,8 +100,8 @@ def test_the_content_is_what_it_was(tmp_path: Path) -> None:
 GOLDEN = "c59b4fc7739def46dd4178e26c9fb987247ed352c62f6c0f5206307f9ef168e7"
 
 
-def test_small_components_and_given_seeds(tmp_path: Path) -> None:
-    """Given seed points come first; maps with fewer cells have fewer, or are left out."""
+def test_seed_points_of_the_source_come_first(tmp_path: Path) -> None:
+    """Maps with fewer free cells than asked for have fewer seed points, or are left out."""
     two: Bytes = np.array([[0, 0, 1, 0]], np.uint8)
     source = collection(two, np.ones((1, 4), np.uint8), np.array([[0, 1, 0, 1]], np.uint8))
     source.maps.append(ForeignMap("given", two, seed_points=np.array([[0, 3]])))
@@ -121,8 +121,10 @@ def test_small_components_and_given_seeds(tmp_path: Path) -> None:
         ([], "0 rooms"),
     ],
 )
-def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path: Path) -> None:
-    """Seed points that cannot be: the map is left out, with the reason."""
+def test_maps_with_bad_seed_points_are_left_out(
+    seed_points: list[list[int]], why: str, tmp_path: Path
+) -> None:
+    """The reason is noted."""
     grid: Bytes = np.array([[0, 0, 1]], np.uint8)
     bad = ForeignMap(
         "bad", grid, seed_points=np.array(seed_points, np.int64).reshape(-1, 2), rooms_known=True
@@ -133,8 +135,8 @@ def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path
     assert why in source.left_out[0][1]
 
 
-def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
-    """One dataset per size and resolution; a given resolution or tiles join them."""
+def test_each_size_and_resolution_becomes_a_dataset(tmp_path: Path) -> None:
+    """With a given resolution or tiles the maps form one dataset."""
     source = collection(*random_grids(2, 8, 8), *random_grids(1, 16, 9))
     source.maps.append(ForeignMap("fine", random_grids(1, 8, 8)[0], resolution=0.05))
     made = import_maps(tmp_path / "a", source)
@@ -151,8 +153,8 @@ def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
         import_maps(tmp_path / "d", source, tile=(0, 8))
 
 
-def test_the_same_import_goes_on(tmp_path: Path) -> None:
-    """A second import changes nothing; what is lost is made again; another import is refused."""
+def test_an_import_can_be_completed(tmp_path: Path) -> None:
+    """A second import changes nothing and writes lost shards again; another import is refused."""
     grids = random_grids(5)
     (made,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
     before = {
@@ -180,7 +182,7 @@ def test_the_same_import_goes_on(tmp_path: Path) -> None:
 
 
 def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While one writes, another one is refused on one line, and takes nothing away."""
+    """While an import writes, another one is refused in one line and removes no file."""
     begun, go_on = threading.Event(), threading.Event()
 
     def slow_label(maps: Maps) -> Labels:
@@ -205,7 +207,7 @@ def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_imports_sweep(tmp_path: Path) -> None:
-    """What an import that was killed left is gone after the next one."""
+    """Temporary files of a killed import are removed by the next one."""
     import_maps(tmp_path, collection(*random_grids(5)), shard_size=2)
     for name in (MANIFEST, PROVENANCE, "maps-000000000000-000000000002.h5"):
         (tmp_path / f".{name}.1234.tmp").touch()
@@ -215,13 +217,15 @@ def test_imports_sweep(tmp_path: Path) -> None:
 
 
 def test_an_import_into_a_url_is_refused() -> None:
-    """Before anything is written."""
+    """It is refused before anything is written."""
     with pytest.raises(ValueError, match="root: http://host/maps is a URL"):
         import_maps("http://host/maps", collection(*random_grids(5)))
 
 
 def test_an_import_follows_no_link_out_of_the_root(tmp_path: Path) -> None:
-    """A shard that leads elsewhere is refused by name; what it leads to stays."""
+    """A shard that is a link to another folder is refused by name, and the target of the link
+    stays.
+    """
     root = tmp_path / "maps"
     import_maps(root, collection(*random_grids(5)), shard_size=2)
     shard = root / "maps-000000000002-000000000004.h5"
@@ -232,8 +236,8 @@ def test_an_import_follows_no_link_out_of_the_root(tmp_path: Path) -> None:
     assert (tmp_path / shard.name).is_file()
 
 
-def test_a_strange_root_is_refused(tmp_path: Path) -> None:
-    """A folder with something else, a file: refused before anything is written."""
+def test_a_root_with_other_files_is_refused(tmp_path: Path) -> None:
+    """A folder with other files, or a file, is refused before anything is written."""
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("x")
     for root in (tmp_path / "mine", tmp_path / "mine" / "thesis.tex"):
@@ -255,8 +259,10 @@ def test_a_strange_root_is_refused(tmp_path: Path) -> None:
         {"resolution": float("nan")},
     ],
 )
-def test_bad_arguments(options: dict[str, object], tmp_path: Path) -> None:
-    """Each is named, and nothing is written."""
+def test_bad_arguments_are_named_before_anything_is_written(
+    options: dict[str, object], tmp_path: Path
+) -> None:
+    """The error names the argument, and the root is not created."""
     with pytest.raises(ValueError, match=next(iter(options))):
         import_maps(tmp_path / "out", collection(*random_grids(1)), **options)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no map to import"):
@@ -264,8 +270,8 @@ def test_bad_arguments(options: dict[str, object], tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_resolutions_of_maps(tmp_path: Path) -> None:
-    """What is none leaves its map out, by name; numpy's numbers are numbers."""
+def test_a_map_with_a_bad_resolution_is_left_out(tmp_path: Path) -> None:
+    """It is left out by name; numbers of numpy are accepted."""
     values: list[Any] = [-1, float("nan"), "0.1", np.float32(0.25), np.int64(1)]
     grids = random_grids(len(values))
     maps = [
@@ -280,8 +286,8 @@ def test_resolutions_of_maps(tmp_path: Path) -> None:
     assert one.manifest.resolution == 0.5
 
 
-def test_numbers_of_the_source(tmp_path: Path) -> None:
-    """Numbers 0 to N - 1 give the order; others are dropped, and that is told."""
+def test_numbers_of_the_source_give_the_order_of_the_maps(tmp_path: Path) -> None:
+    """This holds for the numbers 0 to N - 1; other numbers are dropped with a note."""
     grids = random_grids(3)
     source = Collection([ForeignMap("x", grid, number=2 - k) for k, grid in enumerate(grids)])
     (made,) = import_maps(tmp_path / "a", source)
@@ -293,7 +299,9 @@ def test_numbers_of_the_source(tmp_path: Path) -> None:
 
 
 def test_maps_are_kept_as_bits() -> None:
-    """100,000 maps of 512 x 512 cells take 3.3 GB, not 26; what is not a grid is refused."""
+    """100,000 maps of 512 x 512 cells take 3.3 GB instead of 26; arrays that are no grid are
+    refused.
+    """
     grid = random_grids(1, 5, 13)[0]
     one = ForeignMap("x", grid)
     assert one.grid.tolist() == grid.tolist()
@@ -305,8 +313,8 @@ def test_maps_are_kept_as_bits() -> None:
 
 
 @pytest.mark.parametrize("split", [3, -1, "train", 1.7])
-def test_a_split_that_is_none_is_refused(split: object) -> None:
-    """A dataset with it could not be read."""
+def test_an_unknown_split_is_refused(split: object) -> None:
+    """A dataset with an unknown code of a split could not be read."""
     with pytest.raises(ValueError, match=f"split: x: got {split!r}, expected 0, 1, 2 or None"):
         ForeignMap("x", np.zeros((3, 3), np.uint8), split=split)  # type: ignore[arg-type]
 
@@ -332,8 +340,8 @@ def test_a_repaired_manifest_is_that_of_the_import(
     import_maps(tmp_path / "out", collection(*grids), seed_points=2)
 
 
-def test_an_import_that_has_not_begun_is_refused_as_such(tmp_path: Path) -> None:
-    """As such a build is, by the dataset, by problems and by figures."""
+def test_readers_refuse_an_import_without_shards(tmp_path: Path) -> None:
+    """The dataset, problems and figures refuse it, as they refuse a build that has not begun."""
     (made,) = import_maps(tmp_path / "out", collection(*random_grids(5)), shard_size=2)
     (made.root / MANIFEST).write_text(replace(made.manifest, shards=()).to_json())
     says = r"holds none of its 5 maps yet: no shard is finished\. .*run the command that makes it"

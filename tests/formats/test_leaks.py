@@ -34,7 +34,9 @@ def kept(root: Path) -> dict[str, list[bytes]]:
 
 
 @pytest.mark.parametrize("shape", [(12, 12), (9, 14)])
-def test_counted_and_dropped(shape: tuple[int, int], tmp_path: Path) -> None:
+def test_copies_in_two_splits_are_counted_and_dropped(
+    shape: tuple[int, int], tmp_path: Path
+) -> None:
     """One exact copy and one mirrored in test, one mirrored in val; a repetition inside a split
     is none. What is dropped stands in an earlier split; the test split stays whole.
     """
@@ -70,8 +72,8 @@ def test_counted_and_dropped(shape: tuple[int, int], tmp_path: Path) -> None:
     }
 
 
-def test_only_squares_are_transposed(tmp_path: Path) -> None:
-    """A transposed square is the same map, a transposed rectangle another one of another size."""
+def test_only_square_maps_have_transposed_copies(tmp_path: Path) -> None:
+    """A transposed square is a copy; a transposed rectangle has another size and is another map."""
     square = random_grids(1, 12, 12)[0]
     source = collection((TRAIN, square), (TEST, square.T))
     import_maps(tmp_path / "square", source)
@@ -109,10 +111,10 @@ def test_distinct_maps_are_counted_in_each_split(
         assert verify(root) == []
 
 
-def test_info_of_an_import_says_what_no_recipe_says(
+def test_info_of_an_import_shows_splits_movement_and_source(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Splits, movement, free cells, source and format; a single map has no copies to speak of."""
+    """It also shows the share of free cells; for a single map it counts no copies."""
     np.save(tmp_path / "plan.npy", np.eye(4, dtype=np.uint8))
     _, imported, _ = cli(capsys, "import", tmp_path / "plan.npy", tmp_path / "out")
     assert "two splits" not in imported
@@ -137,7 +139,9 @@ def test_info_of_an_import_says_what_no_recipe_says(
 
 
 def test_drawn_splits_are_kept(tmp_path: Path) -> None:
-    """Equal maps without splits fall into two; what is left after dropping stays where it was."""
+    """Equal maps without splits are drawn into two splits, and the maps that are not dropped keep
+    theirs.
+    """
     a, b = random_grids(2, 12, 12)
     source = collection(*[(None, one) for _ in range(40) for one in (a, b)])
     (made,) = import_maps(tmp_path / "all", source)
@@ -148,8 +152,10 @@ def test_drawn_splits_are_kept(tmp_path: Path) -> None:
     assert after == {"train": [], "val": [], "test": before["test"]}
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One line says it, and a flag drops them."""
+def test_the_command_reports_copies_and_a_flag_drops_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The report is one line."""
     grids = random_grids(3, 12, 12)
     for split in ("train", "test"):
         (tmp_path / "in" / split).mkdir(parents=True)

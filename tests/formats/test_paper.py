@@ -49,7 +49,7 @@ def release(root: Path, tmp_path: Path) -> Path:
 @settings(SETTINGS, max_examples=12)
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
 def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
-    """For any spec the content hash comes back, so every label does, and nothing disagrees."""
+    """For any generator the content hash comes back, so all labels do, and no label disagrees."""
     with tempfile.TemporaryDirectory() as folder:
         before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
         export(Path(folder, "a"), Path(folder, "b"), "paper")
@@ -62,7 +62,7 @@ def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
 
 
 def test_what_is_written(root: Path, release: Path) -> None:
-    """1-bit pictures, black where free; a line holds what the shard holds; joints stand once."""
+    """Pictures have 1 bit a pixel and black free cells, and a line holds the labels of the shard."""
     rows = rows_of(release)
     labels = read_shard(root / read_manifest(root).shards[0].name)
     picture = Image.open(release / "images" / "map7.png")
@@ -88,7 +88,9 @@ def test_what_is_written(root: Path, release: Path) -> None:
 
 
 def test_routes_are_joined_without_repeating_cells() -> None:
-    """A joint stands once, also of two seed points on one cell; a missing segment has none."""
+    """The cell where two segments meet is written once, also if two seed points share a cell; a
+    missing segment has no cells.
+    """
     one = np.array([[0, 0], [0, 1]])
     other = np.array([[0, 1], [1, 1]])
     stay = np.array([[0, 1]])
@@ -100,8 +102,8 @@ def test_routes_are_joined_without_repeating_cells() -> None:
 
 
 def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
-    """Each segment without a path is marked, and between the marks every cell is beside the next;
-    the pieces are those of the route.
+    """Between the gaps consecutive cells are neighbours, and the pieces are the segments of the
+    route.
     """
     one = np.array([[0, 0], [0, 1]])
     none = np.empty((0, 2), np.int64)
@@ -124,7 +126,7 @@ def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
 
 
 def test_iterations_are_those_of_the_map(release: Path) -> None:
-    """One number a map as in Figure 3, and one a segment."""
+    """There is a number for the map as in Figure 3, and a number for each segment."""
     for row in rows_of(release):
         for search in ("bfs", "astar"):
             segments = parse_numbers(row[f"{search}_segment_iterations"])
@@ -132,7 +134,7 @@ def test_iterations_are_those_of_the_map(release: Path) -> None:
 
 
 def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Path) -> None:
-    """They have fewer labels, and iterations of segments under the names of the map's."""
+    """They have fewer labels, and name the iterations of segments as those of the map."""
     rows = rows_of(release)
     for row in rows:
         row["path_exists"] = row.pop("reachable")
@@ -149,7 +151,9 @@ def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Pat
 def test_disagreements_are_counted(
     release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Wrong iterations on two maps and a wrong matrix on one: told, and our labels stand."""
+    """Wrong iterations on two maps and a wrong matrix on one are reported, and our labels are
+    stored.
+    """
     rows = rows_of(release)
     for k in (3, 4):
         rows[k]["bfs_iterations"] = "1" + rows[k]["bfs_iterations"]
@@ -168,7 +172,7 @@ def test_disagreements_are_counted(
 
 
 def test_labels_are_optional(release: Path, tmp_path: Path) -> None:
-    """Without any column of labels the maps are the same, and nothing is compared."""
+    """Without columns of labels the maps are the same, and nothing is compared."""
     before = read(release)
     rows = [{name: row[name] for name in PARAMETERS} for row in rows_of(release)]
     write_rows(release, rows)
@@ -205,7 +209,7 @@ BAD_CELLS = {
 
 @pytest.mark.parametrize("name", BAD_CELLS)
 def test_a_bad_line_is_left_out(name: str, release: Path, tmp_path: Path) -> None:
-    """One map less, with the reason; the others are imported."""
+    """The reason is noted, and the other maps are imported."""
     column, text, says = BAD_CELLS[name]
     rows = rows_of(release)
     rows[8][column] = text
@@ -220,7 +224,7 @@ def test_a_bad_line_is_left_out(name: str, release: Path, tmp_path: Path) -> Non
 
 
 def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
-    """A bomb, a lie and a stub among the pictures."""
+    """They are a decompression bomb, a picture with a wrong size and a truncated picture."""
     (release / "images" / "map0.png").write_bytes(png(20000, 20000))
     (release / "images" / "map1.png").write_bytes(png(20, 70, b"x"))
     (release / "images" / "map2.png").write_bytes(b"\x89PNG\r\n\x1a\n")
@@ -249,8 +253,8 @@ HEADER = ",".join(PARAMETERS)
     ],
 )
 def test_other_tables_are_refused(text: str, says: str, tmp_path: Path) -> None:
-    """Other columns, an open quote, no UTF-8, ragged lines: refused in one line, which names the
-    columns that are missing.
+    """Tables with other columns, an open quote, no UTF-8 or ragged lines are refused in one line,
+    which names missing columns.
     """
     (tmp_path / "maps.csv").write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(FormatError, match=says) as caught:
@@ -258,8 +262,8 @@ def test_other_tables_are_refused(text: str, says: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_limits(release: Path) -> None:
-    """A CSV larger than the limit is not read; two CSVs are one too many; two movements too."""
+def test_large_and_ambiguous_sources_are_refused(release: Path) -> None:
+    """They are a CSV larger than the limit, two CSVs in a folder, and two movements in a CSV."""
     with pytest.raises(FormatError, match="expected at most 100"):
         read(release, Limits(unpacked=100))
     rows = rows_of(release)
@@ -278,8 +282,8 @@ def test_limits(release: Path) -> None:
 
 @SETTINGS
 @given(st.text(max_size=30) | st.text("[],.-+0123456789e ", max_size=30))
-def test_cells_never_crash(text: str) -> None:
-    """Any text is a list of whole numbers or a FormatError."""
+def test_any_cell_is_parsed_or_refused(text: str) -> None:
+    """Any text is a list of whole numbers or raises a FormatError."""
     try:
         values = parse_numbers(text)
     except FormatError:
@@ -288,8 +292,10 @@ def test_cells_never_crash(text: str) -> None:
     assert values.ndim == 1
 
 
-def test_what_was_taken_for_free_is_told(release: Path) -> None:
-    """Dark pixels, in the paper; inverted pictures have a free border, and that is told too."""
+def test_a_note_says_which_cells_are_free(release: Path) -> None:
+    """In the paper's pictures dark pixels are free; a free border of inverted pictures is noted,
+    too.
+    """
     found = read(release)
     share = 1 - np.mean([one.grid.mean() for one in found.maps])
     (note,) = found.notes
@@ -300,8 +306,8 @@ def test_what_was_taken_for_free_is_told(release: Path) -> None:
     assert any("border of 24 of 24 maps is mostly free" in note for note in read(release).notes)
 
 
-def test_some_free_borders_are_no_mistake(tmp_path: Path) -> None:
-    """Rooms of the default maps reach the border: a fifth of the borders are mostly free."""
+def test_some_free_borders_give_no_note(tmp_path: Path) -> None:
+    """Rooms of the default maps reach the border, so a fifth of the borders are mostly free."""
     build(tmp_path / "root", MapSpec(), maps=100, seed=0, progress=False)
     export(tmp_path / "root", tmp_path / "release", "paper")
     found = read(tmp_path / "release")

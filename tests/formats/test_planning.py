@@ -62,7 +62,9 @@ class Loader:
 
 
 def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
-    """Starts of every interval on every map: a path has as many cells as its distance says."""
+    """On every map the loader draws starts of every interval, and its path has as many cells as the
+    distance says.
+    """
     export(root, tmp_path / "maps.npz", "planning-datasets")
     assert recognise(tmp_path / "maps.npz") == "planning-datasets"
     random = np.random.default_rng(0)
@@ -82,7 +84,7 @@ def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Grids, splits and goals come back; distances are ours; equal content, equal bytes."""
+    """Grids, splits and goals come back, distances equal ours, and equal datasets give equal files."""
     for name in ("a.npz", "b.npz"):
         assert cli(capsys, "export", root, tmp_path / name, "--format", "planning-datasets")[0] == 0
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -105,8 +107,10 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert sorted(map(key, after.split, after.seed_points[:, 0], after.occupancy)) == sorted(before)
 
 
-def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
-    """Of each map of the test split one from each interval of the loader, to the file's goal."""
+def test_problems_are_one_start_of_each_interval_on_each_test_map(
+    root: Path, tmp_path: Path
+) -> None:
+    """The goals are those of the file."""
     path = tmp_path / "maps.npz"
     export(root, path, "planning-datasets")
     loader = Loader(path, "test")
@@ -132,8 +136,8 @@ def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
             read_problems(path, seed=seed)
 
 
-def test_every_start_of_an_interval_comes(tmp_path: Path) -> None:
-    """Uniformly: on a free map, over 300 seeds, each of the cells of the farthest interval."""
+def test_starts_are_uniform_over_the_cells_of_an_interval(tmp_path: Path) -> None:
+    """On a free map, 300 seeds draw every cell of the farthest interval."""
     np.savez(tmp_path / "maps.npz", **sound(1, 8, 8))  # type: ignore[arg-type]
     starts = [read_problems(tmp_path / "maps.npz", seed=seed).starts[2] for seed in range(300)]
     cells, times = np.unique(starts, axis=0, return_counts=True)
@@ -144,7 +148,9 @@ def test_every_start_of_an_interval_comes(tmp_path: Path) -> None:
 @SETTINGS
 @given(GRIDS, st.data())
 def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) -> None:
-    """Hops with corners cut, negative; the policy goes one hop nearer."""
+    """Distances are minus scipy's number of moves, and each action leads one move nearer to the
+    goal.
+    """
     free = np.argwhere(grid == 0).tolist()
     if not free:
         return
@@ -161,7 +167,7 @@ def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) ->
 
 
 def test_maps_without_starts_are_left_out() -> None:
-    """Two cells: the loader would fail; one: its start would be the goal."""
+    """On two free cells the loader would fail, and on one free cell the start would be the goal."""
     assert not start_candidates(negative_distances(np.array([[0, 1, 1]], np.uint8), (0, 0)))
     assert not start_candidates(negative_distances(np.array([[0, 0, 1]], np.uint8), (0, 0)))
     assert start_candidates(negative_distances(np.zeros((8, 8), np.uint8), (0, 0)))
@@ -181,8 +187,10 @@ def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDAr
     return arrays
 
 
-def test_files_in_the_wild(tmp_path: Path) -> None:
-    """float64 as published; wrong distances are counted, bad goals left out; one split will do."""
+def test_published_files_are_read(tmp_path: Path) -> None:
+    """Arrays are float64, wrong distances are counted, maps with bad goals are left out, and a
+    split may be missing.
+    """
     arrays = sound()
     arrays["arr_0"][0, 3, 3] = 0
     arrays["arr_3"][0, 0, 3, 3] = -16
@@ -202,10 +210,10 @@ def test_files_in_the_wild(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("movement", [None, Movement(8)])
-def test_other_peoples_mazes_feed_training_and_evaluation(
+def test_published_mazes_serve_training_and_evaluation(
     movement: Movement | None, tmp_path: Path
 ) -> None:
-    """From the .npz to batches of every split, and to a table in which A* is optimal."""
+    """An imported .npz gives batches of every split, and a table in which A* is optimal."""
     arrays = sound(12, 9, 9)
     for code in range(3):
         arrays[f"arr_{4 * code}"][:, 1::2, ::2] = (
@@ -234,8 +242,8 @@ def test_other_peoples_mazes_feed_training_and_evaluation(
     assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
 
 
-def test_a_folder_of_environments(tmp_path: Path) -> None:
-    """All .npz below a folder are one dataset; what is no such file is left out with its reason."""
+def test_all_files_below_a_folder_become_one_dataset(tmp_path: Path) -> None:
+    """Files of another layout are left out with a reason."""
     arrays = sound()
     for name in ("forest", "mazes"):
         np.savez(tmp_path / f"{name}.npz", **arrays)  # type: ignore[arg-type]
@@ -282,7 +290,7 @@ def manhattan(grid: Bytes, goal: tuple[int, int]) -> npt.NDArray[np.float64]:
 def test_policies_of_four_actions_have_no_diagonals(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Maps, distances and problems follow that rule; a flag says another one."""
+    """Maps, distances and problems are 4-connected, unless a flag asks for another movement."""
     path = tmp_path / "news.npz"
     np.savez(path, **four_actions(2, 6, 7))  # type: ignore[arg-type]
     found = read(path)
@@ -299,7 +307,7 @@ def test_policies_of_four_actions_have_no_diagonals(
 
 
 def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> None:
-    """A dataset has one rule: that of the first file."""
+    """A dataset has the movement of its first file, and files of the other movement are left out."""
     np.savez(tmp_path / "a.npz", **sound(2, 6, 7))  # type: ignore[arg-type]
     np.savez(tmp_path / "b.npz", **four_actions(2, 6, 7))  # type: ignore[arg-type]
     found = read(tmp_path)
@@ -313,7 +321,7 @@ def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> Non
 
 
 def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
-    """Files of five arrays a split, as iA* publishes them, give the maps of the other four."""
+    """Files of five arrays a split, as iA* publishes them, give the maps of the first four arrays."""
     arrays = sound(3, 5, 6)
     fields: dict[str, npt.NDArray[np.generic]] = {}
     for code in range(3):
@@ -342,8 +350,8 @@ def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
         read(tmp_path / "bad.npz")
 
 
-def test_other_layouts_are_refused_by_name(tmp_path: Path) -> None:
-    """Three arrays a split, orientations, other numbers of actions."""
+def test_other_layouts_are_refused_with_the_name_of_the_array(tmp_path: Path) -> None:
+    """The layouts are three arrays a split, orientations, and other numbers of actions."""
     arrays = sound(2, 5, 6)
     three = [arrays[f"arr_{4 * code + k}"] for code in range(3) for k in range(3)]
     np.savez(tmp_path / "three.npz", *three)
@@ -362,7 +370,7 @@ def test_other_layouts_are_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_damaged_file_gives_no_map(tmp_path: Path) -> None:
-    """The last number of the last array is looked at before the first map is taken."""
+    """The whole file is checked, up to the last number of the last array, before a map is used."""
     np.savez(tmp_path / "good.npz", **sound())  # type: ignore[arg-type]
     arrays = sound()
     arrays["arr_8"][-1, -1, -1] = 2
@@ -374,8 +382,8 @@ def test_a_damaged_file_gives_no_map(tmp_path: Path) -> None:
     ]
 
 
-def test_distances_to_another_cell_are_told(tmp_path: Path) -> None:
-    """As in a published file, whose goals and distances are of two splits."""
+def test_a_note_counts_distances_to_another_cell_than_the_goal(tmp_path: Path) -> None:
+    """In a published file goals and distances are of two different splits."""
     arrays = sound()
     arrays["arr_3"] = arrays["arr_3"][..., ::-1]
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
@@ -388,7 +396,7 @@ def test_distances_to_another_cell_are_told(tmp_path: Path) -> None:
 
 
 def test_many_bad_goals_are_one_line(tmp_path: Path) -> None:
-    """However many maps of a split have one."""
+    """The maps of a split with a bad goal are left out in one line, however many there are."""
     arrays = sound(5)
     arrays["arr_1"][1:4] = 0
     arrays["arr_5"][2] = 1
@@ -401,8 +409,10 @@ def test_many_bad_goals_are_one_line(tmp_path: Path) -> None:
     ]
 
 
-def test_export_refuses(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Another ending, an existing target, an unknown format's option: nothing is written."""
+def test_a_refused_export_writes_nothing(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Refused are another ending, an existing target and an option of another format."""
     for arguments in (
         (tmp_path / "x", "--format", "planning-datasets"),
         (tmp_path / "x.npz", "--format", "planning-datasets", "--ros.image", "png"),
@@ -483,8 +493,10 @@ def archives(folder: Path) -> dict[str, tuple[Path, str]]:
     }
 
 
-def test_hostile_archives(tmp_path: Path) -> None:
-    """Each is one line and little memory: sizes are read before anything is unpacked."""
+def test_hostile_archives_are_refused_without_unpacking(tmp_path: Path) -> None:
+    """Each is refused in one line and with little memory, since sizes are read before arrays are
+    unpacked.
+    """
     cases = archives(tmp_path)
     tracemalloc.start()
     for name, (path, says) in cases.items():
@@ -497,7 +509,7 @@ def test_hostile_archives(tmp_path: Path) -> None:
 
 
 def test_a_bad_number_far_inside_takes_no_memory(tmp_path: Path) -> None:
-    """Maps are unpacked one at a time, and none is kept before all are sound."""
+    """Maps are unpacked one at a time, and none is kept before all are checked."""
     maps = np.zeros((1024, 64, 64), np.uint8)
     maps[-1, -1, -1] = 2
     goals = npy((1024, 1, 64, 64), bytes(maps.size))

@@ -76,7 +76,7 @@ def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
 @pytest.mark.parametrize(
     "spec", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"]
 )
-def test_all_figures_are_tidy_and_the_same_again(tmp_path: Path, spec: MapSpec) -> None:
+def test_all_figures_are_tidy_and_reproducible(tmp_path: Path, spec: MapSpec) -> None:
     """All figures are tidy and the same again."""
     root = build_small(tmp_path / "d", spec)
     for kind in FIGURES:
@@ -103,10 +103,8 @@ def test_imported_maps_are_drawn_without_rooms(tmp_path: Path) -> None:
     ]
 
 
-def test_maps_with_equally_many_seed_points(tmp_path: Path) -> None:
-    """The gallery goes from easy to hard, each map once; the only number of seed points is the only
-    tick.
-    """
+def test_the_gallery_of_equally_many_seed_points_goes_from_easy_to_hard(tmp_path: Path) -> None:
+    """Each map is shown once, and the only number of seed points is the only tick."""
     grids = generate(MapSpec.preset("dungeon"), 5, range(40)).occupancy
     import_maps(
         tmp_path / "d",
@@ -146,7 +144,7 @@ def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, k
         (["-o", "map.xyz"], "xyz"),
     ],
 )
-def test_command_refuses(
+def test_the_command_refuses_wrong_usage(
     small: DatasetStatistics,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],

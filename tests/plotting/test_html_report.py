@@ -24,7 +24,7 @@ from mapdata.cli import main
 from mapdata.describe import dataset_statistics
 from mapdata.limits import SPLITS
 from mapdata.plotting import report
-from mapdata.plotting.html_report import _pack
+from mapdata.plotting.html_report import _compressed_maps
 from mapdata.shards import Root, read_manifest
 
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")
@@ -173,7 +173,7 @@ def test_a_click_shows_what_is_stored(page: Browser, root: Path) -> None:
 
 
 @needs_chromium
-def test_filters_leave_what_they_say(page: Browser, root: Path) -> None:
+def test_filters_leave_the_maps_that_match(page: Browser, root: Path) -> None:
     """Filters leave what they say."""
     of = dataset_statistics(root)
     for code, split in enumerate(SPLITS):
@@ -243,7 +243,7 @@ def test_the_keyboard_is_enough(page: Browser) -> None:
 
 
 @needs_chromium
-def test_everything_to_operate_has_a_name(page: Browser) -> None:
+def test_every_control_has_a_name(page: Browser) -> None:
     """Everything to operate has a name."""
     unnamed = """[...document.querySelectorAll("input, select, button, [role=img], [role=region], table")].filter(
         (one) => !(one.labels && one.labels.length && one.labels[0].textContent.trim())
@@ -278,7 +278,7 @@ def test_text_from_files_stays_text(browser: Browser, tmp_path: Path) -> None:
 
 @needs_chromium
 def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
-    """Under 300 kB, with a sample of the maps."""
+    """It is below 300 kB, with a sample of the maps."""
     build(tmp_path / "d", MapSpec(), maps=1200, workers=1)
     path = tmp_path / "report.html"
     main(["report", str(tmp_path / "d"), "-o", str(path)])
@@ -293,7 +293,7 @@ def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
     assert browser.run("path('astar', 321, 0)") == labels.segment("astar", i, 0).tolist()
 
 
-def test_the_page_is_self_contained_and_the_same_again(root: Path) -> None:
+def test_the_page_is_self_contained_and_reproducible(root: Path) -> None:
     """The page is self contained and the same again."""
     text = report(root)
     assert text == report(root)
@@ -304,18 +304,21 @@ def test_the_page_is_self_contained_and_the_same_again(root: Path) -> None:
 
 
 def test_several_resolutions_are_all_named(tmp_path: Path) -> None:
-    """Of two datasets side by side."""
+    """The report is of two datasets with different resolutions."""
     for name, resolution in (("a", 0.1), ("b", 0.05), ("c", 0.1)):
         build(tmp_path / name, MapSpec(resolution=resolution), maps=3)
     pages = [
-        _pack(dataset_statistics([tmp_path / "a", tmp_path / name]), np.array([0])) for name in "bc"
+        _compressed_maps(dataset_statistics([tmp_path / "a", tmp_path / name]), np.array([0]))
+        for name in "bc"
     ]
     found = [json.loads(zlib.decompress(page))["resolution"] for page in pages]
     assert found == ["0.05/0.1", "0.1"]
 
 
-def test_the_policy_names_the_script_and_the_style(root: Path) -> None:
-    """By their hashes as browsers compute them: after a change of either, its hash is another."""
+def test_the_security_policy_has_the_hashes_of_script_and_style(root: Path) -> None:
+    """The hashes are those that browsers compute; after a change of the script or style the policy
+    must be updated.
+    """
     page = report(root)
     for tag in ("script", "style"):
         (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
@@ -336,8 +339,10 @@ def test_command_refuses_no_maps(root: Path, capsys: pytest.CaptureFixture[str])
     assert "maps: got 0, expected an integer of at least 1" in capsys.readouterr().err
 
 
-def test_charts_say_in_words_what_they_show(root: Path) -> None:
-    """One picture a distribution, the same words beside it and in place of it."""
+def test_charts_have_a_text_of_their_statistics(root: Path) -> None:
+    """Each distribution has a picture, and the same text as its caption and as its alternative
+    text.
+    """
     figures = re.findall(
         r'<figure><img src="[^"]*" alt="([^"]*)"><figcaption>([^<]*)</figcaption>', report(root)
     )

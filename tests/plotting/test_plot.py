@@ -78,7 +78,7 @@ def test_own_figures_are_tidy(rooms: int) -> None:
         assert_tidy(figure_of(axes))
 
 
-def test_grid_is_white_where_free_and_the_other_way_round_on_request() -> None:
+def test_free_cells_are_white_or_in_the_papers_colours_black() -> None:
     """Grid is white where free and the other way round on request."""
     grid = np.array([[0, 1], [1, 1]])
     for paper, free, occupied in ((False, 1.0, 0.2), (True, 0.0, 1.0)):
@@ -112,7 +112,7 @@ def test_path_shows_each_segment_with_its_iterations() -> None:
         assert any("no path" in text for text in expected)
 
 
-def test_path_of_many_rooms_lists_some() -> None:
+def test_the_legend_of_many_segments_names_the_first_16() -> None:
     """Path of many rooms lists some."""
     labels = some(MapSpec((64, 64), (40, 40), (3, 5), (3, 5), (1, 2)), 1)
     legend = plot_path(labels, 0).get_legend()
@@ -122,7 +122,7 @@ def test_path_of_many_rooms_lists_some() -> None:
 
 
 def test_routes_lie_side_by_side_and_show_their_direction() -> None:
-    """The lines of both searches are parted by some points, and each arrow head points the way."""
+    """The lines of both searches are some points apart, and each arrow head points to the goal."""
     labels = some(MapSpec(), 1)
     axes = plot_map(labels, 0)
     figure_of(axes).draw_without_rendering()
@@ -152,7 +152,7 @@ def test_routes_lie_side_by_side_and_show_their_direction() -> None:
 
 
 def test_start_and_goal_have_different_shapes() -> None:
-    """They can be told apart in print, too."""
+    """So they differ in black and white, too."""
     axes = plot_grid(np.zeros((9, 9)))
     for text in ("S", "G", "1"):
         mark(axes, text, 4, 4)
@@ -161,8 +161,8 @@ def test_start_and_goal_have_different_shapes() -> None:
     assert start == room != goal
 
 
-def test_the_style_is_that_of_new_figures_alone() -> None:
-    """Our own figures have it, axes of the user and the user's settings are left alone."""
+def test_the_style_applies_to_new_figures_only() -> None:
+    """Axes of the user and the user's settings do not change."""
     before = dict(mpl.rcParams)
     assert set(STYLE) <= set(before)
     ours = plot_grid(np.zeros((9, 9)))
@@ -201,7 +201,9 @@ def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) 
 
 
 def test_equal_matrices_are_drawn_once(tmp_path: Path) -> None:
-    """Both searches agree on each cost where all moves cost 1; with diagonals BFS counts moves."""
+    """Both searches agree on all costs if all moves cost 1; with costlier diagonals BFS counts
+    moves.
+    """
     for spec, names in ((SPEC, ["BFS and A*"]), (WIDE, ["BFS", "A*"])):
         figure = plot_figure(build_small(tmp_path / str(len(names)), spec), "matrix", index=7)
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
