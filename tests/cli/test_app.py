@@ -593,7 +593,9 @@ def test_bad_recipe_files_are_refused_in_one_line(
 def test_a_root_with_another_dataset_is_refused(
     says: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """Both values of the difference are named, the exit code is 2, and the dataset does not change."""
+    """Both values of the difference are named, the exit code is 2, and the dataset does
+    not change.
+    """
     before = stamps(dataset)
     other = spec_file(tmp_path, skip_probability=0.2)
     only = "with skip_probability 0.3, asked for skip_probability 0.2$"

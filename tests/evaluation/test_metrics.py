@@ -371,7 +371,9 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_the_script_takes_files_of_problems(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A .scen and a saved set keep their own movement, and flags that would do nothing are refused."""
+    """A .scen and a saved set keep their own movement, and flags that would do nothing
+    are refused.
+    """
     text = "type octile\nheight 2\nwidth 9\nmap\n.........\n.........\n"
     (tmp_path / "a.map").write_text(text)
     scen = tmp_path / "a.scen"

@@ -284,7 +284,9 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
 def test_decompression_bombs_take_no_memory(tmp_path: Path) -> None:
-    """Bombs of 88 and 400 megapixels and of 128 MiB are refused with less than 50 MB more memory."""
+    """Bombs of 88 and 400 megapixels and of 128 MiB are refused with less than 50 MB
+    more memory.
+    """
     import subprocess
     import zipfile
 
@@ -465,7 +467,9 @@ def test_unknown_cells_are_replaced_before_pictures_are_scaled(tmp_path: Path) -
 
 
 def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
-    """At the edges of lines 205 is one of many greys; pictures of 0 and 254 only are read as well."""
+    """At the edges of lines 205 is one of many greys; pictures of 0 and 254 only are
+    read as well.
+    """
     pixels = np.full((16, 16), 255, np.uint8)
     pixels[4] = np.arange(0, 256, 16)
     pixels[5, :2] = 205

@@ -76,7 +76,9 @@ def test_variants_of_published_maps_are_read(text: str, tmp_path: Path) -> None:
 
 
 def test_damage_after_an_empty_line_is_refused(tmp_path: Path) -> None:
-    """Words right after an empty line are a citation, which ends the file; later words are damage."""
+    """Words right after an empty line are a citation, which ends the file; later words
+    are damage.
+    """
     path = files(tmp_path)
     head, problem = path.read_text().splitlines()[:2]
     path.write_text(f"{head}\n{problem}\n\nPlease cite us.\n")
@@ -149,7 +151,9 @@ def test_equal_numbers_of_decimals_are_fixed_decimals(tmp_path: Path) -> None:
 
 
 def test_long_lengths_agree_with_an_approximate_root() -> None:
-    """A length has 1,500 cells and 600 diagonals, with the benchmark's nine decimals of the root."""
+    """A length has 1,500 cells and 600 diagonals, with the benchmark's nine decimals of
+    the root.
+    """
     for straight, diagonal in ((687, 600), (1, 1023), (1500, 1)):
         exact = straight + diagonal * math.sqrt(2)
         theirs = straight + diagonal * 1.414213562

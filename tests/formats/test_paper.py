@@ -62,7 +62,9 @@ def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
 
 
 def test_what_is_written(root: Path, release: Path) -> None:
-    """Pictures have 1 bit a pixel and black free cells, and a line holds the labels of the shard."""
+    """Pictures have 1 bit a pixel and black free cells, and a line holds the labels of
+    the shard.
+    """
     rows = rows_of(release)
     labels = read_shard(root / read_manifest(root).shards[0].name)
     picture = Image.open(release / "images" / "map7.png")

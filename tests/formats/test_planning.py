@@ -84,7 +84,9 @@ def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Grids, splits and goals come back, distances equal ours, and equal datasets give equal files."""
+    """Grids, splits and goals come back, distances equal ours, and equal datasets give
+    equal files.
+    """
     for name in ("a.npz", "b.npz"):
         assert cli(capsys, "export", root, tmp_path / name, "--format", "planning-datasets")[0] == 0
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -307,7 +309,9 @@ def test_policies_of_four_actions_have_no_diagonals(
 
 
 def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> None:
-    """A dataset has the movement of its first file, and files of the other movement are left out."""
+    """A dataset has the movement of its first file, and files of the other movement are
+    left out.
+    """
     np.savez(tmp_path / "a.npz", **sound(2, 6, 7))  # type: ignore[arg-type]
     np.savez(tmp_path / "b.npz", **four_actions(2, 6, 7))  # type: ignore[arg-type]
     found = read(tmp_path)
@@ -321,7 +325,9 @@ def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> Non
 
 
 def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
-    """Files of five arrays a split, as iA* publishes them, give the maps of the first four arrays."""
+    """Files of five arrays a split, as iA* publishes them, give the maps of the first
+    four arrays.
+    """
     arrays = sound(3, 5, 6)
     fields: dict[str, npt.NDArray[np.generic]] = {}
     for code in range(3):

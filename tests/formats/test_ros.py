@@ -379,7 +379,9 @@ def test_limits_come_before_decoding(tmp_path: Path) -> None:
     st.sampled_from(["occupied", "free"]),
 )
 def test_cells_become_free_or_occupied(cells: npt.NDArray[np.int8], unknown: str) -> None:
-    """The value 0 is free, 100 is occupied, and all other values become what unknown cells become."""
+    """The value 0 is free, 100 is occupied, and all other values become what unknown
+    cells become.
+    """
     grid = to_grid(cells, unknown, "x")
     assert grid.tolist() == [
         [{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()

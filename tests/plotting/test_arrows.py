@@ -58,7 +58,9 @@ def drawn(side: int, inches: float) -> Axes:
 
 
 def test_the_size_of_the_map_does_not_change_the_arrow_heads() -> None:
-    """They are where they are on a map of 64 x 64 cells; once a map of 2,048 cells had 128 of them."""
+    """They are where they are on a map of 64 x 64 cells; once a map of 2,048 cells had
+    128 of them.
+    """
     small = on_page(drawn(64, 6))
     assert len(small) == 4
     for side in (512, 2048):

@@ -78,7 +78,9 @@ def far_from_start(sample: Sample) -> torch.Tensor:
 
 @pytest.mark.parametrize("field", ["cost_to_go", "heuristic_ratio", far_from_start])
 def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
-    """It shows values of free cells that reach the goal, with a scale that bears the field's name."""
+    """It shows values of free cells that reach the goal, with a scale that bears the
+    field's name.
+    """
     fields = ("map", "goal_mask", "start", "goal", field, "path_probability")
     sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[3]
     axes = plot_sample(sample)
