@@ -74,7 +74,8 @@ class ForeignMap:
             )
         if self.split not in (None, 0, 1, 2):
             raise ValueError(f"split: {self.name}: got {self.split!r}, expected 0, 1, 2 or None")
-        # The bits of a transposed array would be transposed too, but kernels need them contiguous.
+        # Bits of a transposed array would unpack to a transposed array, but kernels need grids in
+        # row-major order.
         grid = np.ascontiguousarray(cells, np.uint8)
         # A frozen dataclass can set its own attributes in this way only.
         object.__setattr__(self, "shape", grid.shape)

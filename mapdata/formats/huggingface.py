@@ -96,11 +96,11 @@ def _schema(names: Iterable[str]) -> pa.Schema:
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
-    """Return the row of map ``k``, its picture as the bytes of a PNG that shows free white."""
+    """Return the row of map ``k``, with its picture as the bytes of a PNG in which free is white."""
     grid = labels.maps.occupancy[k]
     row = map_row(labels, k, resolution)
     picture = BytesIO()
-    Image.fromarray(grid == 0).save(picture, "PNG")  # of bool, 1 bit a pixel
+    Image.fromarray(grid == 0).save(picture, "PNG")  # bool gives 1 bit a pixel
     image = {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}
     return {"image": image, "map": grid.tolist(), **row}
 

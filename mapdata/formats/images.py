@@ -134,7 +134,7 @@ def _strip_brightness(values: Array, maximum: int) -> Bytes:
     """
     if values.shape[2] == 4:
         colour, alpha = np.split(values.astype(np.uint16), [3], axis=2)
-        # The picture lies on a white background. Pictures with alpha have 8 bits a channel.
+        # Transparent pixels show a white background. Pictures with alpha have 8 bits a channel.
         values = 255 - (255 - colour) * alpha // 255
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint32)
@@ -246,8 +246,8 @@ def _grid_of_picture(
     grey: Bytes, threshold: float, invert: bool, size: Size | None, fit: str | None
 ) -> Bytes:
     """Return a picture, (H, W) brightness, as a grid of ``size``, 0 free and 1 occupied."""
-    # Scaling rounds means to the nearest number, and halves up. A cell that is half occupied must
-    # be occupied, so the scaled picture shows occupied cells bright: inverted, if dark is occupied.
+    # A cell that is half occupied must become occupied, and scaling rounds its mean of 127.5 up.
+    # So the picture is scaled with bright occupied cells: inverted if dark pixels are occupied.
     scaled = _fit(grey, size, fit) if invert else 255 - _fit(255 - grey, size, fit)
     is_dark = scaled <= threshold * 255
     return np.asarray(is_dark != invert, np.uint8)

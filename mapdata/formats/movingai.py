@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
@@ -169,12 +170,12 @@ def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
     path = Path(path)
     problems: list[Problem] = []
     lines = read_text(path, limits).split("\n")
-    for number, line in enumerate(lines, 1):
+    for number, (previous_line, line) in enumerate(pairwise(["", *lines]), start=1):
         words = line.split()
         is_version = words[:1] == ["version"] and not problems
         if not words or is_version:
             continue
-        is_after_empty_line = not lines[number - 2].strip()
+        is_after_empty_line = not previous_line.strip()
         if problems and is_after_empty_line and not words[0].isdecimal():
             break  # the citation at the end of some files
         problems.append(_parse_problem(line, number, path))

@@ -108,7 +108,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             movement = canonical_json(asdict(labels.maps.movement))
             for k, grid in enumerate(labels.maps.occupancy):
                 row = map_row(labels, k, root.resolution) | {"movement": movement}
-                image = Image.fromarray(grid.view(np.bool_))  # of bool, a PNG of 1 bit a pixel
+                image = Image.fromarray(grid.view(np.bool_))  # bool gives a PNG of 1 bit a pixel
                 image.save(target / "images" / f"{row['label']}.png")
                 if file.tell() == 0:
                     table.writerow(row.keys())

@@ -292,7 +292,7 @@ def negative_distances(grid: Bytes, goal: object, movement: Movement = NEURAL_AS
         -H W for cells without a path to the goal.
     """
     distance = distance_field(grid, goal, movement)
-    # 0 - distance instead of -distance, which would write -0 at the goal
+    # The goal gets 0 - 0 = 0; with -distance it would get -0.
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
 

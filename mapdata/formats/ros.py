@@ -346,6 +346,7 @@ def _sums_over_new_rows(amounts: Array, factor: Fraction, full: int) -> Array:
     # The edges of the new rows: the old row in which each lies, and its height above that row's
     # lower edge in units.
     row, height = np.divmod(np.arange(new_count + 1) * p, q)
+    # The last edge may lie beyond the map, which is extended by occupied rows.
     padding = row[-1] + 1 - old_count
     padded = np.pad(amounts, ((0, padding), (0, 0)), constant_values=full)
     below_row = np.cumsum(padded, axis=0) - padded

@@ -57,7 +57,7 @@ class ArrowHeads(PathCollection):
             offsets=np.empty((0, 2)),
             offset_transform=transform,
         )
-        self.set_in_layout(False)  # they lie inside the axes
+        self.set_in_layout(False)  # arrow heads lie inside the axes and need no room of their own
         self._path = path
         self._path_on_page: Floats = np.empty((0, 2))
 
