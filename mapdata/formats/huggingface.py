@@ -96,7 +96,7 @@ def _schema(names: Iterable[str]) -> pa.Schema:
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
-    """Return the row of map ``k``, with its picture as the bytes of a PNG in which free is white."""
+    """Return the row of map ``k``, with its picture as the bytes of a PNG, free cells white."""
     grid = labels.maps.occupancy[k]
     row = map_row(labels, k, resolution)
     picture = BytesIO()

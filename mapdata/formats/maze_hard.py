@@ -182,4 +182,4 @@ def _lines_of_map(labels: Labels, k: int) -> Iterator[str]:
         yield f"map{labels.maps.index[k]},{question},{answer},{len(path) - 1}\n"
 
 
-FORMAT = Format("maze-hard", (".csv",), read, write, is_mine=is_maze_hard)
+FORMAT = Format("maze-hard", (".csv",), read, write, recognises=is_maze_hard)

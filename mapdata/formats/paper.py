@@ -329,4 +329,4 @@ def _holds_numbers(text: str, expected: ArrayLike) -> bool:
     return np.allclose(stated, expected, rtol=1e-6, atol=1e-6)
 
 
-FORMAT = Format("paper", (".csv",), read, write, is_mine=is_release, companion_endings=(".png",))
+FORMAT = Format("paper", (".csv",), read, write, recognises=is_release, companion_endings=(".png",))

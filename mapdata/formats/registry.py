@@ -31,7 +31,8 @@ class Format:
             the user; None if it can only be read.
         problems: called with a path and `Limits`, returns the `ProblemSet` of a file; None if
             it has none.
-        is_mine: whether a file with one of the endings is of this format.
+        recognises: called with a path with one of the endings; returns whether the file is of this
+            format.
         companion_endings: endings of files that belong to this format where they lie in the folder
             of one of its files, such as the pictures of a ROS map.
         target_ending: the ending of the one file that it writes; empty if it writes a folder.
@@ -42,7 +43,7 @@ class Format:
     read: Callable[..., Collection] | None = None
     write: Callable[..., list[str]] | None = None
     problems: Callable[..., ProblemSet] | None = None
-    is_mine: Callable[[Path], bool] = Path.is_file
+    recognises: Callable[[Path], bool] = Path.is_file
     companion_endings: tuple[str, ...] = ()
     target_ending: str = ""
 
@@ -93,7 +94,7 @@ def recognise(source: StrPath) -> str:
     for path in files_with_endings(source, all_endings, LIMITS, Collection()):
         for known_format in FORMATS.values():
             has_ending = path.suffix.lower() in known_format.endings
-            if has_ending and path.is_file() and known_format.is_mine(path):
+            if has_ending and path.is_file() and known_format.recognises(path):
                 format_by_path[path] = known_format  # the last format that recognises it stays
     # The pictures of a ROS map do not make its folder a folder of images too.
     companion_endings = {

@@ -168,4 +168,4 @@ def _marked_free_cell(mask: Array, grid: Bytes) -> Cell | None:
     return row, column
 
 
-FORMAT = Format("transpath", (".npy",), read, is_mine=is_transpath)
+FORMAT = Format("transpath", (".npy",), read, recognises=is_transpath)
