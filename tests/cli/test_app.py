@@ -59,11 +59,11 @@ class Command:
         assert isinstance(code, int)
         return Outcome(code, *self.capsys.readouterr())
 
-    def refused(self, code: int, says: str, *arguments: object) -> None:
+    def refused(self, code: int, message: str, *arguments: object) -> None:
         """Run it and check that it ends with this code and one line that says this."""
         outcome = self(*arguments)
         assert outcome.code == code, outcome
-        assert re.search(says, outcome.err), outcome.err
+        assert re.search(message, outcome.err), outcome.err
         assert outcome.err.startswith("mapdata: ")
         assert outcome.err.count("\n") == 1
         assert outcome.out == ""
@@ -407,7 +407,7 @@ def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Pa
     assert "bit for bit" in outcome.out
     for name in (MANIFEST, *stamps(dataset)):
         assert (tmp_path / "again" / name).read_bytes() == (dataset / name).read_bytes()
-    other = run(
+    rebuilt = run(
         "build",
         tmp_path / "other",
         "--recipe",
@@ -415,8 +415,8 @@ def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Pa
         "--shard-size",
         3,
     )
-    assert other.code == 0
-    assert "bit for bit" in other.out
+    assert rebuilt.code == 0
+    assert "bit for bit" in rebuilt.out
 
 
 def test_a_build_that_disagrees_with_its_recipe_is_refused(
@@ -462,7 +462,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
 
 
 @pytest.mark.parametrize(
-    ("says", "arguments"),
+    ("message", "arguments"),
     [
         ("maps: got 0", ["--maps", "0"]),
         ("maps: got -1", ["--maps", "-1"]),
@@ -493,15 +493,15 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
     ],
 )
 def test_bad_flags_of_build_are_refused_in_one_line(
-    says: str, arguments: list[str], run: Command, tmp_path: Path
+    message: str, arguments: list[str], run: Command, tmp_path: Path
 ) -> None:
     """The exit code is 2, and no folder is created."""
-    run.refused(2, re.escape(says), "build", tmp_path / "maps", *arguments)
+    run.refused(2, re.escape(message), "build", tmp_path / "maps", *arguments)
     assert not (tmp_path / "maps").exists()
 
 
 @pytest.mark.parametrize(
-    ("says", "values"),
+    ("message", "values"),
     [
         ("rooms: got (1, 1), expected at least 2", {"rooms": (1, 1)}),
         ("rooms: got (2, 256), expected at most 255", {"rooms": (2, 256)}),
@@ -550,17 +550,17 @@ def test_bad_flags_of_build_are_refused_in_one_line(
     ],
 )
 def test_bad_specs_are_refused_in_one_line(
-    says: str, values: dict[str, Any], run: Command, tmp_path: Path
+    message: str, values: dict[str, Any], run: Command, tmp_path: Path
 ) -> None:
     """The line names the bad value, the exit code is 2, and no folder is created."""
     run.refused(
-        2, re.escape(says), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values)
+        2, re.escape(message), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values)
     )
     assert not (tmp_path / "maps").exists()
 
 
 @pytest.mark.parametrize(
-    ("says", "content"),
+    ("message", "content"),
     [
         ("not JSON", b""),
         ("expected an object", b"[]"),
@@ -574,16 +574,16 @@ def test_bad_specs_are_refused_in_one_line(
     ],
 )
 def test_bad_recipe_files_are_refused_in_one_line(
-    says: str, content: bytes, run: Command, tmp_path: Path
+    message: str, content: bytes, run: Command, tmp_path: Path
 ) -> None:
     """The exit code is 2, and no folder is created."""
     (tmp_path / "recipe.json").write_bytes(content)
-    run.refused(2, says, "build", tmp_path / "maps", "--recipe", tmp_path / "recipe.json")
+    run.refused(2, message, "build", tmp_path / "maps", "--recipe", tmp_path / "recipe.json")
     assert not (tmp_path / "maps").exists()
 
 
 @pytest.mark.parametrize(
-    ("says", "arguments"),
+    ("message", "arguments"),
     [
         ("with seed 5, asked for seed 6", ["--seed", 6, "--maps", MAPS, "--shard-size", SIZE]),
         ("with shard_size 4, asked for shard_size 5", ["--maps", MAPS, "--shard-size", 5]),
@@ -591,16 +591,18 @@ def test_bad_recipe_files_are_refused_in_one_line(
     ],
 )
 def test_a_root_with_another_dataset_is_refused(
-    says: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
+    message: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
 ) -> None:
     """Both values of the difference are named, the exit code is 2, and the dataset does
     not change.
     """
     before = stamps(dataset)
-    other = spec_file(tmp_path, skip_probability=0.2)
+    another_recipe = spec_file(tmp_path, skip_probability=0.2)
     only = "with skip_probability 0.3, asked for skip_probability 0.2$"
-    run.refused(2, only, "build", dataset, "--recipe", other, "--maps", MAPS, "--shard-size", SIZE)
-    run.refused(2, says, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
+    run.refused(
+        2, only, "build", dataset, "--recipe", another_recipe, "--maps", MAPS, "--shard-size", SIZE
+    )
+    run.refused(2, message, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
     run.refused(
         2,
         r"map_size \(16, 70\), .*asked for seed 0, .*map_size \(64, 64\)",
@@ -613,7 +615,7 @@ def test_a_root_with_another_dataset_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "message"),
     [
         ("nowhere", "there is no module 'nowhere', neither in the working folder {folder} nor"),
         ("broken.deeper", "there is no module 'broken.deeper', neither"),
@@ -629,7 +631,7 @@ def test_a_root_with_another_dataset_is_refused(
 )
 def test_modules_that_cannot_be_imported_are_named_in_one_line(
     name: str,
-    says: str,
+    message: str,
     run: Command,
     dataset: Path,
     tmp_path: Path,
@@ -649,8 +651,8 @@ def test_modules_that_cannot_be_imported_are_named_in_one_line(
         "generators.register(Mine)\n",
     }.items():
         (tmp_path / f"{module}.py").write_text(text, encoding="utf-8")
-    says = f"^mapdata: --import: {says.format(folder=tmp_path)}"
-    run.refused(2, says, "info", dataset, "--import", name)
+    line = f"^mapdata: --import: {message.format(folder=tmp_path)}"
+    run.refused(2, line, "info", dataset, "--import", name)
     for module in sys.modules.keys() - before.keys():
         del sys.modules[module]
 
@@ -691,10 +693,10 @@ def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_pat
 def test_a_file_of_a_dataset_is_refused_as_a_root(verb: str, run: Command, dataset: Path) -> None:
     """The message names the folder, and does not advise to build a dataset there."""
     for name in (MANIFEST, shard_name(0, 4)):
-        says = f"no dataset at {dataset / name}: it is a file. Give its folder: {dataset}$"
-        run.refused(2, says, verb, dataset / name)
-    says = "it is a file. Give the folder of a dataset$"
-    run.refused(2, says, verb, __file__)
+        message = f"no dataset at {dataset / name}: it is a file. Give its folder: {dataset}$"
+        run.refused(2, message, verb, dataset / name)
+    message = "it is a file. Give the folder of a dataset$"
+    run.refused(2, message, verb, __file__)
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder that holds no others")
@@ -702,9 +704,9 @@ def test_a_folder_that_cannot_be_created_is_named(
     run: Command, dataset: Path, tmp_path: Path
 ) -> None:
     """Every verb that creates a folder names it."""
-    says = r"^mapdata: /proc/x: this folder cannot be made \(No such file or directory\)$"
-    run.refused(2, says, "build", "/proc/x", "--maps", 2)
-    run.refused(2, says, "export", dataset, "/proc/x/maps", "--format", "paper")
+    message = r"^mapdata: /proc/x: this folder cannot be made \(No such file or directory\)$"
+    run.refused(2, message, "build", "/proc/x", "--maps", 2)
+    run.refused(2, message, "export", dataset, "/proc/x/maps", "--format", "paper")
     (tmp_path / "site.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
     outcome = run("import", tmp_path / "site.map", "/proc/x", "--seed-points", 2)
     assert (outcome.code, outcome.err.splitlines()[-1][: len("mapdata: /proc/x: this")]) == (
@@ -721,10 +723,10 @@ def test_a_url_without_a_server_is_refused_in_one_line(
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))  # and nobody listens
         url = f"http://127.0.0.1:{closed.getsockname()[1]}/maps"
-        says = f"^mapdata: {url}/manifest.json could not be read: .*3 tries"
+        message = f"^mapdata: {url}/manifest.json could not be read: .*3 tries"
         with warnings.catch_warnings(record=True) as printed:
             warnings.simplefilter("default")
-            run.refused(2, says, "info", url)
+            run.refused(2, message, "info", url)
     assert printed == []
 
 

@@ -114,10 +114,10 @@ def test_another_planner_may_be_the_baseline() -> None:
     ones = Scripted([([], 5), ([], 3), ([], 16)], "ones")
     table = evaluate([halves, ones], problems, baseline="halves")
     assert row(table, "halves", "all")["expansion_ratio"] == 1
-    found = row(table, "ones", "all")
-    assert found["expansion_ratio"] == pytest.approx((1 + 0.5 + 2) / 3)
-    assert found["p_exp"] == pytest.approx(0.5 / 3)
-    assert found["hmean"] == 0
+    row_of_planner = row(table, "ones", "all")
+    assert row_of_planner["expansion_ratio"] == pytest.approx((1 + 0.5 + 2) / 3)
+    assert row_of_planner["p_exp"] == pytest.approx(0.5 / 3)
+    assert row_of_planner["hmean"] == 0
     with pytest.raises(ValueError, match="baseline: got 'half', expected one of halves, ones"):
         evaluate([halves, ones], problems, baseline="half")
 
@@ -143,14 +143,20 @@ def test_invalid_paths_count_as_failures(
 ) -> None:
     """They have success 0, are not optimal and have no cost, but their expansions count."""
     problems = three(movement)
-    one = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
-    found = row(evaluate([Scripted([(path, 1)])], one, bootstrap=5), "scripted", "all")
-    assert (found["success"], found["opt"], found["expansion_ratio"]) == (
-        0,
-        0,
-        1 / one.optimal.iterations[0],
+    one_problem = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
+    row_of_planner = row(
+        evaluate([Scripted([(path, 1)])], one_problem, bootstrap=5), "scripted", "all"
     )
-    assert np.isnan(found["cost_ratio"])
+    assert (
+        row_of_planner["success"],
+        row_of_planner["opt"],
+        row_of_planner["expansion_ratio"],
+    ) == (
+        0,
+        0,
+        1 / one_problem.optimal.iterations[0],
+    )
+    assert np.isnan(row_of_planner["cost_ratio"])
 
 
 def test_a_path_of_another_rank_fails() -> None:
@@ -172,9 +178,9 @@ def test_the_row_of_astar_is_exact(movement: Movement) -> None:
         classical(movement), ProblemSet.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20
     )
     for subset in ("all", "hard"):
-        found = row(table, "A*", subset)
+        row_of_planner = row(table, "A*", subset)
         for suffix in ("", "_low", "_high"):
-            assert [found[name + suffix] for name in METRICS] == [1, 1, 1, 1, 0, 0]
+            assert [row_of_planner[name + suffix] for name in METRICS] == [1, 1, 1, 1, 0, 0]
         assert row(table, "Dijkstra", subset)["opt"] == row(table, "limit", subset)["opt"] == 1
         for planner, bound in (("weighted A* (1.5)", 1.5), ("weighted A* (2)", 2)):
             assert 1 <= row(table, planner, subset)["cost_ratio_high"] <= bound
@@ -207,9 +213,9 @@ def test_a_subset_without_problems_has_nan() -> None:
         np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement()
     )
     table = evaluate(classical(Movement()), easy, bootstrap=5)
-    found = row(table, "A*", "hard")
-    assert found["n"] == 0
-    assert all(np.isnan(found[name]) for name in (*METRICS, "opt_low", "hmean_high", "ms"))
+    row_of_planner = row(table, "A*", "hard")
+    assert row_of_planner["n"] == 0
+    assert all(np.isnan(row_of_planner[name]) for name in (*METRICS, "opt_low", "hmean_high", "ms"))
     assert plot_planners(table, subset="hard").get_title() == "hard problems: 0"
 
 

@@ -84,13 +84,13 @@ def reference_best_first(
     return Plan(np.empty((0, 2), np.int64), len(taken))
 
 
-def assert_same(found: Plan, expected: Plan) -> None:
+def assert_same(plan: Plan, expected: Plan) -> None:
     """Compare paths and expansions."""
-    assert found.path.ndim == 2
-    assert found.path.shape[1] == 2
-    np.testing.assert_array_equal(found.path, expected.path)
-    assert found.expansions == expected.expansions
-    assert type(found.expansions) is int
+    assert plan.path.ndim == 2
+    assert plan.path.shape[1] == 2
+    np.testing.assert_array_equal(plan.path, expected.path)
+    assert plan.expansions == expected.expansions
+    assert type(plan.expansions) is int
 
 
 def ends_of(problems: ProblemSet) -> list[tuple[Cell, Cell]]:
@@ -129,8 +129,8 @@ def test_best_first_search_with_weight_one_is_astar(movement: Movement) -> None:
     problems = ProblemSet.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
     generic = plan_all(BestFirst("A*", movement, 1), problems)
     own = plan_all(Search("A*", movement, "astar"), problems)
-    for found, expected in zip(generic, own, strict=True):
-        assert_same(found, expected)
+    for plan, expected in zip(generic, own, strict=True):
+        assert_same(plan, expected)
 
 
 @movements

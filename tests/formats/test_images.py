@@ -25,9 +25,9 @@ DARK: Bytes = np.where(GRID, np.uint8(10), np.uint8(240)).astype(np.uint8)
 
 def grids(folder: Path, **options: object) -> list[list[list[int]]]:
     """Read a folder and return its grids; nothing may be left out."""
-    found = read(folder, **options)  # type: ignore[arg-type]
-    assert found.left_out == []
-    return [one.grid.tolist() for one in found.maps]
+    collection = read(folder, **options)  # type: ignore[arg-type]
+    assert collection.left_out == []
+    return [foreign_map.grid.tolist() for foreign_map in collection.maps]
 
 
 def test_dark_is_occupied_in_all_types_of_pictures(tmp_path: Path) -> None:
@@ -127,9 +127,9 @@ def test_resize_and_crop(tmp_path: Path) -> None:
     assert grids(tmp_path, size=(2, 4), fit="crop") == [
         np.kron(GRID, np.ones((2, 2), int))[2:4, 2:6].tolist()
     ]
-    found = read(tmp_path, size=(7, 4), fit="crop")
-    assert found.maps == []
-    assert found.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
+    collection = read(tmp_path, size=(7, 4), fit="crop")
+    assert collection.maps == []
+    assert collection.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
 
 
 @pytest.mark.parametrize("factor", [2, 4, 6])
@@ -147,8 +147,8 @@ def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> N
         assert grids(tmp_path, size=(24, 24)) == [exact.astype(int).tolist()] * 2
         Image.fromarray(255 * each).save(tmp_path / "plan.png")
         np.save(tmp_path / "plan.npy", 1 - each)
-        found = grids(tmp_path, size=(24, 24), invert=True)
-        assert found == [exact.astype(int).tolist()] * 2
+        collection = grids(tmp_path, size=(24, 24), invert=True)
+        assert collection == [exact.astype(int).tolist()] * 2
 
 
 def test_arrays_are_imported(tmp_path: Path) -> None:
@@ -172,9 +172,12 @@ def test_folders_give_splits_and_names_give_the_order(tmp_path: Path) -> None:
             Image.fromarray(DARK).save(tmp_path / folder / name)
         assert k < 4
     (tmp_path / "link").symlink_to(tmp_path / "test", target_is_directory=True)
-    found = read(tmp_path)
-    assert sorted(one.split or 0 for one in found.maps) == [0, 0, 1, 1, 2, 2]
-    assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
+    collection = read(tmp_path)
+    assert sorted(foreign_map.split or 0 for foreign_map in collection.maps) == [0, 0, 1, 1, 2, 2]
+    assert [Path(foreign_map.name).name for foreign_map in collection.maps[:2]] == [
+        "map2.PNG",
+        "map10.png",
+    ]
     assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural_key)[:2] == ["a9", "a9b"]
     with pytest.raises(FormatError, match="more than 3 files"):
         files_below(tmp_path, (".png",), Limits(files=3), Collection())
@@ -188,9 +191,9 @@ def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "in" / "b.png").symlink_to(tmp_path / "in" / "a.png")
     (tmp_path / "in" / "c.png").symlink_to(tmp_path / "secret.png")
     (tmp_path / "in" / "d.png").symlink_to("d.png")
-    found = read(tmp_path / "in")
-    assert [Path(one.name).name for one in found.maps] == ["a.png", "b.png"]
-    reasons = {Path(name).name: why for name, why in found.left_out}
+    collection = read(tmp_path / "in")
+    assert [Path(foreign_map.name).name for foreign_map in collection.maps] == ["a.png", "b.png"]
+    reasons = {Path(name).name: why for name, why in collection.left_out}
     assert reasons["c.png"] == "a link to outside the folder"
     assert set(reasons) == {"c.png", "d.png"}
 
@@ -246,19 +249,19 @@ def hostile(folder: Path) -> dict[str, str]:
         (folder / name).write_bytes(data)
     npz(folder / "bomb.npz", a=npy((2**13, 2**13), bytes(2**26)))
     (folder / "folder.png").mkdir()
-    return {**{name: says for name, (_, says) in cases.items()}, "bomb.npz": "unpack to"}
+    return {**{name: message for name, (_, message) in cases.items()}, "bomb.npz": "unpack to"}
 
 
 def test_hostile_files_are_left_out(tmp_path: Path) -> None:
     """Each bad file is named with its reason, and the good files are read."""
     cases = hostile(tmp_path)
     Image.fromarray(DARK).save(tmp_path / "good.png")
-    found = read(tmp_path, Limits(unpacked=2**25))
-    assert [Path(one.name).name for one in found.maps] == ["good.png"]
-    reasons = {Path(name).name: why for name, why in found.left_out}
+    collection = read(tmp_path, Limits(unpacked=2**25))
+    assert [Path(foreign_map.name).name for foreign_map in collection.maps] == ["good.png"]
+    reasons = {Path(name).name: why for name, why in collection.left_out}
     assert set(reasons) == set(cases)
-    for name, says in cases.items():
-        assert any(part in reasons[name] for part in says.split("|")), (name, reasons[name])
+    for name, message in cases.items():
+        assert any(part in reasons[name] for part in message.split("|")), (name, reasons[name])
         assert "\n" not in reasons[name]
 
 
@@ -370,11 +373,11 @@ def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
     threshold.
     """
     Image.fromarray(1 - GRID).save(tmp_path / "mask.png")
-    found = read(tmp_path, invert=True)
-    assert found.maps == []
+    collection = read(tmp_path, invert=True)
+    assert collection.maps == []
     assert (
         "brightest pixel is 1 of 255, nothing is above --images.threshold 0.5"
-        in found.left_out[0][1]
+        in collection.left_out[0][1]
     )
     assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
     for mask in (np.uint16(1 - GRID), np.stack([1 - GRID, 0 * GRID, 0 * GRID], axis=2)):
@@ -442,17 +445,17 @@ def test_unknown_cells_of_a_robots_map_are_refused_without_an_option(
     path.with_suffix(".yaml").write_text("image: map.pgm")
     assert f"import {tmp_path / 'map.yaml'}, or say" in read(path).left_out[0][1]
     for unknown, is_occupied in (("occupied", pixels < 254), ("free", pixels < 205)):
-        found = read(path, unknown=unknown)  # type: ignore[arg-type]
-        assert found.maps[0].grid.tolist() == is_occupied.tolist()
-        assert f"10.4% of the cells were unknown and are now {unknown}" in found.notes
-        found = read(path, unknown=unknown, invert=True)  # type: ignore[arg-type]
+        collection = read(path, unknown=unknown)  # type: ignore[arg-type]
+        assert collection.maps[0].grid.tolist() == is_occupied.tolist()
+        assert f"10.4% of the cells were unknown and are now {unknown}" in collection.notes
+        collection = read(path, unknown=unknown, invert=True)  # type: ignore[arg-type]
         assert (
-            found.maps[0].grid.tolist()
+            collection.maps[0].grid.tolist()
             == ((pixels == 254) | ((pixels == 205) & (unknown == "occupied"))).tolist()
         )
     # a threshold above 205 says it, too
-    found = read(path, threshold=0.85)
-    assert found.maps[0].grid.tolist() == (pixels < 254).tolist()
+    collection = read(path, threshold=0.85)
+    assert collection.maps[0].grid.tolist() == (pixels < 254).tolist()
 
 
 def test_unknown_cells_are_replaced_before_pictures_are_scaled(tmp_path: Path) -> None:
@@ -462,8 +465,8 @@ def test_unknown_cells_are_replaced_before_pictures_are_scaled(tmp_path: Path) -
     pixels[0, 3] = 0
     Image.fromarray(pixels).save(tmp_path / "a.png")
     for unknown, expected in (("occupied", [[1, 0], [1, 0]]), ("free", [[0, 0], [0, 0]])):
-        found = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
-        assert found.maps[0].grid.tolist() == expected
+        collection = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
+        assert collection.maps[0].grid.tolist() == expected
 
 
 def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
@@ -477,11 +480,11 @@ def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
     plan.save(tmp_path / "plan.png")
     Image.fromarray(np.where(ROOM, 0, 254).astype(np.uint8)).save(tmp_path / "map.pgm")
     for options in ({}, {"unknown": "occupied"}):
-        found = read(tmp_path, **options)  # type: ignore[arg-type]
-        assert found.left_out == []
-        assert found.maps[1].grid.tolist() == (pixels <= 127).tolist()
-        assert found.maps[0].grid.tolist() == ROOM.tolist()
-        assert not any("unknown" in note for note in found.notes)
+        collection = read(tmp_path, **options)  # type: ignore[arg-type]
+        assert collection.left_out == []
+        assert collection.maps[1].grid.tolist() == (pixels <= 127).tolist()
+        assert collection.maps[0].grid.tolist() == ROOM.tolist()
+        assert not any("unknown" in note for note in collection.notes)
 
 
 def test_a_progress_bar_counts_the_files_on_request(

@@ -91,10 +91,10 @@ def test_the_content_of_an_import_is_the_golden_one(tmp_path: Path) -> None:
     """Draws, labels and layout are the same in every version."""
     rows, columns = np.indices((9, 33))
     grids = [np.asarray((rows * (k + 3) + columns * 5) % 7 == 0, np.uint8) for k in range(3)]
-    (made,) = import_maps(
+    (dataset,) = import_maps(
         tmp_path / "out", collection(*grids), seed_points=3, seed=11, movement=Movement(8)
     )
-    assert made.manifest.content_hash == GOLDEN
+    assert dataset.manifest.content_hash == GOLDEN
 
 
 GOLDEN = "c59b4fc7739def46dd4178e26c9fb987247ed352c62f6c0f5206307f9ef168e7"
@@ -105,8 +105,8 @@ def test_seed_points_of_the_source_come_first(tmp_path: Path) -> None:
     two: Bytes = np.array([[0, 0, 1, 0]], np.uint8)
     source = collection(two, np.ones((1, 4), np.uint8), np.array([[0, 1, 0, 1]], np.uint8))
     source.maps.append(ForeignMap("given", two, seed_points=np.array([[0, 3]])))
-    (made,) = import_maps(tmp_path / "out", source, seed_points=5)
-    maps = read_shard(made.root / made.manifest.shards[0].name).maps
+    (dataset,) = import_maps(tmp_path / "out", source, seed_points=5)
+    maps = read_shard(dataset.root / dataset.manifest.shards[0].name).maps
     assert maps.rooms.tolist() == [2, 3]
     assert maps.seed_points[1, 0].tolist() == [0, 3]
     assert [name for name, _ in source.left_out] == ["g1", "g2"]
@@ -139,13 +139,13 @@ def test_each_size_and_resolution_becomes_a_dataset(tmp_path: Path) -> None:
     """With a given resolution or tiles the maps form one dataset."""
     source = collection(*random_grids(2, 8, 8), *random_grids(1, 16, 9))
     source.maps.append(ForeignMap("fine", random_grids(1, 8, 8)[0], resolution=0.05))
-    made = import_maps(tmp_path / "a", source)
+    datasets = import_maps(tmp_path / "a", source)
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
         "16x9",
         "8x8-0.05m",
         "8x8-0.1m",
     ]
-    assert [one.manifest.maps for one in made] == [2, 1, 1]
+    assert [dataset.manifest.maps for dataset in datasets] == [2, 1, 1]
     assert len(import_maps(tmp_path / "b", source, resolution=0.2)) == 2
     (tiled,) = import_maps(tmp_path / "c", source, resolution=0.2, tile=(8, 8))
     assert (tiled.root, tiled.manifest.maps, tiled.manifest.map_size) == (tmp_path / "c", 5, (8, 8))
@@ -156,20 +156,22 @@ def test_each_size_and_resolution_becomes_a_dataset(tmp_path: Path) -> None:
 def test_an_import_can_be_completed(tmp_path: Path) -> None:
     """A second import changes nothing and writes lost shards again; another import is refused."""
     grids = random_grids(5)
-    (made,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
+    (dataset,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
     before = {
-        path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")
+        path.name: (path.read_bytes(), path.stat().st_mtime_ns)
+        for path in dataset.root.glob("*.h5")
     }
     import_maps(tmp_path / "out", collection(*grids), shard_size=2)
     assert {
-        path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")
+        path.name: (path.read_bytes(), path.stat().st_mtime_ns)
+        for path in dataset.root.glob("*.h5")
     } == before
-    next(iter(made.root.glob("*.h5"))).unlink()
+    next(iter(dataset.root.glob("*.h5"))).unlink()
     import_maps(tmp_path / "out", collection(*grids), shard_size=2)
-    assert {path.name: path.read_bytes() for path in made.root.glob("*.h5")} == {
+    assert {path.name: path.read_bytes() for path in dataset.root.glob("*.h5")} == {
         n: d for n, (d, _) in before.items()
     }
-    assert verify(made.root) == []
+    assert verify(dataset.root) == []
     for source, options in (
         (collection(*grids), {"shard_size": 3}),
         (collection(*grids), {"shard_size": 2, "seed": 1}),
@@ -177,8 +179,8 @@ def test_an_import_can_be_completed(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match="holds another dataset"):
             import_maps(tmp_path / "out", source, **options)  # type: ignore[arg-type]
-    assert verify(made.root) == []
-    assert read_manifest(made.root).content_hash == made.manifest.content_hash
+    assert verify(dataset.root) == []
+    assert read_manifest(dataset.root).content_hash == dataset.manifest.content_hash
 
 
 def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,9 +200,9 @@ def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         with pytest.raises(ValueError, match=f"root: another process writes to {root}; wait"):
             import_maps(root, collection(*random_grids(10)[5:]), shard_size=2)
         go_on.set()
-        (made,) = first.result()
+        (dataset,) = first.result()
     assert verify(root) == []
-    assert read_manifest(root) == made.manifest
+    assert read_manifest(root) == dataset.manifest
     with pytest.raises(ValueError, match="holds another dataset"):
         import_maps(root, collection(*random_grids(10)[5:]), shard_size=2)
     assert verify(root) == []
@@ -279,19 +281,19 @@ def test_a_map_with_a_bad_resolution_is_left_out(tmp_path: Path) -> None:
         for value, grid in zip(values, grids, strict=True)
     ]
     source = Collection(maps)
-    made = import_maps(tmp_path / "out", source)
-    assert sorted(each.manifest.resolution for each in made) == [0.25, 1.0]
+    datasets = import_maps(tmp_path / "out", source)
+    assert sorted(each.manifest.resolution for each in datasets) == [0.25, 1.0]
     assert [name for name, _ in source.left_out] == ["-1", "nan", "0.1"]
-    (one,) = import_maps(tmp_path / "all", Collection(maps), resolution=np.float64(0.5))
-    assert one.manifest.resolution == 0.5
+    (dataset,) = import_maps(tmp_path / "all", Collection(maps), resolution=np.float64(0.5))
+    assert dataset.manifest.resolution == 0.5
 
 
 def test_numbers_of_the_source_give_the_order_of_the_maps(tmp_path: Path) -> None:
     """This holds for the numbers 0 to N - 1; other numbers are dropped with a note."""
     grids = random_grids(3)
     source = Collection([ForeignMap("x", grid, number=2 - k) for k, grid in enumerate(grids)])
-    (made,) = import_maps(tmp_path / "a", source)
-    maps = read_shard(made.root / made.manifest.shards[0].name).maps
+    (dataset,) = import_maps(tmp_path / "a", source)
+    maps = read_shard(dataset.root / dataset.manifest.shards[0].name).maps
     assert all(np.array_equal(maps.occupancy[k], grids[2 - k]) for k in range(3))
     source = Collection([ForeignMap("x", grid, number=5 + k) for k, grid in enumerate(grids)])
     import_maps(tmp_path / "b", source)
@@ -331,12 +333,12 @@ def test_a_repaired_manifest_is_that_of_the_import(
     grids[:, :4, :10] = 0
     grids[:, 0, 0] = 1
     grids[np.arange(count), 1, np.arange(count) % 8] = 1
-    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=2)
-    assert len(made.manifest.shards) == 1
-    text = (made.root / MANIFEST).read_bytes()
-    (made.root / MANIFEST).unlink()
-    repair(made.root)
-    assert (made.root / MANIFEST).read_bytes() == text
+    (dataset,) = import_maps(tmp_path / "out", collection(*grids), seed_points=2)
+    assert len(dataset.manifest.shards) == 1
+    text = (dataset.root / MANIFEST).read_bytes()
+    (dataset.root / MANIFEST).unlink()
+    repair(dataset.root)
+    assert (dataset.root / MANIFEST).read_bytes() == text
     import_maps(tmp_path / "out", collection(*grids), seed_points=2)
 
 

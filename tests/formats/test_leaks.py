@@ -54,18 +54,18 @@ def test_copies_in_two_splits_are_counted_and_dropped(
         (TEST, e[::-1]),
     ]
     source = collection(*maps)
-    (made,) = import_maps(tmp_path / "all", source)
-    assert made.manifest.maps == 10
+    (dataset,) = import_maps(tmp_path / "all", source)
+    assert dataset.manifest.maps == 10
     assert source.notes == [
         "maps in two splits: 0 of val in train (1 up to symmetry), 1 of test in train (2 up to "
         "symmetry), 0 of test in val (1 up to symmetry); 4 copies in the earlier ones are kept, "
         "--drop-leaks leaves them out"
     ]
     source = collection(*maps)
-    (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
+    (dataset,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
     assert source.notes[0].endswith("4 copies in the earlier ones are left out")
-    assert verify(made.root) == []
-    assert kept(made.root) == {
+    assert verify(dataset.root) == []
+    assert kept(dataset.root) == {
         "train": [d.tobytes(), d.tobytes()],
         "val": [np.ascontiguousarray(c[::-1, ::-1]).tobytes()],
         "test": [np.ascontiguousarray(g).tobytes() for g in (a, b[:, ::-1], e[::-1])],
@@ -98,14 +98,14 @@ def test_distinct_maps_are_counted_in_each_split(
     for split, grids in stacks.items():
         (tmp_path / "in" / split).mkdir(parents=True)
         np.save(tmp_path / "in" / split / "maps.npy", grids)
-    for flags, says in (
+    for flags, message in (
         ((), "5 of 10 (3 up to symmetry): train 3, val 2, test 1"),
         (("--drop-leaks",), "5 of 8 (3 up to symmetry): train 2, val 2, test 1"),
     ):
         root = tmp_path / f"out{len(flags)}"
         code, imported, _ = cli(capsys, "import", tmp_path / "in", root, *flags)
         assert code == 0
-        assert f"distinct maps:        {says}\n" in imported
+        assert f"distinct maps:        {message}\n" in imported
         code, info, _ = cli(capsys, "info", root)
         assert (code, info in imported) == (0, True)
         assert verify(root) == []
@@ -143,12 +143,12 @@ def test_drawn_splits_are_kept(tmp_path: Path) -> None:
     theirs.
     """
     a, b = random_grids(2, 12, 12)
-    source = collection(*[(None, one) for _ in range(40) for one in (a, b)])
-    (made,) = import_maps(tmp_path / "all", source)
-    before = kept(made.root)
+    source = collection(*[(None, grid) for _ in range(40) for grid in (a, b)])
+    (dataset,) = import_maps(tmp_path / "all", source)
+    before = kept(dataset.root)
     assert all(len(set(grids)) == 2 for grids in before.values())
-    (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
-    after = kept(made.root)
+    (dataset,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
+    after = kept(dataset.root)
     assert after == {"train": [], "val": [], "test": before["test"]}
 
 

@@ -148,9 +148,9 @@ def test_lines_that_are_no_maze_are_left_out(tmp_path: Path, line: str, why: str
     """They are left out by line with a reason, and the other lines are read."""
     path = tmp_path / "train.csv"
     path.write_text(f"source,question,answer,rating\n{line}\nx,S  G,So G,2\n")
-    found = read_any(path)
-    assert [each.split for each in found.maps] == [0]
-    ((name, reason),) = found.left_out
+    collection = read_any(path)
+    assert [each.split for each in collection.maps] == [0]
+    ((name, reason),) = collection.left_out
     assert name.endswith("train.csv, line 2")
     assert why in reason
 
@@ -160,9 +160,9 @@ def test_files_that_cannot_be_read_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "train.csv").write_text("source,question,answer,rating\nx,S  G,So G,2\n")
     (tmp_path / "val.csv").symlink_to("gone.csv")
     (tmp_path / "test.csv").write_text("source,question,answer,rating\n" + 9 * "x,S  G,So G,2\n")
-    found = read_any(tmp_path, "maze-hard", Limits(unpacked=100))
-    assert [each.split for each in found.maps] == [0]
-    assert [Path(name).name for name, _ in found.left_out] == ["test.csv", "val.csv"]
+    collection = read_any(tmp_path, "maze-hard", Limits(unpacked=100))
+    assert [each.split for each in collection.maps] == [0]
+    assert [Path(name).name for name, _ in collection.left_out] == ["test.csv", "val.csv"]
 
 
 def test_maps_that_the_format_cannot_hold_are_refused(tmp_path: Path) -> None:

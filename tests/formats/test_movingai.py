@@ -108,7 +108,7 @@ def test_both_versions_of_scen_files_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("printed", "says"),
+    ("printed", "message"),
     [
         # as the benchmark's own files print seven and twelve diagonals, and with the exact root
         (["9.89949493", "16.97056274", "2.00000000"], 3),
@@ -125,7 +125,7 @@ def test_both_versions_of_scen_files_are_read(tmp_path: Path) -> None:
     ],
 )
 def test_lengths_agree_up_to_their_last_printed_digit(
-    printed: list[str], says: int, tmp_path: Path
+    printed: list[str], message: int, tmp_path: Path
 ) -> None:
     """This holds for each approximation of the square root of 2 that files use."""
     side = 13
@@ -138,7 +138,7 @@ def test_lengths_agree_up_to_their_last_printed_digit(
         for end, text in zip(ends, printed, strict=True)
     )
     (tmp_path / "a.scen").write_text("version 1\n" + "".join(lines))
-    assert check_scen(tmp_path / "a.scen").agreed == says
+    assert check_scen(tmp_path / "a.scen").agreed == message
 
 
 def test_equal_numbers_of_decimals_are_fixed_decimals(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_check_scen_agrees_with_lengths_by_hand(
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("3.41421\n", "3.41422\n", r"line 3: \(1, 1\) to \(3, 3\): says 3.41422, found 3.41421356"),
         ("6.82842712", "6.82842714", "says 6.82842714"),
@@ -191,7 +191,7 @@ def test_check_scen_agrees_with_lengths_by_hand(
     ],
 )
 def test_check_scen_names_the_line_of_a_wrong_length(
-    old: str, new: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    old: str, new: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One of seven lengths is wrong, and the exit code is 1."""
     assert SCEN.count(old) == 1
@@ -199,7 +199,7 @@ def test_check_scen_names_the_line_of_a_wrong_length(
     assert code == 1
     assert err == "mapdata: 1 of 7 optimal lengths disagree\n"
     assert "6 of 7 optimal lengths agree" in out
-    assert re.search(says, out)
+    assert re.search(message, out)
 
 
 @SETTINGS
@@ -242,24 +242,26 @@ ISLANDS = "type octile\nheight 4\nwidth 7\nmap\nTTT....\n.TT.W..\nTT@.WW.\n..T.W
 def test_problems_with_a_path_are_read(tmp_path: Path) -> None:
     """Each is on the grid of its own terrain, and their published lengths are those of our A*."""
     path = files(tmp_path)
-    found = read_problems(path)
-    assert found.grids.tolist() == [LAND, LAND, LAND, LAND, WATER]
-    assert found.starts.tolist() == [[0, 0], [1, 1], [1, 0], [0, 0], [0, 4]]
-    assert found.goals.tolist() == [[3, 0], [3, 3], [3, 1], [3, 5], [2, 5]]
-    np.testing.assert_allclose(found.optimal.cost, [3, 3.41421, 3, 6.82842712, 2.41421], rtol=1e-5)
-    assert found.movement == Movement(8)
-    table = evaluate(classical(), found, bootstrap=1)
+    problem_set = read_problems(path)
+    assert problem_set.grids.tolist() == [LAND, LAND, LAND, LAND, WATER]
+    assert problem_set.starts.tolist() == [[0, 0], [1, 1], [1, 0], [0, 0], [0, 4]]
+    assert problem_set.goals.tolist() == [[3, 0], [3, 3], [3, 1], [3, 5], [2, 5]]
+    np.testing.assert_allclose(
+        problem_set.optimal.cost, [3, 3.41421, 3, 6.82842712, 2.41421], rtol=1e-5
+    )
+    assert problem_set.movement == Movement(8)
+    table = evaluate(classical(), problem_set, bootstrap=1)
     assert table[table["planner"] == "A*"]["opt"].tolist() == [1, 1]
     assert read_problems(path, count=4).starts.tolist() == [[0, 0], [1, 0]]  # every second line
     others = "2 without a path or a move left out, whose lengths are ours"
-    assert found.description == f"5 of 7 problems of {path}, {others}"
+    assert problem_set.description == f"5 of 7 problems of {path}, {others}"
     thinned = read_problems(path, count=4).description
     assert thinned == f"2 of 7 problems of {path}, one in 2, {others}"
     elsewhere = tmp_path / "scens"
     elsewhere.mkdir()
     path.rename(elsewhere / "x.scen")
     moved = read_problems(elsewhere / "x.scen", maps=tmp_path)
-    assert moved.content_hash == found.content_hash
+    assert moved.content_hash == problem_set.content_hash
 
 
 ZEROS = re.sub(r"\t[0-9.]+\n", "\t0\n", SCEN)
@@ -328,7 +330,7 @@ def test_all_problems_of_one_map_share_its_grid(
 
 
 @pytest.mark.parametrize(
-    ("scen", "options", "says"),
+    ("scen", "options", "message"),
     [
         (SCEN.replace("3.41421\n", "3.41422\n"), {}, "line 3: .*: says 3.41422, found 3.41421356"),
         (SCEN.replace("0\t0\t4\t0\t0\n", "0\t0\t4\t0\t4\n"), {}, "says 4, found no path"),
@@ -339,12 +341,12 @@ def test_all_problems_of_one_map_share_its_grid(
     ],
 )
 def test_problems_that_are_refused(
-    scen: str, options: dict[str, Any], says: str, tmp_path: Path
+    scen: str, options: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     """Refused are a length that is not ours, an end on an occupied cell, a file without problems,
     and options of other formats.
     """
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(ValueError, match=message):
         read_problems(files(tmp_path, scen), **options)
 
 
@@ -439,10 +441,10 @@ HOSTILE_MAPS = {
 @pytest.mark.parametrize("name", HOSTILE_MAPS)
 def test_hostile_maps_are_refused_in_one_line(name: str, tmp_path: Path) -> None:
     """The line names the file."""
-    text, says = HOSTILE_MAPS[name]
+    text, message = HOSTILE_MAPS[name]
     path = tmp_path / "a.map"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read_terrain(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
@@ -470,9 +472,9 @@ def test_hostile_scens_are_refused_in_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The exit code is 2."""
-    text, says = HOSTILE_SCENS[name]
+    text, message = HOSTILE_SCENS[name]
     path = files(tmp_path, text)
-    with pytest.raises(FormatError, match=says):
+    with pytest.raises(FormatError, match=message):
         check_scen(path)
     code, _, err = cli(capsys, "check-scen", path)
     assert code == 2

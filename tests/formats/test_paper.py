@@ -53,11 +53,11 @@ def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
         export(Path(folder, "a"), Path(folder, "b"), "paper")
-        (made,) = import_maps(Path(folder, "c"), read_any(Path(folder, "b")))
-        assert made.manifest.content_hash == before.content_hash
-        assert made.manifest.resolution == spec.resolution
-        assert made.manifest.movement == spec.movement
-        assert (made.checked, made.disagreements) == (count, {})
+        (dataset,) = import_maps(Path(folder, "c"), read_any(Path(folder, "b")))
+        assert dataset.manifest.content_hash == before.content_hash
+        assert dataset.manifest.resolution == spec.resolution
+        assert dataset.manifest.movement == spec.movement
+        assert (dataset.checked, dataset.disagreements) == (count, {})
         assert verify(Path(folder, "c")) == []
 
 
@@ -93,13 +93,13 @@ def test_routes_are_joined_without_repeating_cells() -> None:
     """The cell where two segments meet is written once, also if two seed points share a cell; a
     missing segment has no cells.
     """
-    one = np.array([[0, 0], [0, 1]])
-    other = np.array([[0, 1], [1, 1]])
+    first = np.array([[0, 0], [0, 1]])
+    second = np.array([[0, 1], [1, 1]])
     stay = np.array([[0, 1]])
     none = np.empty((0, 2), np.int64)
-    assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, none, other + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
+    assert joined([first, second]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert joined([first, stay, second]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert joined([first, none, second + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
     assert joined([none]).tolist() == []
 
 
@@ -145,9 +145,9 @@ def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Pat
             row[f"{search}_iterations"] = row.pop(f"{search}_segment_iterations")
             del row[f"{search}_path_gaps"]
     write_rows(release, rows)
-    (made,) = import_maps(tmp_path / "back", read_any(release))
-    assert made.manifest.content_hash == read_manifest(root).content_hash
-    assert set(made.disagreements) == {"bfs_iterations", "astar_iterations"}
+    (dataset,) = import_maps(tmp_path / "back", read_any(release))
+    assert dataset.manifest.content_hash == read_manifest(root).content_hash
+    assert set(dataset.disagreements) == {"bfs_iterations", "astar_iterations"}
 
 
 def test_disagreements_are_counted(
@@ -179,10 +179,10 @@ def test_labels_are_optional(release: Path, tmp_path: Path) -> None:
     rows = [{name: row[name] for name in PARAMETERS} for row in rows_of(release)]
     write_rows(release, rows)
     assert recognise(release) == "paper"
-    (made,) = import_maps(tmp_path / "back", read_any(release))
+    (dataset,) = import_maps(tmp_path / "back", read_any(release))
     (expected,) = import_maps(tmp_path / "expected", before)
-    assert made.manifest.content_hash == expected.manifest.content_hash
-    assert (made.checked, expected.checked) == (0, 24)
+    assert dataset.manifest.content_hash == expected.manifest.content_hash
+    assert (dataset.checked, expected.checked) == (0, 24)
 
 
 BAD_CELLS = {
@@ -212,17 +212,17 @@ BAD_CELLS = {
 @pytest.mark.parametrize("name", BAD_CELLS)
 def test_a_bad_line_is_left_out(name: str, release: Path, tmp_path: Path) -> None:
     """The reason is noted, and the other maps are imported."""
-    column, text, says = BAD_CELLS[name]
+    column, text, message = BAD_CELLS[name]
     rows = rows_of(release)
     rows[8][column] = text
     write_rows(release, rows)
-    found = read(release)
-    (made,) = import_maps(tmp_path / "back", found)
-    assert made.manifest.maps == 23
-    ((_, why),) = found.left_out
-    assert re.search(says, why)
+    collection = read(release)
+    (dataset,) = import_maps(tmp_path / "back", collection)
+    assert dataset.manifest.maps == 23
+    ((_, why),) = collection.left_out
+    assert re.search(message, why)
     assert "\n" not in why
-    assert any("numbered anew" in note for note in found.notes)
+    assert any("numbered anew" in note for note in collection.notes)
 
 
 def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
@@ -230,11 +230,11 @@ def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
     (release / "images" / "map0.png").write_bytes(png(20000, 20000))
     (release / "images" / "map1.png").write_bytes(png(20, 70, b"x"))
     (release / "images" / "map2.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    found = read(release)
-    assert [name for name, _ in found.left_out] == ["map0", "map1", "map2"]
+    collection = read(release)
+    assert [name for name, _ in collection.left_out] == ["map0", "map1", "map2"]
     assert (
-        "expected at most 16777216" in found.left_out[0][1]
-        or "exceeds limit" in found.left_out[0][1]
+        "expected at most 16777216" in collection.left_out[0][1]
+        or "exceeds limit" in collection.left_out[0][1]
     )
 
 
@@ -242,7 +242,7 @@ HEADER = ",".join(PARAMETERS)
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("", "has no columns item, label, split, "),
         ("a,b\n1,2\n", "has no columns item, label, split, "),
@@ -254,12 +254,12 @@ HEADER = ",".join(PARAMETERS)
         (f"{HEADER}\n{'1,' * 11}\n", "line 2 has 12 fields, expected 11"),
     ],
 )
-def test_other_tables_are_refused(text: str, says: str, tmp_path: Path) -> None:
+def test_other_tables_are_refused(text: str, message: str, tmp_path: Path) -> None:
     """Tables with other columns, an open quote, no UTF-8 or ragged lines are refused in one line,
     which names missing columns.
     """
     (tmp_path / "maps.csv").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read(tmp_path)
     assert "\n" not in str(caught.value)
 
@@ -298,9 +298,9 @@ def test_a_note_says_which_cells_are_free(release: Path) -> None:
     """In the paper's pictures dark pixels are free; a free border of inverted pictures is noted,
     too.
     """
-    found = read(release)
-    share = 1 - np.mean([one.grid.mean() for one in found.maps])
-    (note,) = found.notes
+    collection = read(release)
+    share = 1 - np.mean([foreign_map.grid.mean() for foreign_map in collection.maps])
+    (note,) = collection.notes
     assert note.startswith("dark pixels (in the paper white is occupied) were taken for free: ")
     assert f"{share:.1%}" in note
     for path in (release / "images").iterdir():
@@ -312,7 +312,7 @@ def test_some_free_borders_give_no_note(tmp_path: Path) -> None:
     """Rooms of the default maps reach the border, so a fifth of the borders are mostly free."""
     build(tmp_path / "root", MapSpec(), maps=100, seed=0, progress=False)
     export(tmp_path / "root", tmp_path / "release", "paper")
-    found = read(tmp_path / "release")
-    borders = [one.grid[[0, -1]] for one in found.maps]
+    collection = read(tmp_path / "release")
+    borders = [foreign_map.grid[[0, -1]] for foreign_map in collection.maps]
     assert any(border.mean() < 0.2 for border in borders)
-    assert not any("mostly free" in note for note in found.notes)
+    assert not any("mostly free" in note for note in collection.notes)

@@ -116,21 +116,21 @@ def test_problems_are_one_start_of_each_interval_on_each_test_map(
     path = tmp_path / "maps.npz"
     export(root, path, "planning-datasets")
     loader = Loader(path, "test")
-    found = read_problems(path, seed=1)
-    assert found.movement == NEURAL_ASTAR
-    assert len(found) == 3 * len(loader.maps) > 3
-    for n in range(len(found)):
+    problems = read_problems(path, seed=1)
+    assert problems.movement == NEURAL_ASTAR
+    assert len(problems) == 3 * len(loader.maps) > 3
+    for n in range(len(problems)):
         k, interval = divmod(n, 3)
-        assert np.array_equal(found.grids[n], 1 - loader.maps[k])
-        assert loader.goals[k][0][tuple(found.goals[n])] == 1
+        assert np.array_equal(problems.grids[n], 1 - loader.maps[k])
+        assert loader.goals[k][0][tuple(problems.goals[n])] == 1
         values = loader.distances[k].ravel()
         inside = values[values > values.min()]
         bounds = np.percentile(inside, 100.0 * (1 - np.array([0.55, 0.70, 0.85, 1.0])))
-        value = loader.distances[k][0][tuple(found.starts[n])]
+        value = loader.distances[k][0][tuple(problems.starts[n])]
         assert bounds[interval + 1] <= value <= bounds[interval]
-        assert found.optimal.cost[n] == -value
-    assert read_problems(path, seed=1).content_hash == found.content_hash
-    assert read_problems(path).content_hash != found.content_hash
+        assert problems.optimal.cost[n] == -value
+    assert read_problems(path, seed=1).content_hash == problems.content_hash
+    assert read_problems(path).content_hash != problems.content_hash
     with pytest.raises(ValueError, match="count: does nothing for format planning-datasets"):
         read_problems(path, count=1)
     for seed in (-1, 2**64):
@@ -199,16 +199,16 @@ def test_published_files_are_read(tmp_path: Path) -> None:
     arrays["arr_7"][1, 0, 2, 2] = -9
     arrays["arr_9"][1] = 0
     np.savez_compressed(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "a.npz")
-    assert len(found.maps) == 5
-    assert found.maps[0].grid.tolist() == [[0] * 4] * 3 + [[0, 0, 0, 1]]
-    assert [one.split for one in found.maps] == [0, 0, 1, 1, 2]
-    assert found.notes == ["distances of 4 of 5 maps are what our search finds"]
-    assert [why for _, why in found.left_out] == ["its goal is not one free cell"]
+    collection = read(tmp_path / "a.npz")
+    assert len(collection.maps) == 5
+    assert collection.maps[0].grid.tolist() == [[0] * 4] * 3 + [[0, 0, 0, 1]]
+    assert [foreign_map.split for foreign_map in collection.maps] == [0, 0, 1, 1, 2]
+    assert collection.notes == ["distances of 4 of 5 maps are what our search finds"]
+    assert [why for _, why in collection.left_out] == ["its goal is not one free cell"]
     four = {name: arrays[name] for name in ("arr_0", "arr_1", "arr_2", "arr_3")}
     np.savez(tmp_path / "b.npz", **four)  # type: ignore[arg-type]
-    (made,) = import_maps(tmp_path / "back", read(tmp_path / "b.npz"))
-    assert made.manifest.maps == 2
+    (dataset,) = import_maps(tmp_path / "back", read(tmp_path / "b.npz"))
+    assert dataset.manifest.maps == 2
 
 
 @pytest.mark.parametrize("movement", [None, Movement(8)])
@@ -222,8 +222,8 @@ def test_published_mazes_serve_training_and_evaluation(
             0  # bars with gaps: the stated distances are wrong, and counted so
         )
     np.savez(tmp_path / "mazes.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "mazes.npz")
-    import_maps(tmp_path / "mazes", found, seed_points=4)
+    collection = read(tmp_path / "mazes.npz")
+    import_maps(tmp_path / "mazes", collection, seed_points=4)
     loaders = MapDataModule(
         tmp_path / "mazes", movement=movement, batch_size=8, fields=("map", "goal", "optimal_moves")
     )
@@ -233,7 +233,9 @@ def test_published_mazes_serve_training_and_evaluation(
         assert batches[0][2].shape == (8, 1, 9, 9)
     to_goal = Random(to_first_seed_point=True)
     problems = MapDataset(tmp_path / "mazes", fields=("map", "goal"), problems=to_goal)[:]
-    np.testing.assert_array_equal(problems.goal, [one.seed_points[0] for one in found.maps])
+    np.testing.assert_array_equal(
+        problems.goal, [foreign_map.seed_points[0] for foreign_map in collection.maps]
+    )
     rule = movement or NEURAL_ASTAR
     table = evaluate(
         classical(rule),
@@ -252,15 +254,15 @@ def test_all_files_below_a_folder_become_one_dataset(tmp_path: Path) -> None:
     assert recognise(tmp_path) == "planning-datasets"
     del arrays["arr_3"]
     np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path)
-    assert [one.name for one in found.maps][5:7] == [
+    collection = read(tmp_path)
+    assert [foreign_map.name for foreign_map in collection.maps][5:7] == [
         f"{tmp_path / 'forest.npz'}: test 1",
         f"{tmp_path / 'mazes.npz'}: train 0",
     ]
-    assert [(Path(name).name, why[:23]) for name, why in found.left_out] == [
+    assert [(Path(name).name, why[:23]) for name, why in collection.left_out] == [
         ("bad.npz", "holds no array 'arr_3',")
     ]
-    assert found.notes == ["distances of 12 of 12 maps are what our search finds"]
+    assert collection.notes == ["distances of 12 of 12 maps are what our search finds"]
 
 
 def four_actions(count: int, rows: int, columns: int) -> dict[str, npt.NDArray[np.generic]]:
@@ -295,9 +297,9 @@ def test_policies_of_four_actions_have_no_diagonals(
     """Maps, distances and problems are 4-connected, unless a flag asks for another movement."""
     path = tmp_path / "news.npz"
     np.savez(path, **four_actions(2, 6, 7))  # type: ignore[arg-type]
-    found = read(path)
-    assert found.movement == Movement(4)
-    assert found.notes == ["distances of 6 of 6 maps are what our search finds"]
+    collection = read(path)
+    assert collection.movement == Movement(4)
+    assert collection.notes == ["distances of 6 of 6 maps are what our search finds"]
     assert cli(capsys, "import", path, tmp_path / "maps")[0] == 0
     assert read_manifest(tmp_path / "maps").movement == Movement(4)
     assert cli(capsys, "import", path, tmp_path / "eight", "--connectivity", 8)[0] == 0
@@ -314,9 +316,9 @@ def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> Non
     """
     np.savez(tmp_path / "a.npz", **sound(2, 6, 7))  # type: ignore[arg-type]
     np.savez(tmp_path / "b.npz", **four_actions(2, 6, 7))  # type: ignore[arg-type]
-    found = read(tmp_path)
-    assert (len(found.maps), found.movement) == (6, NEURAL_ASTAR)
-    assert found.left_out == [
+    collection = read(tmp_path)
+    assert (len(collection.maps), collection.movement) == (6, NEURAL_ASTAR)
+    assert collection.left_out == [
         (
             str(tmp_path / "b.npz"),
             "has 4 actions, the files before it 8: import it by itself",
@@ -337,13 +339,13 @@ def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
     np.savez(tmp_path / "plain.npz", **arrays)  # type: ignore[arg-type]
     np.savez(tmp_path / "fields.npz", **fields)  # type: ignore[arg-type]
     assert recognise(tmp_path / "fields.npz") == "planning-datasets"
-    found = read(tmp_path / "fields.npz")
-    assert found.notes == [
+    collection = read(tmp_path / "fields.npz")
+    assert collection.notes == [
         "a distance field of each map (arr_4, arr_9, arr_14) is left out",
         "distances of 9 of 9 maps are what our search finds",
     ]
     plain = read(tmp_path / "plain.npz")
-    for ours, theirs in zip(found.maps, plain.maps, strict=True):
+    for ours, theirs in zip(collection.maps, plain.maps, strict=True):
         assert np.array_equal(ours.grid, theirs.grid)
         assert ours.split == theirs.split
     assert (
@@ -381,9 +383,9 @@ def test_a_damaged_file_gives_no_map(tmp_path: Path) -> None:
     arrays = sound()
     arrays["arr_8"][-1, -1, -1] = 2
     np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path)
-    assert len(found.maps) == 6
-    assert [(Path(name).name, why) for name, why in found.left_out] == [
+    collection = read(tmp_path)
+    assert len(collection.maps) == 6
+    assert [(Path(name).name, why) for name, why in collection.left_out] == [
         ("bad.npz", "array 'arr_8': map 1: holds values from 0.0 to 2.0, expected 0 to 1")
     ]
 
@@ -393,12 +395,14 @@ def test_a_note_counts_distances_to_another_cell_than_the_goal(tmp_path: Path) -
     arrays = sound()
     arrays["arr_3"] = arrays["arr_3"][..., ::-1]
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "a.npz")
-    assert found.notes == [
+    collection = read(tmp_path / "a.npz")
+    assert collection.notes == [
         "distances of 4 of 6 maps are what our search finds",
         "distances of 2 maps lead to another cell than the goal of their map, which is kept",
     ]
-    assert {tuple(one.seed_points[0].tolist()) for one in found.maps} == {(0, 0)}
+    assert {tuple(foreign_map.seed_points[0].tolist()) for foreign_map in collection.maps} == {
+        (0, 0)
+    }
 
 
 def test_many_bad_goals_are_one_line(tmp_path: Path) -> None:
@@ -407,9 +411,9 @@ def test_many_bad_goals_are_one_line(tmp_path: Path) -> None:
     arrays["arr_1"][1:4] = 0
     arrays["arr_5"][2] = 1
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "a.npz")
-    assert len(found.maps) == 11
-    assert found.left_out == [
+    collection = read(tmp_path / "a.npz")
+    assert len(collection.maps) == 11
+    assert collection.left_out == [
         (f"{tmp_path / 'a.npz'}: train 1 and 2 others", "its goal is not one free cell"),
         (f"{tmp_path / 'a.npz'}: val 2", "its goal is not one free cell"),
     ]
@@ -505,8 +509,8 @@ def test_hostile_archives_are_refused_without_unpacking(tmp_path: Path) -> None:
     """
     cases = archives(tmp_path)
     tracemalloc.start()
-    for name, (path, says) in cases.items():
-        with pytest.raises(FormatError, match=says) as caught:
+    for name, (path, message) in cases.items():
+        with pytest.raises(FormatError, match=message) as caught:
             read(path, Limits(unpacked=2**22))
         assert "\n" not in str(caught.value), name
         assert str(path) in str(caught.value), name

@@ -56,12 +56,12 @@ def test_the_docstring_of_paper_lists_every_written_column(root: Path, tmp_path:
     assert {name for line in table for name in line.split(", ")} == set(header.split(","))
 
 
-@pytest.mark.parametrize("kind", sorted(functions_by_format("write")))
+@pytest.mark.parametrize("format_name", sorted(functions_by_format("write")))
 def test_an_export_is_whole_or_nothing(
-    kind: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    format_name: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If a shard cannot be read half-way, neither a target nor a temporary file remains."""
-    if kind == "huggingface":
+    if format_name == "huggingface":
         pytest.importorskip("pyarrow", reason="pip install pyarrow")
     calls = 0
     labels_of = Root.labels
@@ -76,7 +76,7 @@ def test_an_export_is_whole_or_nothing(
 
     monkeypatch.setattr(Root, "labels", broken)
     with pytest.raises(OSError, match="No space left"):
-        export(square, tmp_path / "out.npz", kind)
+        export(square, tmp_path / "out.npz", format_name)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -143,19 +143,19 @@ def test_exports_that_are_refused(
 
 def test_exports_are_recognised_by_their_format(square: Path, tmp_path: Path) -> None:
     """A format that is written and read is recognised; a missing or meaningless file is refused."""
-    for kind in sorted(set(functions_by_format("write")) & set(functions_by_format("read"))):
-        target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
-        export(square, target, kind)
-        assert recognise(target) == kind
+    for format_name in sorted(set(functions_by_format("write")) & set(functions_by_format("read"))):
+        target = tmp_path / ("out.npz" if format_name == "planning-datasets" else format_name)
+        export(square, target, format_name)
+        assert recognise(target) == format_name
     np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
     assert recognise(tmp_path / "stack.npy") == "images"
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "a.txt").write_text("x")
-    for source, says in (
+    for source, message in (
         (tmp_path / "none", "no such file"),
         (tmp_path / "text", "no file of a known format"),
     ):
-        with pytest.raises(FormatError, match=says):
+        with pytest.raises(FormatError, match=message):
             recognise(source)
     with pytest.raises(FormatError, match="text: holds no map of format ros"):
         read_any(tmp_path / "text", "ros")
@@ -241,7 +241,7 @@ def test_a_format_of_the_user_can_be_registered(
 
 
 @pytest.mark.parametrize(
-    ("says", "arguments"),
+    ("message", "arguments"),
     [
         ("SRC: got an empty name", ["", "out"]),
         ("ROOT: got an empty name", ["stack.npy", ""]),
@@ -267,7 +267,7 @@ def test_a_format_of_the_user_can_be_registered(
     ],
 )
 def test_wrong_usage_of_import_writes_nothing(
-    says: str,
+    message: str,
     arguments: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -278,7 +278,7 @@ def test_wrong_usage_of_import_writes_nothing(
     np.save("stack.npy", np.zeros((2, 6, 6)))
     code, out, err = cli(capsys, "import", *arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert says in err
+    assert message in err
     assert [path.name for path in tmp_path.iterdir()] == ["stack.npy"]
 
 

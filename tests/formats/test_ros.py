@@ -55,19 +55,19 @@ def test_variants_of_pgm_are_read(image: bytes, tmp_path: Path) -> None:
     """They are binary and text, with comments anywhere in the header, two bytes a pixel and another
     maximum.
     """
-    found = read_map(write(tmp_path, image))
-    assert found.cells.tolist() == CELLS
-    assert (found.resolution, found.origin) == (0.05, (-12.2, -12.2, 0.0))
+    ros_map = read_map(write(tmp_path, image))
+    assert ros_map.cells.tolist() == CELLS
+    assert (ros_map.resolution, ros_map.origin) == (0.05, (-12.2, -12.2, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("kind", "mode"),
+    ("picture_format", "mode"),
     [
         *(("png", mode) for mode in ("L", "RGB", "RGBA", "P", "I;16", "LA")),
         *(("bmp", m) for m in ("L", "RGB", "RGBA", "P")),
     ],
 )
-def test_types_of_pictures_are_read(mode: str, kind: str, tmp_path: Path) -> None:
+def test_types_of_pictures_are_read(mode: str, picture_format: str, tmp_path: Path) -> None:
     """They are grey, colour, palette, 16 bits, and alpha, which the servers count as a white
     channel.
     """
@@ -77,14 +77,16 @@ def test_types_of_pictures_are_read(mode: str, kind: str, tmp_path: Path) -> Non
         if mode == "I;16"
         else grey.convert(mode)
     )
-    picture.save(tmp_path / f"map.{kind}")
-    found = read_map(write(tmp_path, (tmp_path / f"map.{kind}").read_bytes(), f"map.{kind}"))
+    picture.save(tmp_path / f"map.{picture_format}")
+    ros_map = read_map(
+        write(tmp_path, (tmp_path / f"map.{picture_format}").read_bytes(), f"map.{picture_format}")
+    )
     expected = np.array(CELLS)
-    if mode in ("RGBA", "LA") and kind == "png":
+    if mode in ("RGBA", "LA") and picture_format == "png":
         # (3 * 205 + 255) / 4 = 217.5 is below the free threshold, which is what both servers make
         # of it
         expected[1, 0] = 0
-    assert found.cells.tolist() == expected.tolist()
+    assert ros_map.cells.tolist() == expected.tolist()
 
 
 def slow(
@@ -116,11 +118,11 @@ def slow(
     st.floats(0, 0.99),
 )
 def test_cells_follow_the_servers_rule_for_any_pixel(
-    values: Bytes, mode: str, negate: bool, one: float, other: float
+    values: Bytes, mode: str, negate: bool, first_threshold: float, second_threshold: float
 ) -> None:
     """The thresholds are any numbers, too."""
-    low = min(one, other)
-    high = max(one, other) + 0.01
+    low = min(first_threshold, second_threshold)
+    high = max(first_threshold, second_threshold) + 0.01
     cells = _classify(Pixels(values, 255), mode, negate and mode != "raw", low, high)
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
@@ -148,9 +150,9 @@ def test_negate_and_thresholds(tmp_path: Path) -> None:
 
 def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
     """The origin is the lower left corner, row 0 is on top, and yaw rotates about the origin."""
-    one = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
-    assert one.to_metres(1, 0) == pytest.approx((1.025, 2.025))
-    assert one.to_metres(0, 2) == pytest.approx((1.125, 2.075))
+    ros_map = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
+    assert ros_map.to_metres(1, 0) == pytest.approx((1.025, 2.025))
+    assert ros_map.to_metres(0, 2) == pytest.approx((1.125, 2.075))
     turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
     assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
 
@@ -218,15 +220,20 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         for maps in truth
         for s, g in zip(maps.split, maps.occupancy, strict=True)
     )
-    for kind in ("pgm", "png", "bmp"):
+    for picture_format in ("pgm", "png", "bmp"):
+        flags = ["--format", "ros", "--ros.image", picture_format]
+        code, *_ = cli(capsys, "export", root, tmp_path / picture_format, *flags)
+        assert code == 0
+        collection = read(tmp_path / picture_format)
+        assert not collection.left_out
         assert (
-            cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--ros.image", kind)[0]
-            == 0
+            sorted(
+                (foreign_map.split or 0, foreign_map.grid.tobytes())
+                for foreign_map in collection.maps
+            )
+            == grids
         )
-        found = read(tmp_path / kind)
-        assert not found.left_out
-        assert sorted((one.split or 0, one.grid.tobytes()) for one in found.maps) == grids
-        assert {one.resolution for one in found.maps} == {0.1}
+        assert {foreign_map.resolution for foreign_map in collection.maps} == {0.1}
 
 
 FIELDS = {
@@ -271,9 +278,9 @@ def test_hostile_yaml(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
     """Each is refused in one line, and no file outside the folder is opened."""
     (tmp_path / "in").mkdir()
     (tmp_path / "map.pgm").write_bytes(P5)
-    fields, says = FIELDS[name]
+    fields, message = FIELDS[name]
     path = write(tmp_path / "in", P5, "map.pgm", **fields)
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read_map(path)
     assert "\n" not in str(caught.value)
     code, _, err = cli(capsys, "import", path, tmp_path / "out")
@@ -359,8 +366,8 @@ def test_a_pgm_is_scaled_to_its_maximum(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", PGMS)
 def test_hostile_pgms_are_refused(name: str, tmp_path: Path) -> None:
     """Their headers state a wrong size, depth or length."""
-    image, says = PGMS[name]
-    with pytest.raises(FormatError, match=says):
+    image, message = PGMS[name]
+    with pytest.raises(FormatError, match=message):
         read_map(write(tmp_path, image))
 
 
@@ -446,15 +453,15 @@ def test_a_resolution_resamples_the_map(tmp_path: Path, capsys: pytest.CaptureFi
         grid = read_shard(out / manifest.shards[0].name).maps.occupancy[0]
         assert grid.tolist() == slowly_resampled(cells, Fraction(3), rule)
     assert [line.count(1) for line in slowly_resampled(cells, Fraction(3), "any")] == [4, 1, 2]
-    (one,) = read_any(path, resolution=0.1).maps
-    assert (one.resolution, one.shape) == (0.1, (4, 6))
-    (one,) = read_any(path, resolution=np.float64(0.1)).maps
-    assert one.shape == (4, 6)
-    (one,) = read_any(path, resolution=0.05).maps
-    assert one.grid.tolist() == cells.tolist()
+    (foreign_map,) = read_any(path, resolution=0.1).maps
+    assert (foreign_map.resolution, foreign_map.shape) == (0.1, (4, 6))
+    (foreign_map,) = read_any(path, resolution=np.float64(0.1)).maps
+    assert foreign_map.shape == (4, 6)
+    (foreign_map,) = read_any(path, resolution=0.05).maps
+    assert foreign_map.grid.tolist() == cells.tolist()
     path.write_text(path.read_text().replace("0.050000", "0.0500000007450581"))
-    (one,) = read_any(path, resolution=0.1).maps
-    assert one.shape == (4, 6)
+    (foreign_map,) = read_any(path, resolution=0.1).maps
+    assert foreign_map.shape == (4, 6)
 
 
 def test_bad_resolutions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -462,7 +469,7 @@ def test_bad_resolutions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
     resolution.
     """
     path = write(tmp_path, resolution="0.05")
-    for flags, says in (
+    for flags, message in (
         (("--resolution", "0"), "resolution: got 0.0, expected metres per cell above 0"),
         (("--resolution", "nan"), "resolution: got nan, expected metres per cell above 0"),
         (("--resolution", "1e-9"), "2 x 3 cells, too few or too many for cells 0 times as wide"),
@@ -472,4 +479,4 @@ def test_bad_resolutions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
         given = ("--ros.unknown", "free", *flags)
         code, _, err = cli(capsys, "import", path, tmp_path / "out", *given)
         assert (code, err.count("mapdata: ")) == (2, 1)
-        assert says in err
+        assert message in err

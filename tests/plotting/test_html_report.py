@@ -162,51 +162,60 @@ def assert_shown(one: dict[str, Any], labels: Labels, i: int, rooms: bool) -> No
 
 
 @needs_chromium
-def test_a_click_shows_what_is_stored(page: Browser, root: Path) -> None:
-    """A click shows what is stored."""
-    of = dataset_statistics(root)
+def test_a_click_shows_the_stored_labels_of_a_map(page: Browser, root: Path) -> None:
+    """Cells, routes, iterations, matrices and facts in the page equal those of the dataset."""
+    statistics = dataset_statistics(root)
     shown = clicked(page)
-    assert [one["name"] for one in shown] == [f"map{index}" for index in of.index]
-    for one, index in zip(shown, of.index.tolist(), strict=True):
-        labels, i = of.root.map(index)
-        assert_shown(one, labels, i, of.rooms_known)
+    assert [one["name"] for one in shown] == [f"map{index}" for index in statistics.index]
+    for one, index in zip(shown, statistics.index.tolist(), strict=True):
+        labels, i = statistics.root.map(index)
+        assert_shown(one, labels, i, statistics.rooms_known)
 
 
 @needs_chromium
 def test_filters_leave_the_maps_that_match(page: Browser, root: Path) -> None:
-    """Filters leave what they say."""
-    of = dataset_statistics(root)
+    """The filters are split, connection and hardness."""
+    statistics = dataset_statistics(root)
     for code, split in enumerate(SPLITS):
-        if (of.split == code).any():
-            assert choose(page, "split", split) == of.index[of.split == code].tolist()
-    assert choose(page, "split", "") == of.index.tolist()
-    assert choose(page, "connected", 1) == of.index[of.all_connected].tolist()
-    assert choose(page, "connected", 0) == of.index[~of.all_connected].tolist()
+        if (statistics.split == code).any():
+            assert (
+                choose(page, "split", split) == statistics.index[statistics.split == code].tolist()
+            )
+    assert choose(page, "split", "") == statistics.index.tolist()
+    assert choose(page, "connected", 1) == statistics.index[statistics.all_connected].tolist()
+    assert choose(page, "connected", 0) == statistics.index[~statistics.all_connected].tolist()
     choose(page, "connected", "")
     for value, low, high in (("1,1.05", 1, 1.05), ("1.05,1e9", 1.05, 1e9), ("2,1e9", 2, 1e9)):
         assert (
             choose(page, "hardness", value)
-            == of.index[(of.hardest >= low) & (of.hardest < high)].tolist()
+            == statistics.index[(statistics.hardest >= low) & (statistics.hardest < high)].tolist()
         )
     choose(page, "hardness", "")
     least, most = 3, 4
     choose(page, "least", least)
-    assert choose(page, "most", most) == of.index[(of.rooms >= least) & (of.rooms <= most)].tolist()
+    assert (
+        choose(page, "most", most)
+        == statistics.index[(statistics.rooms >= least) & (statistics.rooms <= most)].tolist()
+    )
     assert (
         choose(page, "split", "train")
-        == of.index[(of.rooms >= 3) & (of.rooms <= 4) & (of.split == 0)].tolist()
+        == statistics.index[
+            (statistics.rooms >= 3) & (statistics.rooms <= 4) & (statistics.split == 0)
+        ].tolist()
     )
-    assert page.run("$('count').textContent").startswith(f"{len(listed(page))} of {len(of)} maps")
+    assert page.run("$('count').textContent").startswith(
+        f"{len(listed(page))} of {len(statistics)} maps"
+    )
     page.run("document.querySelector('[type=reset]').click()")
     page.run("new Promise((done) => setTimeout(done, 20))")
-    assert listed(page) == of.index.tolist()
+    assert listed(page) == statistics.index.tolist()
     assert choose(page, "least", 100) == []
     assert page.run("$('count').textContent") == "No map of the sample is like that."
 
 
 @needs_chromium
 def test_planners_and_segments_can_be_switched_off(page: Browser) -> None:
-    """Planners and segments can be switched off."""
+    """The lines of a hidden planner or segment disappear."""
 
     def lines() -> list[int]:
         return [
@@ -227,8 +236,8 @@ def test_planners_and_segments_can_be_switched_off(page: Browser) -> None:
 
 
 @needs_chromium
-def test_the_keyboard_is_enough(page: Browser) -> None:
-    """The keyboard is enough."""
+def test_maps_can_be_chosen_with_the_keyboard(page: Browser) -> None:
+    """Arrow keys move the focus, and Enter shows the map."""
     page.run("$('thumbs').children[0].focus()")
     page.press("ArrowRight")
     page.press("ArrowRight")
@@ -244,7 +253,7 @@ def test_the_keyboard_is_enough(page: Browser) -> None:
 
 @needs_chromium
 def test_every_control_has_a_name(page: Browser) -> None:
-    """Everything to operate has a name."""
+    """Screen readers need names of controls, the language, and identities that are unique."""
     unnamed = """[...document.querySelectorAll("input, select, button, [role=img], [role=region], table")].filter(
         (one) => !(one.labels && one.labels.length && one.labels[0].textContent.trim())
         && !one.getAttribute("aria-label") && !one.textContent.trim()).map((one) => one.outerHTML)"""
@@ -257,7 +266,7 @@ def test_every_control_has_a_name(page: Browser) -> None:
 
 @needs_chromium
 def test_text_from_files_stays_text(browser: Browser, tmp_path: Path) -> None:
-    """Text from files stays text."""
+    """A name in the dataset that looks like HTML is shown as text and runs no script."""
     folder = imported(tmp_path / "<img src=x onerror=alert(1)>@@DATA@@\"'")
     path = tmp_path / "report.html"
     path.write_text(report(folder), encoding="utf-8")
@@ -294,7 +303,7 @@ def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
 
 
 def test_the_page_is_self_contained_and_reproducible(root: Path) -> None:
-    """The page is self contained and the same again."""
+    """It loads nothing from elsewhere, and equal datasets give equal pages."""
     text = report(root)
     assert text == report(root)
     page = re.sub("&[a-z]+;", "", text.split("<script>")[0]).replace("img src=x", "")
@@ -327,12 +336,12 @@ def test_the_security_policy_has_the_hashes_of_script_and_style(root: Path) -> N
 
 
 def test_a_sample_is_evenly_spaced(root: Path) -> None:
-    """A sample is evenly spaced."""
+    """The page says how many maps of the dataset it shows."""
     assert f"3 of {len(dataset_statistics(root)):,} maps, evenly spaced." in report(root, maps=3)
 
 
 def test_command_refuses_no_maps(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Command refuses no maps."""
+    """A report of 0 maps is wrong usage."""
     with pytest.raises(SystemExit) as ended:
         main(["report", str(root), "--maps", "0"])
     assert ended.value.code == 2
@@ -346,9 +355,11 @@ def test_charts_have_a_text_of_their_statistics(root: Path) -> None:
     figures = re.findall(
         r'<figure><img src="[^"]*" alt="([^"]*)"><figcaption>([^<]*)</figcaption>', report(root)
     )
-    of = dataset_statistics(root)
-    assert len(figures) == len(of.distributions())
-    for (alt, caption), (name, values) in zip(figures, of.distributions().items(), strict=True):
+    statistics = dataset_statistics(root)
+    assert len(figures) == len(statistics.distributions())
+    for (alt, caption), (name, values) in zip(
+        figures, statistics.distributions().items(), strict=True
+    ):
         assert alt == caption
         assert alt.startswith(
             f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, from"

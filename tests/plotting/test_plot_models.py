@@ -19,7 +19,7 @@ from mapdata.plotting import COLOURS, plot_prediction, plot_roadmap, plot_sample
 
 
 def test_a_figure_shows_the_fields_of_its_sample(tmp_path: Path) -> None:
-    """Sample shows what it holds."""
+    """Map, start, goal, path and the title are those of the sample."""
     root = build_small(tmp_path / "d", WIDE)
     for fields in (("map", "start", "goal", "path", "cost", "hardness"), ("path", "free")):
         ds = MapDataset(root, split=None, fields=fields)
@@ -94,7 +94,7 @@ def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
 
 
 def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None:
-    """Prediction lies over the truth and marks walls."""
+    """Padding is left out, and crosses mark the predicted cells that are occupied."""
     grid = np.zeros((6, 8), np.uint8)
     grid[2, 2:5] = 1
     truth = np.array([[2, 1], [1, 1], [1, 2], [1, 3], [1, 4], [1, 5], [2, 5], [-1, -1]])
@@ -113,7 +113,7 @@ def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None
 
 
 def test_roadmap_shows_samples_edges_and_path() -> None:
-    """Roadmap shows samples edges and path."""
+    """Vertices, edges and the path are drawn at their points."""
     grid = np.zeros((6, 8), np.uint8)
     vertices, edges = np.array([[0.5, 1], [3, 4], [5, 7]]), np.array([[0, 1], [1, 2]])
     axes = plot_roadmap(grid, vertices, edges, path=[[0, 1], [3, 4]])
