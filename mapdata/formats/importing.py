@@ -155,13 +155,13 @@ def import_maps(
         for group, group_maps in groups.items():
             size, metres = group
             numbered = _numbered(group_maps, source)
-            codes = draw_splits(np.uint64(seed), np.arange(len(numbered)), thresholds)
+            split_codes = draw_splits(np.uint64(seed), np.arange(len(numbered)), thresholds)
             for k, foreign_map in enumerate(numbered):
                 if foreign_map.split is not None:
-                    codes[k] = foreign_map.split
+                    split_codes[k] = foreign_map.split
             # Maps keep their splits when copies are dropped. If the splits were drawn again for
             # the remaining maps, other copies might end up in different splits.
-            separated = separate(numbered, codes, drop_leaks, source.notes)
+            separated = separate(numbered, split_codes, drop_leaks, source.notes)
             kept_maps = [numbered[k] for k in separated.kept]
             advance(len(numbered) - len(kept_maps))
             origin = _origin(source, kept_maps, separated, draws)
@@ -180,10 +180,17 @@ def import_maps(
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                kept_splits = codes[separated.kept]
-                datasets.append(
-                    _write(folder, plan, kept_maps, kept_splits, draws, origin, advance, pool)
+                dataset = _write(
+                    folder,
+                    plan,
+                    maps=kept_maps,
+                    splits=split_codes[separated.kept],
+                    draws=draws,
+                    origin=origin,
+                    advance=advance,
+                    pool=pool,
                 )
+            datasets.append(dataset)
     return datasets
 
 
@@ -297,6 +304,7 @@ def _origin(
 def _write(
     folder: Path,
     plan: Manifest,
+    *,
     maps: list[ForeignMap],
     splits: Bytes,
     draws: Draws,
