@@ -223,7 +223,7 @@ def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
     """
-    problems = ProblemSet.sample(MapSpec(), 2, 400)
+    problems = ProblemSet.sample(MapSpec(), 2, 400, movement=Movement(8))
     wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
 
     def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:

@@ -350,7 +350,7 @@ def test_readers_refuse_an_import_without_shards(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=says):
         MapDataset(made.root)
     with pytest.raises(ValueError, match=says):
-        ProblemSet.read(made.root)
+        ProblemSet.read(made.root, movement=Movement(8))
     with pytest.raises(ValueError, match=says):
         dataset_statistics(made.root)
     with pytest.raises(ValueError, match=says):

@@ -350,7 +350,9 @@ def test_problems_that_are_refused(
         read_problems(files(tmp_path, scen), **options)
 
 
-def test_trees_are_a_world_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trees_are_a_terrain_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A problem between trees is solved among trees; none leads from trees to land or water."""
     lines = (
         "0\tcave.map\t7\t4\t0\t0\t1\t2\t3",  # no corner of land is cut
