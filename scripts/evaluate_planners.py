@@ -19,7 +19,7 @@ from typing import Literal
 from matplotlib.figure import Figure
 
 from mapdata import PRESETS
-from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
+from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from mapdata.evaluation import classical, evaluate, to_text
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
@@ -84,7 +84,7 @@ def evaluate_command(
     is_preset = preset is None or preset in PRESETS
     if not root and maps is None and until_hard is None and is_preset:
         maps = 600
-    problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
+    problems = load_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
     rows = classical(problems.movement)

@@ -17,7 +17,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from mapdata import PRESETS, Movement
-from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
+from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from models.lego.comparison import SIZES, compare, contenders, plot_success, to_text
 from models.lego.cvae import CVAE
 from models.lego.sampler import Heatmap, Sampler
@@ -63,7 +63,7 @@ def evaluate_command(
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
     if not root and maps is None and (preset is None or preset in PRESETS):
         maps = 1000
-    problems = given_problems(root, preset, seed, maps, movement=Movement(8))
+    problems = load_problems(root, preset, seed, maps, movement=Movement(8))
     table = compare(rows, problems, sorted(set(sizes or SIZES)))
     print(
         f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "
