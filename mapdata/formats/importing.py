@@ -27,7 +27,7 @@ from mapdata.limits import MAX_ROOMS, MAX_SIDE, Size
 from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
-from mapdata.search.lattice import rule_of
+from mapdata.search.lattice import move_rule
 from mapdata.shards.builder import headers
 from mapdata.shards.files import StrPath, make_folder, write_file
 from mapdata.shards.header import Header
@@ -218,7 +218,7 @@ def _check_usable(one: ForeignMap, movement: Movement) -> None:
     rooms = len(one.seed_points)
     if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
         raise ValueError(f"{rooms} rooms, expected 1 to {MAX_ROOMS}")
-    if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
+    if not one.rooms_known and len(largest_component(grid, move_rule(movement)[0])) < 2:
         raise ValueError(f"has no two connected free cells ({(grid == 0).sum()} free in all)")
 
 
@@ -345,7 +345,7 @@ def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> I
         return one.seed_points
     _, columns = one.shape
     given = one.seed_points @ (columns, 1)
-    cells = np.setdiff1d(largest_component(one.grid, rule_of(header.movement)[0]), given)
+    cells = np.setdiff1d(largest_component(one.grid, move_rule(header.movement)[0]), given)
     drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
     rows_and_columns = np.divmod(np.concatenate((given, drawn)), columns)
     return np.column_stack(rows_and_columns)

@@ -275,7 +275,7 @@ def check_scen(
                 starts = [problem.start for problem in part]
                 goals = [problem.goal for problem in part]
                 # an end on a blocked cell is a problem without a path here
-                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost
+                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, True).cost
                 for problem, found in zip(part, costs, strict=True):
                     if found > 0:
                         report.solved.append((grid, problem))

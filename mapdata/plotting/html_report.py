@@ -106,7 +106,7 @@ def _shown(labels: Labels, i: int) -> dict[str, Any]:
     }
     first, last = maps.segment_offsets[i : i + 2]
     for name in SEARCHES:
-        search = labels.of(name)
+        search = labels.by_search(name)
         bounds = pairwise(search.offsets[first : last + 1])
         shown[name] = {
             "moves": ["".join(map(str, search.moves[a:b].tolist())) for a, b in bounds],

@@ -25,8 +25,8 @@ from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
-from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import HARD, hardness, rule_of
+from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.lattice import HARD, hardness, move_rule
 from mapdata.shards.files import StrPath, write_output
 from mapdata.shards.root import Places, Root
 
@@ -225,7 +225,7 @@ class ProblemSet:
         chunks = (range(maps)[k : k + _MAPS_A_CHUNK] for k in range(0, maps, _MAPS_A_CHUNK))
         chosen = ((generate(spec, seed, chunk), slice(None)) for chunk in chunks)
         where = f"the maps with identity {identity(spec, seed)[:12]}"
-        least = least_squared(radius, spec.resolution)
+        least = min_squared_clearance(radius, spec.resolution)
         return _collect(
             chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
         )
@@ -268,7 +268,7 @@ class ProblemSet:
         )
         where = f"split {split} of {dataset}"
         # only with a radius must all roots have one resolution
-        least = least_squared(radius, dataset.resolution) if radius else 0
+        least = min_squared_clearance(radius, dataset.resolution) if radius else 0
         return _collect(
             chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
         )
@@ -339,7 +339,7 @@ def _collect(
             indices,
             _DRAWS,
             *problems.conditions,
-            rule_of(movement),
+            move_rule(movement),
         )
         kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
         if until_hard is not None:

@@ -30,7 +30,7 @@ from mapdata import (
 )
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
-from mapdata.search import rule_of
+from mapdata.search.lattice import move_rule
 
 MOVEMENTS = [
     Movement(),
@@ -69,7 +69,7 @@ def sample(
         indices,
         DRAWS,
         *conditions.conditions,
-        rule_of(movement),
+        move_rule(movement),
     )
     found = np.full((len(grids), 6), NO_PROBLEM)
     for k, (row, column, goal_row, goal_column) in enumerate(ends.tolist()):

@@ -24,8 +24,8 @@ from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.evaluation import BestFirst
 from mapdata.movement import Movement
 from mapdata.search import api, search_batch
-from mapdata.search.kernels import scratch
-from mapdata.search.lattice import ASTAR, lattice_of, rule_of
+from mapdata.search.kernels import new_scratch
+from mapdata.search.lattice import ASTAR, lattice_of, move_rule
 
 OCTILE = Movement(8)
 CUTTING = Movement(8, corner_cutting=True)
@@ -355,18 +355,18 @@ def test_threads_do_not_share_scratch_memory() -> None:
 
 def test_scratch_memory_is_kept_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread keeps what its largest search needed, unless that is above the bound."""
-    monkeypatch.setattr(api, "_kept", api._Kept())
+    monkeypatch.setattr(api, "_thread_scratch", api._ThreadScratch())
     small, large = (np.zeros((side, side), dtype=np.uint8) for side in (64, 300))
-    monkeypatch.setattr(api, "KEPT_BYTES", 10**6)
+    monkeypatch.setattr(api, "MAX_KEPT_BYTES", 10**6)
     astar(small, (0, 0), (9, 9), OCTILE)
-    kept = api._kept.memory
+    kept = api._thread_scratch.memory
     assert 0 < len(kept) <= 10**6
     found = astar(large, (0, 0), (299, 299), OCTILE)
     assert found.cost == 299 * 2**0.5
-    assert api._kept.memory is kept
-    monkeypatch.setattr(api, "KEPT_BYTES", 10**8)
+    assert api._thread_scratch.memory is kept
+    monkeypatch.setattr(api, "MAX_KEPT_BYTES", 10**8)
     astar(large, (0, 0), (9, 9), OCTILE)
-    assert len(kept) < len(api._kept.memory) <= 10**8
+    assert len(kept) < len(api._thread_scratch.memory) <= 10**8
 
 
 @movements
@@ -375,10 +375,10 @@ def test_scratch_memory_holds_the_most_that_a_search_can_push(
     shape: tuple[int, int], movement: Movement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is kept for calls from Python is as large as what kernels take for themselves."""
-    monkeypatch.setattr(api, "_kept", api._Kept())
-    rule = rule_of(movement)
+    monkeypatch.setattr(api, "_thread_scratch", api._ThreadScratch())
+    rule = move_rule(movement)
     memory = api._scratch_memory(np.zeros(shape, np.uint8), rule)
-    taken = scratch(ASTAR, lattice_of(shape, rule))
+    taken = new_scratch(ASTAR, lattice_of(shape, rule))
     assert len(memory) == sum(part.nbytes for part in taken)
 
 

@@ -21,10 +21,14 @@ from hypothesis.extra import numpy as numpy_arrays
 from mapdata import MapSpec, Movement, generate, label
 from mapdata.arrays import Bytes
 from mapdata.generators import pack
-from mapdata.search import lattice_of, rule_of
-from mapdata.search.bitboard import board_of, count_bits, is_direct, search_around
-from mapdata.search.kernels import scratch
-from mapdata.search.lattice import ASTAR
+from mapdata.search.bitboard import (
+    build_board,
+    count_bits,
+    has_direct_path,
+    write_optimal_moves,
+)
+from mapdata.search.kernels import new_scratch
+from mapdata.search.lattice import ASTAR, lattice_of, move_rule
 
 WORDS = [(7, 63), (7, 64), (7, 65), (6, 127), (6, 128), (6, 129), (5, 200), (200, 5), (66, 66)]
 """Rows of one word and of several, that they fill and that they do not."""
@@ -64,11 +68,11 @@ def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement)
     bits, and with costs, when they are not.
     """
     expected = reference.reference_moves(grid.tolist(), goal, movement)
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    for costs_too in (False, True):
-        buffers = scratch(ASTAR, lattice)
-        search_around(grid, *goal, costs_too, lattice, buffers)
-        with_border = buffers.came.reshape(-1, lattice.stride)
+    lattice = lattice_of(grid.shape, move_rule(movement))
+    for needs_costs in (False, True):
+        scratch = new_scratch(ASTAR, lattice)
+        write_optimal_moves(grid, *goal, needs_costs, lattice, scratch)
+        with_border = scratch.came_from.reshape(-1, lattice.stride)
         found = with_border[1:-1, 1:-1]
         np.testing.assert_array_equal(found, expected)
 
@@ -131,11 +135,11 @@ def test_long_corridors(shape: tuple[int, int], movement: Movement) -> None:
 
 def direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
     """Return the cells from which a search finds a direct path, one as on an empty map."""
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    words = board_of(grid).free
+    lattice = lattice_of(grid.shape, move_rule(movement))
+    words = build_board(grid).free
     found = set()
     for row, column in np.argwhere(grid == 0).tolist():
-        if is_direct((row, column), goal, lattice, words):
+        if has_direct_path((row, column), goal, lattice, words):
             found.add((row, column))
     return found
 

@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
 from mapdata import MapGenerator, clearance, generate, inflate
-from mapdata.search.footprint import least_squared
+from mapdata.search.footprint import min_squared_clearance
 
 Grid = npt.NDArray[np.uint8]
 
@@ -77,11 +77,11 @@ def test_a_radius_that_was_a_float32_counts_as_meant(resolution: float) -> None:
     hall = np.zeros((1, 200), np.uint8)
     for half_cells in range(1, 200):
         radius = half_cells / 2 * resolution
-        exact = least_squared(half_cells / 2)
+        exact = min_squared_clearance(half_cells / 2)
         assert exact == half_cells**2
-        assert least_squared(radius, resolution) == exact
-        assert least_squared(float(np.float32(radius)), resolution) == exact
-        assert least_squared(half_cells / 2 * 1.001) > exact
+        assert min_squared_clearance(radius, resolution) == exact
+        assert min_squared_clearance(float(np.float32(radius)), resolution) == exact
+        assert min_squared_clearance(half_cells / 2 * 1.001) > exact
     assert inflate(hall, 0.5).sum() == 0
     assert inflate(hall, 0.501).all()
 
@@ -110,7 +110,7 @@ def test_long_grids_are_exact() -> None:
 def test_a_radius_of_too_many_cells_is_named(resolution: float) -> None:
     """In cells it is as large as the resolution is small."""
     with pytest.raises(ValueError, match=r"radius: got 1, .*below 1,000,000 cells"):
-        least_squared(1, resolution)
+        min_squared_clearance(1, resolution)
 
 
 @pytest.mark.parametrize("radius", [-1, math.nan, math.inf, 1e6, 1e200, "wide", True, None])

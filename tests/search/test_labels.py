@@ -16,10 +16,9 @@ from scipy import ndimage
 
 from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.movement import Movement
-from mapdata.search import cell_at, lattice_of, load, rule_of
-from mapdata.search.kernels import scratch
+from mapdata.search.kernels import new_scratch
 from mapdata.search.labels import _fill_costs
-from mapdata.search.lattice import ASTAR
+from mapdata.search.lattice import ASTAR, cell_at, lattice_of, load, move_rule
 
 SEARCHES: dict[str, reference.Search] = {
     "bfs": reference.reference_bfs,
@@ -63,7 +62,7 @@ def assert_route(
     iterations = [expected.iterations for expected in route]
     first, last = maps.segment_offsets[place : place + 2]
     assert labels.iterations(search, place).tolist() == iterations
-    assert labels.of(search).iterations[first:last].tolist() == iterations
+    assert labels.by_search(search).iterations[first:last].tolist() == iterations
     return route
 
 
@@ -197,8 +196,8 @@ def test_shapes_and_types(movement: Movement) -> None:
         assert (labels.reachable.shape, labels.all_connected.shape) == ((segments,), (count,))
         assert labels.reachable.dtype == labels.all_connected.dtype == np.bool_
         for search in SEARCHES:
-            assert labels.of(search).iterations.dtype == np.int64
-            assert labels.of(search).iterations.shape == (segments,)
+            assert labels.by_search(search).iterations.dtype == np.int64
+            assert labels.by_search(search).iterations.shape == (segments,)
 
 
 @movements
@@ -260,12 +259,12 @@ def test_costs_without_a_path_take_the_place_of_what_memory_held() -> None:
     """(-1, 0), since the content hash covers both numbers."""
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 4] = 1
-    lattice = lattice_of(grid.shape, rule_of(Movement(8)))
-    buffers = scratch(ASTAR, lattice)
-    assert load(grid, buffers.came)
+    lattice = lattice_of(grid.shape, move_rule(Movement(8)))
+    scratch = new_scratch(ASTAR, lattice)
+    assert load(grid, scratch.came_from)
     ends = np.array([cell_at(2, column, lattice) for column in (2, 6, 7)])
     costs = np.full((3, 2), 7)
-    _fill_costs(np.array([cell_at(2, 0, lattice)]), ends, lattice, buffers, costs)
+    _fill_costs(np.array([cell_at(2, 0, lattice)]), ends, lattice, scratch, costs)
     assert costs.tolist() == [[2, 0], [-1, 0], [-1, 0]]
 
 
