@@ -498,8 +498,8 @@ def _next_narrow_level(
 ) -> tuple[Int, Int]:
     """Write the level that follows ``current``, whose rows ``low`` to ``high`` have one word each.
 
-    Arguments and returned rows are those of `_next_level`, which also carries bits between the words
-    of a row.
+    Arguments and returned rows are those of `_next_level`, which also carries bits between the
+    words of a row.
     """
     low -= 1
     high += 1

@@ -68,7 +68,11 @@ def inflate(grid: ArrayLike, radius: float) -> Bytes:
 
 
 def _binary_grid(grid: ArrayLike) -> Bytes:
-    """Return ``grid`` (H, W) as uint8; raise a ValueError if it holds other numbers than 0 and 1."""
+    """Return ``grid`` (H, W) as uint8.
+
+    Raises:
+        ValueError: the grid is not 2-D, or holds other numbers than 0 and 1.
+    """
     cells = as_grid(grid, 2)
     if cells.max() > 1:
         raise ValueError(values_complaint(cells))

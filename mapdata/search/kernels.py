@@ -373,8 +373,12 @@ def best_first_buckets(
         for move in range(len(lattice.offsets)):
             neighbour = np.uint64(cell + lattice.offsets[move])
             tentative_g = cost + (UNIT if move < 4 else lattice.diagonal_cost)
-            # A closed cell is never improved, because the heuristic is consistent.
-            if not _is_improvement(came_from, g, cell, move, neighbour, tentative_g, lattice):
+            state = came_from[neighbour]
+            # Most neighbours fail this test, so that corners are looked at for few of them. Closed
+            # cells always fail it, because the heuristic is consistent.
+            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
+                continue
+            if not is_legal(came_from, cell, move, lattice):
                 continue
             rows_to_goal = row + STEPS[move, 0] - goal_row
             columns_to_goal = column + STEPS[move, 1] - goal_column
@@ -450,9 +454,12 @@ def best_first_heap(
         for move in range(len(lattice.offsets)):
             neighbour = np.uint64(cell + lattice.offsets[move])
             tentative_g = cost + (UNIT if move < 4 else lattice.diagonal_cost)
-            if not _is_improvement(came_from, g, cell, move, neighbour, tentative_g, lattice):
-                continue
             state = came_from[neighbour]
+            # Most neighbours fail this test, so that corners are looked at for few of them.
+            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
+                continue
+            if not is_legal(came_from, cell, move, lattice):
+                continue
             if state != UNSEEN and state >= CLOSED:
                 # The cell was expanded before a shorter path to it was found, which happens under
                 # weights other than those of A*. It takes the shorter path and is not expanded
@@ -472,34 +479,6 @@ def best_first_heap(
             heap_size += 1
             pushes += np.uint32(1)
     return expansions, np.int64(pushes)
-
-
-@inlined
-def _is_improvement(
-    came_from: Bytes,
-    g: Ints,
-    cell: Int,
-    move: Int,
-    neighbour: np.uint64,
-    tentative_g: Int,
-    lattice: Lattice,
-) -> Int:
-    """Return whether ``move`` is legal and leads to a neighbour unseen or more costly so far.
-
-    Args:
-        came_from: (cells,) states of the cells.
-        g: (cells,) costs of the cells that are not unseen.
-        cell: padded cell that is expanded.
-        move: index into ``lattice.offsets``.
-        neighbour: padded cell to which the move leads.
-        tentative_g: cost of the path to the neighbour through ``cell``.
-        lattice: of the map.
-    """
-    # Most neighbours fail this test, so that corners are looked at for few of them.
-    state = came_from[neighbour]
-    if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
-        return False
-    return is_legal(came_from, cell, move, lattice)
 
 
 @inlined
@@ -906,7 +885,7 @@ def write_field(
 
 @inlined
 def cost_at(cell: Int, scratch: Scratch) -> float:
-    """Return the cost that `shortest_costs` wrote for a padded cell, in cells; -1 without a path."""
+    """Return the cost of a padded cell after `shortest_costs`, in cells; -1 without a path."""
     cost = scratch.g[cell]
     return in_cells(cost) if 0 <= cost < INFINITY else -1.0
 

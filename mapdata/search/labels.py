@@ -279,7 +279,10 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
 
 
 def _padded_cells(seed_points: Ints, size: tuple[int, int], lattice: Lattice) -> Ints:
-    """Return the padded cells (N, R) of seed points (N, R, 2); cell 0, a wall, if outside of a map."""
+    """Return the padded cells (N, R) of seed points (N, R, 2).
+
+    A seed point outside of the map becomes cell 0, which is a wall.
+    """
     rows = seed_points[:, :, 0]
     columns = seed_points[:, :, 1]
     cells: Ints = (rows + 1) * lattice.stride + columns + 1  # as `cell_at` computes them
