@@ -72,13 +72,13 @@ def test_the_heuristic_equals_the_reference(movement: Movement) -> None:
     """In fixed point and as floats, of one pair of cells and of arrays."""
     ends = np.random.default_rng(2).integers(0, 1000, (2, 5, 7, 2))
     lattice = lattice_of((1000, 1000), move_rule(movement))
-    found = heuristics(ends[0], ends[1], movement)
-    assert found.shape == (5, 7)
+    costs = heuristics(ends[0], ends[1], movement)
+    assert costs.shape == (5, 7)
     for at in np.ndindex(5, 7):
         pair = reference.heuristic(tuple(ends[0][at]), tuple(ends[1][at]), movement)
         rows, columns = (ends[0][at] - ends[1][at]).tolist()
-        assert found[at] == reference.as_float(pair, movement)
-        assert in_cells(heuristic(rows, columns, lattice)) == found[at]
+        assert costs[at] == reference.as_float(pair, movement)
+        assert in_cells(heuristic(rows, columns, lattice)) == costs[at]
 
 
 def test_hardness() -> None:
