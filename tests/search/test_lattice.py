@@ -17,6 +17,7 @@ from mapdata.search.lattice import (
     UNIT,
     WALL,
     cell_at,
+    count_path_cells,
     hardness,
     heuristic,
     heuristics,
@@ -25,7 +26,6 @@ from mapdata.search.lattice import (
     lattice_of,
     load,
     move_rule,
-    path_cells,
     position,
 )
 
@@ -97,9 +97,9 @@ def test_hardness() -> None:
 
 def test_a_path_has_one_cell_more_than_moves() -> None:
     """A missing path, which kernels report as -1 straight moves, has no cells."""
-    assert path_cells(0, 0) == 1
-    assert path_cells(3, 2) == 6
-    assert path_cells(-1, 0) == 0
+    assert count_path_cells(0, 0) == 1
+    assert count_path_cells(3, 2) == 6
+    assert count_path_cells(-1, 0) == 0
 
 
 def test_the_order_of_moves() -> None:
