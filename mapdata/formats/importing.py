@@ -27,7 +27,7 @@ from mapdata.limits import MAX_ROOMS, MAX_SIDE, Size
 from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
-from mapdata.search.lattice import rule_of
+from mapdata.search.lattice import move_rule
 from mapdata.shards.builder import planned_headers
 from mapdata.shards.files import StrPath, file_hash, make_folder, write_file
 from mapdata.shards.header import Header
@@ -239,7 +239,7 @@ def _check_usable(foreign_map: ForeignMap, movement: Movement) -> None:
     if rooms > MAX_ROOMS or (foreign_map.rooms_known and rooms < 1):
         raise ValueError(f"{rooms} rooms, expected 1 to {MAX_ROOMS}")
     if not foreign_map.rooms_known:
-        diagonals, _ = rule_of(movement)
+        diagonals, _ = move_rule(movement)
         if len(largest_component(grid, diagonals)) < 2:
             free_cells = np.count_nonzero(grid == 0)
             raise ValueError(f"has no two connected free cells ({free_cells} free in all)")
@@ -401,7 +401,7 @@ def _seed_points(foreign_map: ForeignMap, header: Header, draws: Draws, index: i
     _, columns = foreign_map.shape
     # Cells are drawn by their numbers in reading order, row * columns + column.
     own_cells = foreign_map.seed_points[:, 0] * columns + foreign_map.seed_points[:, 1]
-    diagonals, _ = rule_of(header.movement)
+    diagonals, _ = move_rule(header.movement)
     candidates = np.setdiff1d(largest_component(foreign_map.grid, diagonals), own_cells)
     count = min(missing, len(candidates))
     drawn = draw_points(candidates, np.uint64(draws.seed), np.uint64(index), count)

@@ -329,7 +329,9 @@ def _check_lengths(batch: list[Problem], grid: Bytes, path: Path, report: ScenRe
     starts = [problem.start for problem in batch]
     goals = [problem.goal for problem in batch]
     # This search accepts a start or goal on an occupied cell: it returns that there is no path.
-    costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost.tolist()
+    costs = solve_batch(
+        ASTAR, grid, starts, goals, MOVEMENT, allow_occupied_ends=True
+    ).cost.tolist()
     for problem, cost in zip(batch, costs, strict=True):
         if cost > 0:
             report.solved.append((grid, problem))

@@ -121,7 +121,7 @@ def _map_entry(labels: Labels, i: int) -> dict[str, Any]:
     }
     first_segment, end_segment = maps.segment_offsets[i : i + 2]
     for name in SEARCHES:
-        search_labels = labels.of(name)
+        search_labels = labels.by_search(name)
         bounds = pairwise(search_labels.offsets[first_segment : end_segment + 1])
         entry[name] = {
             "moves": [

@@ -40,7 +40,8 @@ from mapdata import (
     evaluate,
 )
 from mapdata.evaluation import Planner, classical
-from mapdata.search import STEPS, heuristics, search_batch
+from mapdata.search import STEPS, search_batch
+from mapdata.search.lattice import heuristics
 from models.geometry import heuristic, legal_moves
 from models.learned_planners import planners
 from models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
@@ -263,7 +264,7 @@ def is_path(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_heuristic_is_that_of_the_searches(movement: Movement) -> None:
-    """For all differences of two cells it equals `mapdata.search.heuristics`, in float32."""
+    """For all differences of two cells it equals `heuristics` of mapdata, in float32."""
     differences = np.stack(np.meshgrid(np.arange(-70, 71), np.arange(-70, 71)), axis=-1)
     expected = heuristics(differences, [0, 0], movement)
     down, right = torch.from_numpy(differences).unbind(-1)
