@@ -6,21 +6,23 @@ Axes in, axes out, as in `mapdata.plotting.plot`.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapdata.arrays import Ints
+from mapdata.arrays import Array, Ints
+from mapdata.limits import MAPS_AND_MASKS
 from mapdata.plotting.plot import COLOURS, head, mark, new_axes, plot_cells, plot_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from mapdata.datasets.sample import Sample
+MAX_SAMPLES = 9
+"""Largest number of samples that one figure shows."""
 
 
-def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
+def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch.
 
     Its map, start S, goal G and path, as far as it has these fields, over a shade of its first
@@ -29,7 +31,8 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
     Args:
-        sample: what ``dataset[i]`` or a loader gives; with the field ``map`` or ``free``.
+        sample: what ``dataset[i]`` or a loader gives, a NamedTuple of tensors; with the field
+            ``map`` or ``free``.
         axes: where to draw one sample, not a batch; a new figure without.
 
     Returns:
@@ -38,8 +41,6 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     Raises:
         ValueError: no map, no sample, or axes for a batch.
     """
-    from mapdata.datasets.sample import MAPS_AND_MASKS, row
-
     if not hasattr(sample, "_asdict"):
         raise ValueError(f"sample: got a {type(sample).__name__}, expected one without transform=")
     values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
@@ -49,18 +50,17 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
             f"sample: got {sample}, expected one sample, or more without axes, with a map"
         )
     if grid.ndim == 4:
-        count = min(len(grid), 9)
+        count = min(len(grid), MAX_SAMPLES)
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
         places = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
         for k in range(count):
-            plot_sample(row(sample, k), places[k])
+            plot_sample(type(sample)(*(tensor[k] for tensor in sample)), places[k])
         for spare in places[count:]:
             spare.set_axis_off()
         return places[0]
     axes = plot_grid(grid[0], axes)
-    others = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and bit sets
-    dense = [name for name in values if name not in others and values[name].shape == grid.shape]
+    dense = [name for name in values if _is_dense(name, values[name], grid)]
     for name in dense[:1]:
         shade = np.ma.masked_where((grid == 1) | (values[name] < 0), values[name])
         image = axes.imshow(shade[0], "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
@@ -150,6 +150,11 @@ def plot_roadmap(
     axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
     head(axes, "roadmap")
     return axes
+
+
+def _is_dense(name: str, field: Array, grid: Array) -> bool:
+    """Return whether a field has a number for each cell: masks and bit sets of moves have not."""
+    return field.shape == grid.shape and name not in (*MAPS_AND_MASKS, "optimal_moves")
 
 
 def _in_words(name: str, path: Ints) -> str:
