@@ -16,6 +16,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from inspect import signature
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -1073,6 +1074,23 @@ def test_one_class_serves_both_packages(root: str) -> None:
     )
     run.fit(model, datamodule=module(root))
     assert sorted(model.seen) == list(range(len(MapDataset(root, "train"))))
+
+
+@pytest.mark.parametrize(("drop_last", "batch_count"), [(True, 2), (False, 3)])
+def test_a_pass_whose_batches_are_all_done_starts_again(drop_last: bool, batch_count: int) -> None:
+    """Of 20 samples 2 or 3 batches of 8 are an epoch: a Trainer at its end is at the next start."""
+    dataset: Any = TensorDataset(torch.zeros(20))
+    progress = SimpleNamespace(current=SimpleNamespace(ready=0))
+    loop = SimpleNamespace(epoch_loop=SimpleNamespace(batch_progress=progress))
+    run = SimpleNamespace(
+        training=True, current_epoch=0, global_rank=0, world_size=1, fit_loop=loop
+    )
+    sampler = EpochSampler(dataset, 8, 3, SimpleNamespace(trainer=run), drop_last=drop_last)  # type: ignore[arg-type]
+    order = list(sampler)
+    for batches_done in range(batch_count + 1):
+        progress.current.ready = batches_done
+        expected = order if batches_done == batch_count else order[8 * batches_done :]
+        assert list(sampler) == expected
 
 
 # --- options of torch's DataLoader --------------------------------------------------------------
