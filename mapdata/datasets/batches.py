@@ -67,10 +67,10 @@ class SearchColumns(NamedTuple):
         straight: the straight moves of each pair of rooms.
     """
 
-    offsets: Int
-    moves: Int
-    iterations: Int
-    straight: Int
+    offsets: int
+    moves: int
+    iterations: int
+    straight: int
 
 
 SEARCH_COLUMNS = {
@@ -188,7 +188,13 @@ def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, points:
 
 @kernel
 def locate_paths(
-    table: Ints, shards: Ints, maps: Ints, rooms: Ints, columns: SearchColumns, segments: Ints
+    table: Ints,
+    shards: Ints,
+    maps: Ints,
+    rooms: Ints,
+    offsets_column: Int,
+    iterations_column: Int,
+    segments: Ints,
 ) -> None:
     """Locate the stored path from room ``rooms[b]`` to the next room of each map.
 
@@ -197,7 +203,8 @@ def locate_paths(
         shards: (B,) shard of each problem.
         maps: (B,) its map in the shard.
         rooms: (B,) its first room.
-        columns: of the search.
+        offsets_column: the column of the offsets of the search's segments.
+        iterations_column: the column of the search's iterations.
         segments: (3, B), filled with the number of the path's first move in its shard, the number
             of its moves, and the iterations of the search.
     """
@@ -206,10 +213,10 @@ def locate_paths(
         # A map of n rooms has n - 1 segments. So m maps have m segments fewer than rooms, and the
         # segments of map m begin m places before its rooms.
         segment = _array(table[shard, _ROOM_OFFSETS], np.int64)[maps[b]] - maps[b] + rooms[b]
-        offsets = _array(table[shard, columns.offsets], np.int64)
+        offsets = _array(table[shard, offsets_column], np.int64)
         segments[0, b] = offsets[segment]
         segments[1, b] = offsets[segment + 1] - offsets[segment]
-        segments[2, b] = _array(table[shard, columns.iterations], np.int32)[segment]
+        segments[2, b] = _array(table[shard, iterations_column], np.int32)[segment]
 
 
 @kernel
@@ -218,7 +225,7 @@ def read_paths(
     shards: Ints,
     maps: Ints,
     rooms: Ints,
-    columns: SearchColumns,
+    moves_column: Int,
     bits: Int,
     size: tuple[Int, Int],
     segments: Ints,
@@ -232,7 +239,7 @@ def read_paths(
         shards: (B,) shard of each problem.
         maps: (B,) its map in the shard.
         rooms: (B,) its first room.
-        columns: of the search.
+        moves_column: the column of the search's packed moves.
         bits: number of bits of a stored move, 2 or 4.
         size: (rows, columns) of a map.
         segments: (3, B), as from `locate_paths`.
@@ -261,7 +268,7 @@ def read_paths(
         column = np.int64(seeds[room, 1])
         goal_row = seeds[room + 1, 0]
         goal_column = seeds[room + 1, 1]
-        packed_moves = _array(table[shard, columns.moves], np.uint8)
+        packed_moves = _array(table[shard, moves_column], np.uint8)
         offsets[b] = cell_count
         if move_count == 0 and (row != goal_row or column != goal_column):
             continue  # there is no path
@@ -600,7 +607,9 @@ class BatchReader:
         shards, maps, rooms, _ = stored
         columns = SEARCH_COLUMNS[search]
         segments = np.empty((3, len(shards)), np.int64)
-        locate_paths(self._addresses, shards, maps, rooms, columns, segments)
+        locate_paths(
+            self._addresses, shards, maps, rooms, columns.offsets, columns.iterations, segments
+        )
         move_counts = segments[1]
         iterations = segments[2]
         max_cells = move_counts.sum() + len(shards)  # a path of k moves has k + 1 cells
@@ -611,7 +620,7 @@ class BatchReader:
             shards,
             maps,
             rooms,
-            columns,
+            columns.moves,
             bits_of(self.movement),
             self.map_size,
             segments,

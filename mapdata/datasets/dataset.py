@@ -129,6 +129,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             )
         self.split = split
         self.serving = serving
+        self._field_names = serving.names
         self.dtype = torch_dtype(serving.dtype, serving.names)
         self.transform = serving.transform
         keep_freed_memory()
@@ -226,8 +227,9 @@ class ProblemDataset(Dataset[Sample], ABC):
 
         indices = [self._checked_index(i) for i in np.atleast_1d(index)[:MAX_SAMPLES]]
         fields = tuple(dict.fromkeys((*DEFAULT_FIELDS, *self.serving.fields)))
-        batch = self._compute_fields(self._batch(np.array(indices, np.int64), epoch=0), fields)
-        return plot_sample(row(batch, 0) if np.ndim(index) == 0 else batch, axes)
+        batch = self._batch(np.array(indices, np.int64), epoch=0)
+        samples = self._compute_fields(batch, fields, field_names(fields))
+        return plot_sample(row(samples, 0) if np.ndim(index) == 0 else samples, axes)
 
     def _checked_index(self, index: Any) -> int:
         """Return an index as an int.
@@ -242,7 +244,8 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     def _load(self, indices: Ints, epoch: int) -> Sample:
         """Return the served fields of problems ``indices`` of an epoch, as a batch."""
-        sample = self._compute_fields(self._batch(indices, epoch), self.serving.fields)
+        batch = self._batch(indices, epoch)
+        sample = self._compute_fields(batch, self.serving.fields, self._field_names)
         return sample if self.dtype is None else cast(sample, self.dtype)
 
     def _batch(self, indices: Ints, epoch: int) -> Batch:
@@ -252,9 +255,10 @@ class ProblemDataset(Dataset[Sample], ABC):
             batch = _transformed(batch, self.serving.sampling_seed, epoch)
         return batch
 
-    def _compute_fields(self, batch: Batch, fields: Sequence[str | FieldFunction]) -> Sample:
+    def _compute_fields(
+        self, batch: Batch, fields: Sequence[str | FieldFunction], names: tuple[str, ...]
+    ) -> Sample:
         """Return fields of a batch; a function gets the fields before it."""
-        names = field_names(fields)
         tensors: list[Tensor] = []
         for field in fields:
             if isinstance(field, str):
@@ -367,7 +371,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             goals=goals,
             problems=indices,
             compute_rooms=lambda: self._rooms(maps, grids),
-            requested_fields=self.serving.names,
+            requested_fields=self._field_names,
             max_length=self.serving.max_length,
         )
 
