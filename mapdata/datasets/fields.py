@@ -108,8 +108,8 @@ class Batch:
             return self.compute_paths()
         search = SEARCHES[self.search]
         # An end is occupied where the robot does not fit. Such a problem has no path.
-        found = solve_batch(search, self.grids, self.starts, self.goals, self.movement, most=1)
-        return Paths(found.cells, found.offsets, found.iterations)
+        solved = solve_batch(search, self.grids, self.starts, self.goals, self.movement, most=1)
+        return Paths(solved.cells, solved.offsets, solved.iterations)
 
     @cached_property
     def rooms(self) -> Rooms:

@@ -65,4 +65,4 @@ def test_every_option_arrives(constructor: Any, tmp_path: Any) -> None:
 def test_options_are_passed_by_name_alone() -> None:
     """A position could be mistaken."""
     with pytest.raises(TypeError, match="positional"):
-        Serving(("map",))  # type: ignore[misc]
+        Serving(("map",))  # type: ignore[call-arg]

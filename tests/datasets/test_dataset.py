@@ -1469,7 +1469,8 @@ def test_copies_of_a_users_class_keep_its_attributes(root: str, copied: Any) -> 
     """Views too."""
     dataset = copied(Named(root, "mine"))
     assert type(dataset) is Named
-    assert (dataset.name, dataset.filter(rooms=(1, 3)).name) == ("mine", "mine")
+    view: Any = dataset.filter(rooms=(1, 3))
+    assert (dataset.name, view.name) == ("mine", "mine")
     samples.assert_same(dataset[:5], MapDataset(root, "train", fields=("map",))[:5])
 
 

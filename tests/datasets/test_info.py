@@ -95,13 +95,14 @@ def test_info_of_maps_made_online(root: str, split: str | None) -> None:
 
 def share_free(batch: Sample) -> torch.Tensor:
     """Return (B,) the share of free cells."""
-    return 1 - batch.map.float().mean(dim=(1, 2, 3))
+    share: torch.Tensor = 1 - batch.map.float().mean(dim=(1, 2, 3))
+    return share
 
 
 @pytest.mark.parametrize("max_length", [None, 64])
 def test_fields_have_the_shapes_and_dtypes_of_samples(root: str, max_length: int | None) -> None:
     """Each sample has them; the number of rows of a path is None where it varies."""
-    fields = (*samples.ALL_FIELDS, share_free)
+    fields: tuple[Any, ...] = (*samples.ALL_FIELDS, share_free)
     dataset = MapDataset(root, fields=fields, max_length=max_length, dtype=torch.float32)
     described = dataset.info.fields
     assert described is not None
