@@ -25,7 +25,8 @@ from mapdata import (
 from mapdata.describe import dataset_statistics
 from mapdata.evaluation import classical
 from mapdata.formats import Collection, ForeignMap
-from mapdata.shards import Recipe, Root, open_shard, read_manifest
+from mapdata.generators import Recipe
+from mapdata.shards import Root, open_shard, read_manifest
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "recipe": Recipe(samples.SPEC, 3),
         "shard": open_shard(sorted(Path(root).glob("*.h5"))[0]),
         "statistics": dataset_statistics(root, repeats=True),
-        "problems": ProblemSet.sample(MapSpec(), 77, maps=40),
+        "problems": ProblemSet.sample(MapSpec(), 77, maps=40, movement=Movement(8)),
         "result": found,
         "search result": astar(maps.occupancy[0], ends[0][0], ends[1][0]),
         "sampler": module.train_dataloader().sampler,

@@ -59,38 +59,35 @@ def build_command(
         preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default:
             paper); 'mapdata list' describes them
         map_size: rows and columns of a map, in place of the preset's
-        recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
+        recipe: which maps: a preset's name, a file that holds what 'mapdata info ROOT --recipe'
+            prints, or such JSON text
         shard_size: maps a shard
         workers: threads (default: all cores)
         scheduler: build with Dask: tcp://HOST:PORT of a scheduler
         part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
     """
-    from mapdata.generators import MapGenerator
-    from mapdata.shards import Recipe, build
+    from mapdata.generators import MapGenerator, as_recipe
+    from mapdata.shards import build
     from mapdata.shards.cluster import executor_of
 
     for flag, value in (("--preset", preset), ("--map-size", map_size)):
         if value is not None and recipe is not None:
-            raise ValueError(f"{flag}: not allowed with --recipe, which says the spec")
+            raise ValueError(f"{flag}: not allowed with --recipe, which states the generator")
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
-    if recipe is None:
-        spec = MapGenerator.preset(preset or "paper")
-        wanted = Recipe(spec if map_size is None else replace(spec, map_size=map_size))
+    if recipe is not None:
+        to_build = as_recipe(recipe, maps=maps, seed=seed)
     else:
-        wanted = Recipe.load(recipe)
-    if maps is None:
-        maps = wanted.maps
-    if seed is None:
-        seed = wanted.seed
+        spec = MapGenerator.preset(preset or "paper")
+        if map_size is not None:
+            spec = replace(spec, map_size=map_size)
+        to_build = as_recipe(spec, maps=maps, seed=seed)
     began = time.perf_counter()
     with nullcontext() if scheduler is None else executor_of(scheduler) as executor:
         manifest = build(
             root,
-            wanted.spec,
-            maps=maps,
-            seed=seed,
+            to_build,
             shard_size=shard_size,
             workers=workers,
             executor=executor,
@@ -98,15 +95,7 @@ def build_command(
             progress=True,
         )
     print(summary(root, manifest, time.perf_counter() - began))
-    if (
-        wanted.content_hash is not None
-        and (maps, seed) == (wanted.maps, wanted.seed)
-        and manifest.complete
-    ):
-        if manifest.content_hash != wanted.content_hash:
-            raise DisagreeError(
-                f"content hash {manifest.content_hash}, the recipe says {wanted.content_hash}"
-            )
+    if to_build.content_hash is not None and manifest.complete:
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
 

@@ -33,13 +33,13 @@ from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
-from mapdata.generators.generator import identity
+from mapdata.generators.generator import MapGenerator, identity
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.manifest import MANIFEST, read_manifest
-from mapdata.shards.recipe import Recipe
 from mapdata.shards.remote import is_url
 from mapdata.shards.root import places
 
@@ -103,8 +103,8 @@ class MapDataModule(_Base):
     Args:
         root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without
             any disk.
-        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file,
-            its JSON text, or what that says as a dict or another mapping.
+        build: which maps to build when ``root`` is missing or incomplete: a preset's name, a
+            recipe file, its JSON text or mapping, a `MapGenerator` or a `Recipe`.
         batch_size: samples a batch (a rank).
         num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as in
             torch's DataLoader.
@@ -127,7 +127,7 @@ class MapDataModule(_Base):
         self,
         root: str | Path | Sequence[str] | None = "data/maps",
         *,
-        build: str | Mapping[str, Any] | None = None,
+        build: RecipeLike | None = None,
         batch_size: int = 256,
         num_workers: int = 0,
         pin_memory: bool = False,
@@ -157,7 +157,7 @@ class MapDataModule(_Base):
         if build is not None and (len(roots) > 1 or any(map(is_url, roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
         self.roots = roots
-        self.build = plain_values(build)
+        self.build = _plain_recipe(build)
         self.batch_size = check_count("batch_size", batch_size)
         check_flag("drop_last", drop_last)
         self.drop_last = drop_last
@@ -214,19 +214,9 @@ class MapDataModule(_Base):
         """
         if self.build is None or not self.roots:
             return
-        recipe = Recipe.load(self.build)
         root = Path(self.roots[0])
         shard_size = read_manifest(root).shard_size if (root / MANIFEST).exists() else 1000
-        built = build(
-            root,
-            recipe.spec,
-            maps=recipe.maps,
-            seed=recipe.seed,
-            shard_size=shard_size,
-            progress=True,
-        ).content_hash
-        if recipe.content_hash not in (None, built):
-            raise ValueError(f"build: content hash {built}, the recipe says {recipe.content_hash}")
+        build(root, self.build, shard_size=shard_size, progress=True)
 
     def setup(self, stage: str | None = None) -> None:
         """Open the datasets of ``stage``; a second call does nothing.
@@ -284,7 +274,7 @@ class MapDataModule(_Base):
         if self.roots:
             return MapDataset(self.roots, split, **arguments)
         assert self.build is not None  # there are roots or a recipe
-        recipe = Recipe.load(self.build)
+        recipe = as_recipe(self.build)
         length = max(round(recipe.maps * recipe.spec.splits[SPLITS.index(split)]), 1)
         return OnlineMapDataset(recipe.spec, recipe.seed, length, split, **arguments)
 
@@ -406,3 +396,10 @@ def is_plain(option: object) -> bool:
 def one_or_all(values: Sequence[Any]) -> Any:
     """Return the value of a single root, or the values of several roots as a tuple."""
     return values[0] if len(values) == 1 else tuple(values)
+
+
+def _plain_recipe(recipe: RecipeLike | None) -> Any:
+    """Return a recipe as text or plain values, which checkpoints can hold; files are not read."""
+    if isinstance(recipe, MapGenerator | Recipe):
+        recipe = as_recipe(recipe).to_dict()
+    return str(recipe) if isinstance(recipe, Path) else plain_values(recipe)

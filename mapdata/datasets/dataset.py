@@ -29,6 +29,8 @@ from mapdata.datasets.batches import BatchReader, stored_counts
 from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
+from mapdata.generators.generator import UnknownFamily
+from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems
@@ -43,7 +45,6 @@ from mapdata.problems.sources import (
 )
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
-from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import Places, places
 
 if TYPE_CHECKING:
@@ -520,9 +521,15 @@ class MapDataset(ProblemDataset):
         """
         recipes = []
         for manifest in self.reader.manifests:
+            spec = manifest.spec
             recipe = None
-            if manifest.spec is not None and manifest.seed is not None:
-                recipe = Recipe(manifest.spec, manifest.seed, manifest.maps, manifest.content_hash)
+            # A recipe takes no generator of a family that is unknown here.
+            if (
+                spec is not None
+                and manifest.seed is not None
+                and not isinstance(spec, UnknownFamily)
+            ):
+                recipe = Recipe(spec, manifest.seed, manifest.maps, manifest.content_hash)
             recipes.append(recipe)
         resolutions = {manifest.resolution for manifest in self.reader.manifests}
         splits = SPLITS if self.split is None else (self.split,)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import torch
 
 from mapdata.datasets.sample import Sample
+from mapdata.generators.recipe import Recipe
 from mapdata.limits import Size
 from mapdata.movement import Movement
-from mapdata.shards.recipe import Recipe
 
 
 class FieldInfo(NamedTuple):
@@ -31,7 +31,8 @@ class DatasetInfo:
 
     Attributes:
         roots: folders and URLs of the dataset; none for maps made online.
-        recipes: generator, seed and number of maps of each root; None for imported maps.
+        recipes: generator, seed and number of maps of each root; None for imported maps, and for
+            maps of a family that is not registered.
         identities: identity of generator and seed of each root; None for imported maps.
         content_hashes: hash of the maps of each root; None for maps made online.
         map_counts: number of maps by split, of the splits that are served.

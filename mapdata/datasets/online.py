@@ -8,13 +8,14 @@ import numpy as np
 import torch
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.checks import check_count, check_seed
+from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import ProblemDataset, SampledProblems
 from mapdata.datasets.fields import Paths
 from mapdata.datasets.info import DatasetInfo, field_infos
-from mapdata.generators.generator import MapGenerator, check_spec, generate, identity
+from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
@@ -23,7 +24,6 @@ from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import rule_of
-from mapdata.shards.recipe import Recipe
 
 
 class OnlineMapDataset(ProblemDataset):
@@ -31,14 +31,16 @@ class OnlineMapDataset(ProblemDataset):
 
     The maps are those that shards of the same spec and seed hold.
 
-    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route
+    Sample i is of the i-th map of the recipe, or of the i-th one that belongs to ``split``. Route
     and pairs problems are one segment or pair of the map, drawn anew each epoch. A map without any
     such problem is replaced by one of the ``length`` maps that follow those of the samples.
 
     Args:
-        spec: the distribution of maps.
-        seed: their seed.
-        length: how many problems.
+        recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
+            `MapGenerator` or a `Recipe`.
+        seed: 64-bit seed of the maps; the recipe's by default, 0 for a preset or generator.
+        length: number of problems; the recipe's number of maps by default, 10,000 for a preset or
+            generator.
         split: as in `MapDataset`, like all further arguments.
 
     Raises:
@@ -49,9 +51,9 @@ class OnlineMapDataset(ProblemDataset):
 
     def __init__(
         self,
-        spec: MapGenerator,
-        seed: int = 0,
-        length: int = 10_000,
+        recipe: RecipeLike,
+        seed: int | None = None,
+        length: int | None = None,
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
@@ -79,17 +81,17 @@ class OnlineMapDataset(ProblemDataset):
             radius=radius,
         )
         super().__init__(split, serving)
-        check_spec(spec)
-        self.spec = spec
-        self.seed = check_seed(seed)
-        self.length = check_count("length", length)
-        self.movement = movement or spec.movement
-        self.map_size = spec.map_size
-        self._min_clearance = least_squared(radius, spec.resolution)
+        recipe = as_recipe(recipe, seed=seed)
+        self.spec = recipe.spec
+        self.seed = recipe.seed
+        self.length = recipe.maps if length is None else check_count("length", length)
+        self.movement = movement or self.spec.movement
+        self.map_size = self.spec.map_size
+        self._min_clearance = least_squared(radius, self.spec.resolution)
         self._open()
 
     def _open(self) -> None:
-        # The indices of the split's maps in (spec, seed); None if these are all maps. The first
+        # The indices of the split's maps in the recipe; None if these are all maps. The first
         # `length` maps are those of the samples. As many again are their substitutes.
         self._map_indices = None
         if self.split is not None:

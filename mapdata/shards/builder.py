@@ -12,8 +12,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from mapdata.checks import check_count, check_integers, check_seed
-from mapdata.generators.generator import MapGenerator, check_spec, generate
+from mapdata.checks import check_count, check_integers
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.search.labels import label
 from mapdata.shards.errors import ShardError
 from mapdata.shards.files import StrPath, file_size, make_folder, write_file
@@ -37,26 +37,28 @@ _UNDER_WAY = 10_000
 
 def build(
     root: StrPath,
-    spec: MapGenerator,
+    recipe: RecipeLike,
     *,
-    maps: int = 10_000,
-    seed: int = 0,
+    maps: int | None = None,
+    seed: int | None = None,
     shard_size: int = 1000,
     workers: int | None = None,
     executor: Executor | None = None,
     part: tuple[int, int] = (0, 1),
     progress: bool = False,
 ) -> Manifest:
-    """Build maps 0 to ``maps`` - 1 of (spec, seed) with all labels as shards under ``root``.
+    """Build the maps of a recipe with all labels as shards under ``root``.
 
     A build that stopped goes on, and a dataset with fewer maps is extended. The content does not
     depend on workers, order or interruptions; the bytes of the files depend on the version of h5py.
 
     Args:
         root: folder, made if missing.
-        spec: the distribution of maps.
-        maps: how many maps the dataset shall have.
-        seed: 64-bit seed.
+        recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
+            `MapGenerator` or a `Recipe`. A content hash that it states is compared with that of
+            the complete dataset, unless ``maps`` or ``seed`` changes the recipe.
+        maps: number of maps; the recipe's by default, 10,000 for a preset or generator.
+        seed: 64-bit seed; the recipe's by default, 0 for a preset or generator.
         shard_size: maps per shard.
         workers: threads (the kernels hold no GIL); default all cores.
         executor: builds the shards instead of threads; anything with ``submit``. When one of its
@@ -69,20 +71,47 @@ def build(
         The manifest; it lists what is there when other parts are not finished.
 
     Raises:
+        ShardError: the recipe states another content hash.
         ValueError: bad arguments; the root is a URL, a file or holds something else; another spec,
             seed, shard size, or more maps.
         OSError: the disk is full or may not be written to.
     """
-    root = folder_of(root)
-    check_spec(spec)
+    recipe = as_recipe(recipe, maps=maps, seed=seed)
+    manifest = _build_shards(
+        folder_of(root),
+        recipe,
+        shard_size=shard_size,
+        workers=workers,
+        executor=executor,
+        part=part,
+        progress=progress,
+    )
+    expected_hash = recipe.content_hash
+    if manifest.complete and expected_hash not in (None, manifest.content_hash):
+        raise ShardError(f"content hash {manifest.content_hash}, the recipe says {expected_hash}")
+    return manifest
+
+
+def _build_shards(
+    root: Path,
+    recipe: Recipe,
+    *,
+    shard_size: int,
+    workers: int | None,
+    executor: Executor | None,
+    part: tuple[int, int],
+    progress: bool,
+) -> Manifest:
+    """Build what is missing of the shards of a recipe; the arguments are those of `build`."""
+    spec = recipe.spec
     if workers is not None:
         if executor is not None:
             raise ValueError("workers: would do nothing beside an executor")
         check_count("workers", workers)
     wanted = Manifest(
         spec=spec,
-        seed=check_seed(seed),
-        maps=check_count("maps", maps),
+        seed=recipe.seed,
+        maps=recipe.maps,
         shard_size=check_count("shard_size", shard_size),
         map_size=spec.map_size,
         movement=spec.movement,
@@ -105,7 +134,7 @@ def build(
         return present if is_done else _list_finished(root, present)
     if executor is not None:
         # kernels are compiled here, once, rather than in each process of the executor at once
-        shard_image(label(generate(spec, seed, [0])), replace(todo[0], start=0, stop=1))
+        shard_image(label(generate(spec, recipe.seed, [0])), replace(todo[0], start=0, stop=1))
     shards = list(present.shards)
     wait = True
     total = sum(header.maps for header in mine)

@@ -13,7 +13,8 @@ from helpers import samples
 from mapdata import MapDataset, Movement, OnlineMapDataset, Pairs, Random, Sample
 from mapdata.datasets import DatasetInfo, FieldInfo
 from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.shards import Recipe, read_manifest
+from mapdata.generators import Recipe
+from mapdata.shards import read_manifest
 
 SPLITS = ("train", "val", "test")
 

@@ -25,7 +25,6 @@ from importlib import import_module
 from dask import config
 from distributed import Client, LocalCluster
 from mapdata import build
-from mapdata.shards import Recipe
 from mapdata.shards.cluster import executor_of
 
 def located(function, *arguments):
@@ -59,7 +58,7 @@ class Watching(Executor):  # kills a worker when so many shards are finished; ha
         future.set_result(entry)
 
 if __name__ == "__main__":
-    recipe = Recipe.load(sys.argv[2])
+    recipe = as_recipe(sys.argv[2])
     config.set({"distributed.scheduler.allowed-failures": 100})
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, protocol="tcp", dashboard_address=None,

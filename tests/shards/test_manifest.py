@@ -24,8 +24,9 @@ from hypothesis import strategies as st
 
 import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
+from mapdata.generators import as_recipe
 from mapdata.limits import SPLITS
-from mapdata.shards import MANIFEST, PROVENANCE, Manifest, Recipe, read_manifest, write_file
+from mapdata.shards import MANIFEST, PROVENANCE, Manifest, read_manifest, write_file
 from mapdata.shards.builder import headers
 from mapdata.shards.header import is_shard_name
 from mapdata.shards.manifest import Entry, parse_manifest
@@ -100,9 +101,9 @@ def test_the_recipe_states_all_that_makes_the_maps(built: Path) -> None:
     assert recipe["content_hash"] == manifest.content_hash
     with pytest.raises(ValueError, match="imported"):
         replace(manifest, spec=None, seed=None).recipe()
-    assert Recipe.load(recipe).spec == SPEC
+    assert as_recipe(recipe).spec == SPEC
     with pytest.raises(ValueError, match="is not that of its spec and seed"):
-        Recipe.load({**recipe, "seed": 6})
+        as_recipe({**recipe, "seed": 6})
 
 
 def test_a_manifest_is_not_read_beyond_its_limit(

@@ -477,7 +477,7 @@ def test_an_answer_that_stays_is_named_and_not_asked_for_again(fault: str, serve
 
 def test_a_stream_comes_in_pieces(server: Server) -> None:
     """A shard that is longer than what arrives at once."""
-    build(server.folder.parent / "large", maps=3000, spec=MapSpec(), shard_size=3000)
+    build(server.folder.parent / "large", maps=3000, recipe=MapSpec(), shard_size=3000)
     url = server.url.replace("/maps", "/large")
     assert len(MapDataset(url)[:10].map) == 10
     assert verify(url) == []
