@@ -523,12 +523,9 @@ class MapDataset(ProblemDataset):
         for manifest in self.reader.manifests:
             spec = manifest.spec
             recipe = None
-            # A recipe takes no generator of a family that is unknown here.
-            if (
-                spec is not None
-                and manifest.seed is not None
-                and not isinstance(spec, UnknownFamily)
-            ):
+            # `Recipe` refuses a generator whose family is not registered here.
+            is_registered = not isinstance(spec, UnknownFamily)
+            if spec is not None and is_registered and manifest.seed is not None:
                 recipe = Recipe(spec, manifest.seed, manifest.maps, manifest.content_hash)
             recipes.append(recipe)
         resolutions = {manifest.resolution for manifest in self.reader.manifests}
