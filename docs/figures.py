@@ -223,7 +223,7 @@ def imported() -> Figure:
         import_maps(folder, source, seed_points=6)
         root = Root.open(folder)
         for ax, index in zip(axes, (3, 8, 13), strict=True):
-            labels, i = root.map(index)
+            labels, i = root.locate(index)
             plot_map(labels, i, ax)
             bare(ax, f"plan {index}")
     return figure

@@ -28,10 +28,11 @@ from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.kernels import scratch
 from mapdata.search.labels import connected_components, pairs_of
 from mapdata.search.lattice import BFS, UNIT, Rule, cells_of, lattice_of, load
-from mapdata.shards.arrays import Shard, bits_of
+from mapdata.shards.arrays import Shard, bits_per_move
 from mapdata.shards.errors import ShardError
+from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import Entry, Manifest
-from mapdata.shards.root import Places, Root
+from mapdata.shards.root import Root
 
 ARRAYS = (
     "maps",
@@ -409,7 +410,7 @@ class BatchReader:
 
     def __init__(
         self,
-        root: Places,
+        root: Locations,
         split: str | None,
         problems: Source,
         radius: float,
@@ -433,7 +434,7 @@ class BatchReader:
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size
         self.movement = self.root.movement
-        self.max_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
+        self.max_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
         if self.max_seed_points > MAX_ROOMS:
             raise ShardError(
                 f"{self.root}: the manifest says maps of {self.max_seed_points} rooms, expected "
@@ -501,12 +502,12 @@ class BatchReader:
         # The addresses are written last, because other threads test them without a lock.
         if self._addresses[k, 0]:
             return self._open[k]
-        place, _, entry = self.shards[k]
+        location, _, entry = self.shards[k]
         try:
             shard = self.root.open_shard(k)
         except (FileNotFoundError, ShardError):
-            current_root = Root.open(self.root.places[place])
-            successor = _successor(self.manifests[place], current_root.manifests[0], entry)
+            current_root = Root.open(self.root.locations[location])
+            successor = _successor(self.manifests[location], current_root.manifests[0], entry)
             if successor is None:
                 raise
             shard = current_root.open_shard(successor)
@@ -621,15 +622,15 @@ class BatchReader:
             maps,
             rooms,
             columns.moves,
-            bits_of(self.movement),
+            bits_per_move(self.movement),
             self.map_size,
             segments,
             cells,
             offsets,
         )
         if damaged >= 0:
-            place, _, entry = self.shards[shards[damaged]]
-            file = f"{self.root.places[place]}/{entry.name}"
+            location, _, entry = self.shards[shards[damaged]]
+            file = f"{self.root.locations[location]}/{entry.name}"
             map_number = entry.start + maps[damaged]
             raise ShardError(f"{file}: a stored path of map {map_number} is damaged")
         return Paths(cells[: offsets[-1]], offsets, iterations)

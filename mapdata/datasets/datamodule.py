@@ -39,9 +39,8 @@ from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
+from mapdata.shards.locations import is_url, locations
 from mapdata.shards.manifest import MANIFEST, read_manifest
-from mapdata.shards.remote import is_url
-from mapdata.shards.root import places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,7 +148,7 @@ class MapDataModule(_Base):
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
-        roots = () if root is None else places(root)
+        roots = () if root is None else locations(root)
         if not roots and build is None:
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"

@@ -45,7 +45,7 @@ from mapdata.problems.sources import (
 )
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import rule_of
-from mapdata.shards.root import Places, places
+from mapdata.shards.locations import Locations, locations
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -431,7 +431,7 @@ class MapDataset(ProblemDataset):
 
     def __init__(
         self,
-        root: Places,
+        root: Locations,
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
@@ -459,7 +459,7 @@ class MapDataset(ProblemDataset):
             radius=radius,
         )
         super().__init__(split, serving)
-        self.roots = places(root)
+        self.roots = locations(root)
         self.filters: tuple[dict[str, Any], ...] = ()
         self._open()
         reader = self.reader

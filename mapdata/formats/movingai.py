@@ -38,7 +38,8 @@ from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.files import StrPath
-from mapdata.shards.root import Root, local_path
+from mapdata.shards.locations import local_path
+from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
 MOVEMENT = Movement(8)

@@ -24,8 +24,8 @@ from mapdata.checks import (
     known_values,
 )
 from mapdata.generators.maps import Maps
-from mapdata.hashing import canonical_json, hash_of, parsed_json
-from mapdata.limits import MAX_ROOMS, Size, least_version
+from mapdata.hashing import canonical_json, json_hash, parsed_json
+from mapdata.limits import MAX_ROOMS, Size, min_version
 from mapdata.movement import Movement
 
 G = TypeVar("G", bound="MapGenerator")
@@ -108,7 +108,7 @@ class MapGenerator(ABC):
     @property
     def format_version(self) -> int:
         """The lowest version of the format that can store maps of this generator."""
-        return least_version(self.map_size) if self.name == _ROOMS else 2
+        return min_version(self.map_size) if self.name == _ROOMS else 2
 
     def to_dict(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON, with the name of the family."""
@@ -159,7 +159,7 @@ class MapGenerator(ABC):
         if not issubclass(family, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
         parameters = known_values(
-            "spec", values, family, "generator", other_words={"family": "generator"}
+            "spec", values, family, "generator", synonyms={"family": "generator"}
         )
         parameters.pop("generator", None)
         if "movement" in parameters:
@@ -381,10 +381,9 @@ def identity(spec: MapGenerator, seed: int) -> str:
     It is the SHA-256 of the canonical JSON of format version, generator and seed. The number of
     maps is not part of it, so that a dataset can grow.
     """
-    return hash_of(
-        {
-            "format_version": spec.format_version,
-            "spec": spec.to_dict(),
-            "seed": check_seed(seed),
-        }
-    )
+    recipe = {
+        "format_version": spec.format_version,
+        "spec": spec.to_dict(),
+        "seed": check_seed(seed),
+    }
+    return json_hash(recipe)

@@ -30,7 +30,8 @@ from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.footprint import inflate_all, least_squared
 from mapdata.search.lattice import HARD, hardness, rule_of
 from mapdata.shards.files import StrPath, write_output
-from mapdata.shards.root import Places, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 _DRAWS = (0, 1000)
 """First and last (excluded) draw that is tried on a map. A dataset tries fewer of them before it
@@ -250,7 +251,7 @@ class ProblemSet:
 
     @staticmethod
     def read(
-        root: Places,
+        root: Locations,
         maps: int | None = None,
         *,
         movement: Movement,

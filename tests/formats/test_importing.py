@@ -344,4 +344,4 @@ def test_an_import_that_has_not_begun_is_refused_as_such(tmp_path: Path) -> None
     with pytest.raises(ValueError, match=says):
         dataset_statistics(made.root)
     with pytest.raises(ValueError, match=says):
-        Root.open(made.root).map(3)
+        Root.open(made.root).locate(3)

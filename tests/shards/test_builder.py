@@ -49,7 +49,7 @@ from mapdata import (
 from mapdata.generators import Recipe, as_recipe
 from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, Manifest, builder, content_hash, read_manifest
-from mapdata.shards.builder import headers, make_shard
+from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.merging import merge
 
 OTHER = replace(SPEC, skip_probability=0.2)
@@ -218,10 +218,10 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
     """Shards that others made, in random order and twice, are adopted and not made again."""
     planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
-    todo = [*headers(planned)] * 2
+    todo = [*planned_headers(planned)] * 2
     Random(seed).shuffle(todo)
     for header in todo:
-        make_shard(root, header)
+        build_shard(root, header)
     before = stamps(root)
     assert make(root, shard_size=2).content_hash == truth
     assert stamps(root) == before
@@ -235,14 +235,14 @@ def test_the_bar_moves_within_a_shard(
     """Labels of pieces, joined, are those of all maps at once."""
     monkeypatch.setattr("mapdata.search.labels._CELLS_AT_ONCE", 1)
     root.mkdir()
-    (header,) = headers(
+    (header,) = planned_headers(
         Manifest(spec, SEED, spec.map_size, spec.movement, spec.resolution, 30, 100)
     )
     moved: list[int] = []
-    entry = make_shard(root, header, advance=moved.append)
+    entry = build_shard(root, header, advance=moved.append)
     assert moved == [8, 8, 8, 6]
     assert entry.content_hash == content_hash(label(generate(spec, SEED, range(30))))
-    assert make_shard(root, header, advance=moved.append) == entry
+    assert build_shard(root, header, advance=moved.append) == entry
     assert moved[4:] == [30]
 
 
