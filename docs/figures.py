@@ -129,7 +129,7 @@ def overview() -> Figure:
     chosen: list[tuple[MapGenerator, int]] = [(MapSpec(), 7), (narrow, 4), (DUNGEON, 3)]
     chosen += [(DUNGEON, 9), (Maze((64, 64)), 1), (wide_maze, 3)]
     chosen += [(MapGenerator.preset(name), 1) for name in ("cave", "forest", "noise")]
-    grids = [generate(spec, 0, [index]).occupancy[0] for spec, index in chosen]
+    grids = [generate(generator, 0, [index]).occupancy[0] for generator, index in chosen]
     plot_grid(mosaic(grids, 3), axes[0])
     bare(axes[0], "grid maps from a few lines of JSON")
 
@@ -273,17 +273,17 @@ def speed() -> Figure:
 def families() -> Figure:
     """Show two maps of each preset."""
     figure, axes = new_figure(2, len(PRESETS) // 2, (11, 11.4))
-    for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(mosaic(list(generate(spec, 0, range(2)).occupancy), 1), ax)
-        bare(ax, f"{name}, {spec.map_size[0]} x {spec.map_size[1]}")
+    for ax, (name, generator) in zip(axes, PRESETS.items(), strict=True):
+        plot_grid(mosaic(list(generate(generator, 0, range(2)).occupancy), 1), ax)
+        bare(ax, f"{name}, {generator.map_size[0]} x {generator.map_size[1]}")
     return figure
 
 
 def presets() -> Figure:
     """Show one map of each preset in a row."""
     figure, axes = new_figure(1, len(PRESETS), (13, 1.9))
-    for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(generate(spec, 0, [1]).occupancy[0], ax)
+    for ax, (name, generator) in zip(axes, PRESETS.items(), strict=True):
+        plot_grid(generate(generator, 0, [1]).occupancy[0], ax)
         bare(ax, name)
     return figure
 

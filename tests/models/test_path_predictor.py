@@ -79,9 +79,9 @@ def small_model(movement: Movement) -> PathPredictor:
     return PathPredictor(*arguments, widths=(8, 8, 8), passes=1)
 
 
-def module(spec: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
+def module(generator: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
     """Return online maps of a spec, as the training script has them."""
-    recipe = json.dumps({"spec": spec.to_dict(), "seed": 901, "maps": 20_000})
+    recipe = json.dumps({"spec": generator.to_dict(), "seed": 901, "maps": 20_000})
     return MapDataModule(
         None,
         build=recipe,
@@ -107,8 +107,8 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
 @cache
 def problems(name: str, hard: int) -> ProblemSet:
     """Return problems that were in no training, ``hard`` of them hard."""
-    spec = WIDE if name == "wide" else MapGenerator.preset(name)
-    return ProblemSet.sample(spec, seed=314159, until_hard=hard, movement=Movement(8))
+    generator = WIDE if name == "wide" else MapGenerator.preset(name)
+    return ProblemSet.sample(generator, seed=314159, until_hard=hard, movement=Movement(8))
 
 
 def hard_rows(rows: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
@@ -395,10 +395,10 @@ def test_the_walk_is_depth_first(movement: Movement) -> None:
 @pytest.mark.parametrize("size", [(64, 64), (37, 50)])
 def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     """Problems have the same paths alone and in a batch, except where rounding decides."""
-    spec = MapSpec(
+    generator = MapSpec(
         size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
     )
-    drawn = ProblemSet.sample(spec, 9, 12, movement=Movement(8))
+    drawn = ProblemSet.sample(generator, 9, 12, movement=Movement(8))
     for planner in planners(PathPredictor.load(WEIGHTS)):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
         alone = [
@@ -495,7 +495,9 @@ def test_resumes(tmp_path: Path, connectivity: int) -> None:
     def fit(steps: int, ckpt: Path | None) -> PathPredictor:
         pl.seed_everything(1)
         model = PathPredictor(connectivity, widths=(8, 8, 8), passes=1)
-        parts = [module(spec, 2, Movement(connectivity)) for spec in (PAPER, WIDE, DUNGEON)]
+        parts = [
+            module(generator, 2, Movement(connectivity)) for generator in (PAPER, WIDE, DUNGEON)
+        ]
         saver = ModelCheckpoint(
             tmp_path, f"{connectivity}-{{step}}", every_n_train_steps=2, save_top_k=-1
         )
@@ -675,10 +677,10 @@ def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None
     path.
     """
     source = Route(unsolvable=True) if unsolvable else Random()
-    spec = MapSpec(
+    generator = MapSpec(
         (40, 40), rooms=(2, 3), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 1)
     )
-    recipe = json.dumps({"spec": spec.to_dict(), "seed": 5, "maps": 120})
+    recipe = json.dumps({"spec": generator.to_dict(), "seed": 5, "maps": 120})
     data = MapDataModule(None, build=recipe, batch_size=5, problems=source, movement=Movement(8))
     model = random_model()
     (logged,) = trainer(tmp_path).validate(model, data, verbose=False)

@@ -76,7 +76,7 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     }
     problems = replace(entry, bytes=10**15, counts=counts)
     rooms = replace(entry, counts={**entry.counts, "most_rooms": 10**9})
-    imported = replace(manifest, spec=None, seed=None, shards=(rooms,))
+    imported = replace(manifest, generator=None, seed=None, shards=(rooms,))
     texts = {
         "deep": "[" * 10**6,
         "empty-lists": "[" + "[]," * 10**6 + "[]]",
