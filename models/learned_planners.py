@@ -15,8 +15,9 @@ from mapdata.arrays import Bytes, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import STEPS, search_batch
-from models.geometry import check_problems
-from models.model import Model
+
+from .geometry import check_problems
+from .model import Model
 
 
 class LearnedPlanner(Batched, Model):
@@ -50,7 +51,7 @@ class LearnedPlanner(Batched, Model):
 
 
 class Predictor(Protocol):
-    """A model that predicts moves and costs to go, as `models.path_predictor.PathPredictor`."""
+    """A model that predicts moves and costs to go, as `mapdata.models.PathPredictor` does."""
 
     movement: Movement
 

@@ -6,10 +6,10 @@ import contextlib
 import io
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import pytorch_lightning as pl
@@ -17,8 +17,10 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from mapdata.checks import check_choice
 from mapdata.shards import write_output
-from models.optimizer import Muon, one_cycle
+
+from .optimizer import Muon, one_cycle
 
 Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
@@ -30,6 +32,7 @@ MAX_ARGUMENT = 1024
 """Largest number among the arguments of a saved model, such as the width or number of layers."""
 
 M = TypeVar("M", bound=nn.Module)
+P = TypeVar("P", bound="Model")
 
 
 def fast_precision() -> Literal["bf16-mixed", "32-true"]:
@@ -56,6 +59,9 @@ class Model(pl.LightningModule, ABC):
 
     # Muon, since AdamW needs more steps here; `Muon` has the figures.
     optimizer_class: Callable[..., torch.optim.Optimizer] = Muon
+
+    PRETRAINED: ClassVar[Mapping[str, str]] = {}
+    """The weights that ship: their files in `WEIGHTS`, by name; the first is the default."""
 
     @abstractmethod
     def losses(self, batch: Any) -> Tensors:
@@ -115,6 +121,23 @@ class Model(pl.LightningModule, ABC):
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
         write_output(file, buffer.getvalue())
+
+    @classmethod
+    def pretrained(cls: type[P], name: str | None = None) -> P:
+        """Return the model with weights that ship with mapdata, in evaluation mode.
+
+        Args:
+            name: one of ``PRETRAINED``; None takes the first.
+
+        Raises:
+            ValueError: no weights of this class have the name.
+        """
+        if not cls.PRETRAINED:
+            raise ValueError(f"{cls.__name__}: no weights of it ship: train it, and use load")
+        if name is None:
+            name = next(iter(cls.PRETRAINED))
+        check_choice(f"{cls.__name__}.pretrained", name, cls.PRETRAINED)
+        return load_model(WEIGHTS / cls.PRETRAINED[name], cls)
 
     @classmethod
     def load(cls: type[M], file: str | PathLike[str]) -> M:

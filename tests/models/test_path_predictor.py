@@ -40,14 +40,14 @@ from mapdata import (
     evaluate,
 )
 from mapdata.evaluation import Planner, classical
+from mapdata.models.geometry import heuristic, legal_moves
+from mapdata.models.learned_planners import planners
+from mapdata.models.mixed_batches import MixedBatches
+from mapdata.models.model import WEIGHTS
+from mapdata.models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
 from mapdata.search import STEPS, heuristics, search_batch
-from models.geometry import heuristic, legal_moves
-from models.learned_planners import planners
-from models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
-from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]
-WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"
 PAPER = MapSpec.preset("paper")
 DUNGEON = MapSpec.preset("dungeon")
 WIDE = MapSpec(
@@ -398,7 +398,7 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
         size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
     )
     drawn = ProblemSet.sample(spec, 9, 12)
-    for planner in planners(PathPredictor.load(WEIGHTS)):
+    for planner in planners(PathPredictor.pretrained()):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
         alone = [
             planner.plan(grid, (int(start[0]), int(start[1])), (int(goal[0]), int(goal[1])))
@@ -532,7 +532,7 @@ EXPORT = """
     import numpy as np
     import torch
 
-    from models.path_predictor import PathPredictor
+    from mapdata.models.path_predictor import PathPredictor
 
     warnings.simplefilter("ignore")
     torch.manual_seed(0)
@@ -589,8 +589,8 @@ def test_the_weights_that_ship() -> None:
 
     With 400 problems the 95 % interval of Opt is .02 wide on either side, with 100 problems .04.
     """
-    assert WEIGHTS.stat().st_size < 4_000_000
-    model = PathPredictor.load(WEIGHTS)
+    assert (WEIGHTS / PathPredictor.PRETRAINED["eight"]).stat().st_size < 4_000_000
+    model = PathPredictor.pretrained()
     walk = "path_predictor (walk)"
     search = "path_predictor (search)"
     for family, hard, opt, hmean in (
@@ -762,7 +762,7 @@ def test_validation_loads_the_weights(script: Callable[[list[str]], None]) -> No
     random_model().save("weights.pt")
     validated: list[dict[str, torch.Tensor]] = []
     flags = {
-        "model": "models.path_predictor.PathPredictor",
+        "model": "mapdata.models.path_predictor.PathPredictor",
         "model.widths": "[8,8,8]",
         "model.passes": 1,
         "data": f"{__name__}.OtherDataModule",
