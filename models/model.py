@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
+import time
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +16,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 import numpy as np
 import pytorch_lightning as pl
 import torch
+from lightning_fabric.utilities.exceptions import MisconfigurationException
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
@@ -72,6 +75,49 @@ class Model(pl.LightningModule, ABC):
         losses = self.losses(batch)
         self.log_dict({f"train_{name}": loss for name, loss in losses.items()}, prog_bar=True)
         return losses["loss"]
+
+    # The number of the first step of this process, and the time at its end.
+    _first_step: tuple[int, float] | None = None
+
+    def on_train_start(self) -> None:
+        """Compare the schedule with the training, and log at least once an epoch.
+
+        Raises:
+            MisconfigurationException: the training was resumed from a checkpoint whose schedule
+                has fewer steps.
+        """
+        trainer: Any = self.trainer  # whose type does not have log_every_n_steps
+        steps = trainer.estimated_stepping_batches
+        for config in trainer.lr_scheduler_configs:
+            # A checkpoint brings its own schedule, in place of that of `configure_optimizers`.
+            schedule_steps = getattr(config.scheduler, "total_steps", math.inf)
+            if schedule_steps < steps:
+                raise MisconfigurationException(
+                    f"the learning rate of the checkpoint ends at step {schedule_steps}, but this "
+                    f"training has {steps:.0f} steps: resume it with the max_epochs and max_steps "
+                    "that it had (--weights FILE then writes its weights), or begin a new training "
+                    "from its weights: --start_from FILE in place of --ckpt_path"
+                )
+        # Loggers get the loss of every n-th step. A shorter epoch would leave them without any.
+        epoch_steps = trainer.num_training_batches // trainer.accumulate_grad_batches
+        if 0 < epoch_steps < trainer.log_every_n_steps:
+            trainer.log_every_n_steps = int(epoch_steps)
+        self._first_step = None
+
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
+        """Log ``minutes_left`` of the whole training for the progress bar, which counts an epoch.
+
+        It is measured from the end of the first step, before which kernels may be compiled.
+        """
+        now = time.monotonic()
+        step = self.trainer.global_step
+        if self._first_step is None:
+            self._first_step = (step, now)
+        first_step, began = self._first_step
+        steps_left = self.trainer.estimated_stepping_batches - step
+        if step > first_step and math.isfinite(steps_left):
+            minutes = (now - began) / (step - first_step) * steps_left / 60
+            self.log("minutes_left", round(minutes, 1), prog_bar=True, logger=False)
 
     def configure_optimizers(self) -> Any:
         """Return an ``optimizer_class`` and torch's OneCycleLR."""

@@ -10,17 +10,20 @@ All arguments are in configs/NAME.yaml beside this file, and all of them are fla
 
     python -m mapdata.models.train path_predictor fit --help
 
-Checkpoints and metrics.csv are written to runs/NAME. In a checkout scripts/train_path_predictor.py
+Checkpoints and metrics.csv are written below runs/. In a checkout scripts/train_path_predictor.py
 and scripts/train_lego_sampler.py take the same arguments, without the name.
 
 Path predictors
 ---------------
 There is a checkpoint after every validation and every three minutes, from which an interrupted run
-can be resumed. The progress bar shows val_opt and val_hmean, the metrics of the search on the
-validation problems that are hard, and the minutes left. Further flags after fit:
+can be resumed. The progress bar shows the minutes left, and val_opt and val_hmean: the metrics of
+the search on the validation problems that are hard and of 10 cells or more, as in the tables.
+Further flags after fit:
 
     --ckpt_path FILE
-        Resume an interrupted run from a checkpoint.
+        Resume an interrupted run from a checkpoint. A finished run cannot be given more steps,
+        since its learning rate has fallen to its end: begin a new one from its weights, with
+        --start_from.
     --trainer.accelerator gpu --trainer.precision bf16-mixed
         Train on a GPU.
     --trainer.precision 32-true
@@ -77,11 +80,14 @@ from mapdata.interrupts import exit_on_interrupt
 if __name__ == "__main__":
     exit_on_interrupt()  # before the imports, which take seconds
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytorch_lightning as pl
+from lightning_fabric.utilities.exceptions import MisconfigurationException
 from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
 
 from mapdata import MapDataModule
@@ -96,6 +102,15 @@ CONFIGS = Path(__file__).parent / "configs"
 """The folder of the files of arguments."""
 
 
+@contextmanager
+def refusals_in_one_line() -> Iterator[None]:
+    """Exit with the message of what Lightning or a model refuses, without a traceback."""
+    try:
+        yield
+    except MisconfigurationException as error:
+        raise SystemExit(" ".join(str(error).split())) from None
+
+
 class TrainingCli(LightningCLI):
     """LightningCLI with ``--weights`` and ``--start_from``, files of a `Model`."""
 
@@ -108,7 +123,10 @@ class TrainingCli(LightningCLI):
             arguments: the arguments; None takes those of the process.
         """
         files = [str(CONFIGS / name) for name in configs]
-        with stoppable("stopped; fit --ckpt_path FILE goes on from a checkpoint"):
+        with (
+            stoppable("stopped; fit --ckpt_path FILE goes on from a checkpoint"),
+            refusals_in_one_line(),
+        ):
             super().__init__(
                 model,
                 pl.LightningDataModule,
@@ -150,11 +168,14 @@ class TrainingCli(LightningCLI):
             self.model.load_state_dict(weights)
 
     def before_fit(self) -> None:
-        """Make a limit of 1 mean one batch.
+        """Make a limit of 1 mean one batch, and silence a warning that is not true.
 
         The command line turns 1 into 1.0, which Lightning takes for all batches: 10,000 batches of
         online maps. A limit of null means all batches.
         """
+        # `Model` lowers log_every_n_steps for short epochs, after Lightning has looked at it.
+        message = "The number of training batches .* is smaller than the logging interval"
+        warnings.filterwarnings("ignore", message)
         for limit in ("limit_train_batches", "limit_val_batches"):
             if self.config.fit.trainer[limit] == 1:
                 setattr(self.trainer, limit, 1)

@@ -626,14 +626,14 @@ def test_the_script(
     script: Callable[[list[str]], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It trains with its file of arguments, and writes checkpoints, a CSV log and weights. Its bar
-    shows the metrics of the search. Weights can be trained further, also with more layers.
+    shows the metrics of the search and the minutes left, and its log has a loss of each epoch,
+    however short. Weights can be trained further, also with more layers.
     """
     short = {
         "max_epochs": 2,
         "limit_train_batches": 2,
         "limit_val_batches": 2,
         "precision": 32,
-        "log_every_n_steps": 1,
     }
     flags = [f"--trainer.{name}={value}" for name, value in short.items()]
     script(["fit", *flags, "--model.widths=[8,8,8]", "--model.passes=1", "--weights=weights.pt"])
@@ -641,8 +641,11 @@ def test_the_script(
     metrics = pd.read_csv(logs / "metrics.csv")
     assert {"train_loss", "val_accuracy/dataloader_idx_1", "val_opt", "val_hmean"} <= set(metrics)
     assert metrics["val_opt"].dropna().between(0, 1).all()
+    assert metrics.dropna(subset="train_loss")["epoch"].tolist() == [0, 1]
+    assert "minutes_left" not in metrics
     bar = capsys.readouterr().out
     assert "val_hmean=" in bar
+    assert "minutes_left=" in bar
     assert "train_time_interval: 0:03:00" in (logs / "config.yaml").read_text()
     assert (logs / "checkpoints" / "last.ckpt").exists()
     weights = PathPredictor.load("weights.pt")
@@ -668,31 +671,67 @@ def test_the_script(
         script(["fit", *again, "--start_from=refined.pt"])
 
 
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.slow
+def test_more_epochs_for_a_finished_run_are_refused_with_advice(
+    script: Callable[[list[str]], None],
+) -> None:
+    """The schedule of the checkpoint has no more steps. The advice works: the same run once more
+    writes its weights, and a new training begins with them.
+    """
+    recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 5, "maps": 200})
+    flags = {
+        "data": "mapdata.MapDataModule",
+        "data.root": "null",
+        "data.build": recipe,
+        "data.batch_size": 2,
+        "trainer.limit_train_batches": 2,
+        "trainer.limit_val_batches": 1,
+        "trainer.logger.save_dir": "runs",
+        "model.widths": "[8,8,8]",
+        "model.passes": 1,
+    }
+    fit = ["fit", *(f"--{name}={argument}" for name, argument in flags.items())]
+    script([*fit, "--trainer.max_epochs=1"])
+    (checkpoint,) = Path("runs").rglob("last.ckpt")
+    resume = [*fit, f"--ckpt_path={checkpoint}"]
+    advice = r"checkpoint ends at step 2, but this training has 4 steps: .* --start_from FILE"
+    with pytest.raises(SystemExit, match=advice) as exited:
+        script([*resume, "--trainer.max_epochs=2"])
+    assert "\n" not in str(exited.value)
+    script([*resume, "--trainer.max_epochs=1", "--weights=weights.pt"])
+    trained = torch.load(checkpoint, weights_only=False)["state_dict"]
+    for name, tensor in PathPredictor.load("weights.pt").state_dict().items():
+        assert torch.equal(tensor.half(), trained[name].half()), name
+    script([*fit, "--start_from=weights.pt", "--trainer.max_epochs=2"])
+
+
 @pytest.mark.parametrize("unsolvable", [False, True])
 def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None:
-    """They are those of the table of planners, over all batches, without problems that have no
-    path.
+    """They are those of the table of planners for hard problems of 10 cells or more, over all
+    batches, without problems that have no path.
     """
     source = Route(unsolvable=True) if unsolvable else Random()
     spec = MapSpec(
-        (40, 40), rooms=(2, 3), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 1)
+        (40, 40), rooms=(2, 3), room_rows=(8, 12), room_columns=(8, 12), passage_width=(1, 1)
     )
-    recipe = json.dumps({"spec": spec.to_dict(), "seed": 5, "maps": 120})
-    data = MapDataModule(None, build=recipe, batch_size=5, problems=source, movement=Movement(8))
+    recipe = json.dumps({"spec": spec.to_dict(), "seed": 5, "maps": 200})
+    data = MapDataModule(None, build=recipe, batch_size=6, problems=source, movement=Movement(8))
     model = random_model()
     (logged,) = trainer(tmp_path).validate(model, data, verbose=False)
     batch = data.datasets["val"][:]
-    assert len(batch.map) == 12  # batches of 5, 5 and 2
+    assert len(batch.map) == 20  # batches of 6, 6, 6 and 2
     grids = batch.map[:, 0].numpy()
     starts = batch.start.numpy()
     goals = batch.goal.numpy()
     costs = search_batch("astar", grids, starts, goals, Movement(8)).cost
     assert (costs == -1).any() == unsolvable
-    has_path = costs > 0
-    solvable = ProblemSet(grids[has_path], starts[has_path], goals[has_path], Movement(8))
-    table = evaluate(planners(model)[1:], solvable, bootstrap=1)
-    assert logged["val_opt"] == pytest.approx(table["opt"][0], abs=0.02)
-    assert logged["val_hmean"] == pytest.approx(table["hmean"][0], abs=0.02)
+    is_long = costs >= 10
+    long = ProblemSet(grids[is_long], starts[is_long], goals[is_long], Movement(8))
+    table = hard_rows(planners(model)[1:], long).iloc[0]
+    assert 0 < table["n"] < is_long.sum() < (costs > 0).sum()
+    assert logged["val_opt"] == pytest.approx(table["opt"], abs=0.02)
+    assert logged["val_hmean"] == pytest.approx(table["hmean"], abs=0.02)
 
 
 @pytest.mark.filterwarnings("ignore")
