@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Literal
 
 from matplotlib.figure import Figure
 
-from mapdata import evaluation
+from mapdata import PRESETS, evaluation
 from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
@@ -85,10 +85,12 @@ def evaluate_planners(
     Args:
         root: in place of --preset: datasets, of which the test split is taken; or a file, which is
             a MovingAI .scen, an .npz of planning-datasets, or one of --save
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77), or of planning-datasets' starts
-        maps: how many maps (default: 600; of a dataset, all), or at most how many problems of a
-            .scen, evenly spread over it (default: all)
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77, or the recipe's), or of the starts of
+            planning-datasets
+        maps: how many maps (default: 600, or the recipe's; of a dataset, all), or at most how many
+            problems of a .scen, evenly spread over it (default: all)
         until_hard: stop at the map with this many hard problems
         connectivity: moves
         corner_cutting: diagonal moves beside occupied cells too
@@ -102,7 +104,8 @@ def evaluate_planners(
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
-    if not root and maps is None and until_hard is None:
+    is_preset = preset is None or preset in PRESETS
+    if not root and maps is None and until_hard is None and is_preset:
         maps = 600
     problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
@@ -159,9 +162,10 @@ def evaluate_samplers(
 
     Args:
         root: datasets, in place of --preset and --seed
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77)
-        maps: how many maps (default: 1000; of a dataset, all)
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77, or the recipe's)
+        maps: how many maps (default: 1000, or the recipe's; of a dataset, all)
         sizes: numbers of vertices (default: 24 50 100)
         csv: write the table to a file
         json: write the table as a list of rows
@@ -174,9 +178,9 @@ def evaluate_samplers(
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
-    if not root and maps is None:
+    if not root and maps is None and (preset is None or preset in PRESETS):
         maps = 1000
-    problems = given_problems(root, preset, seed, maps)
+    problems = given_problems(root, preset, seed, maps, movement=Movement(8))
     table = compare(rows, problems, sorted(set(sizes or SIZES)))
     print(
         f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "

@@ -59,38 +59,35 @@ def build_command(
         preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default:
             paper); 'mapdata list' describes them
         map_size: rows and columns of a map, in place of the preset's
-        recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
+        recipe: which maps: a preset's name, a file that holds what 'mapdata info ROOT --recipe'
+            prints, or such JSON text
         shard_size: maps a shard
         workers: threads (default: all cores)
         scheduler: build with Dask: tcp://HOST:PORT of a scheduler
         part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
     """
-    from mapdata.generators import MapGenerator
-    from mapdata.shards import Recipe, build
-    from mapdata.shards.cluster import executor_of
+    from mapdata.generators import MapGenerator, as_recipe
+    from mapdata.shards import build
+    from mapdata.shards.cluster import dask_executor
 
     for flag, value in (("--preset", preset), ("--map-size", map_size)):
         if value is not None and recipe is not None:
-            raise ValueError(f"{flag}: not allowed with --recipe, which says the spec")
+            raise ValueError(f"{flag}: not allowed with --recipe, which states the generator")
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
-    if recipe is None:
-        spec = MapGenerator.preset(preset or "paper")
-        wanted = Recipe(spec if map_size is None else replace(spec, map_size=map_size))
+    if recipe is not None:
+        to_build = as_recipe(recipe, maps=maps, seed=seed)
     else:
-        wanted = Recipe.load(recipe)
-    if maps is None:
-        maps = wanted.maps
-    if seed is None:
-        seed = wanted.seed
+        spec = MapGenerator.preset(preset or "paper")
+        if map_size is not None:
+            spec = replace(spec, map_size=map_size)
+        to_build = as_recipe(spec, maps=maps, seed=seed)
     began = time.perf_counter()
-    with nullcontext() if scheduler is None else executor_of(scheduler) as executor:
+    with nullcontext() if scheduler is None else dask_executor(scheduler) as executor:
         manifest = build(
             root,
-            wanted.spec,
-            maps=maps,
-            seed=seed,
+            to_build,
             shard_size=shard_size,
             workers=workers,
             executor=executor,
@@ -98,15 +95,7 @@ def build_command(
             progress=True,
         )
     print(summary(root, manifest, time.perf_counter() - began))
-    if (
-        wanted.content_hash is not None
-        and (maps, seed) == (wanted.maps, wanted.seed)
-        and manifest.complete
-    ):
-        if manifest.content_hash != wanted.content_hash:
-            raise DisagreeError(
-                f"content hash {manifest.content_hash}, the recipe says {wanted.content_hash}"
-            )
+    if to_build.content_hash is not None and manifest.complete:
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
 
@@ -127,18 +116,18 @@ def info_command(
     """
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
-    from mapdata.shards.root import folder_of, local_path
+    from mapdata.shards.locations import local_path, target_folder
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
     found = Root.open(root)
     if card is None:
-        for place, manifest in zip(found.places, found.manifests, strict=True):
+        for place, manifest in zip(found.locations, found.manifests, strict=True):
             print(manifest.recipe() if recipe else summary(place, manifest))
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    path = folder_of(root[0]) / "README.md" if card is True else local_path(card)
+    path = target_folder(root[0]) / "README.md" if card is True else local_path(card)
     # a README.md of others may be a link to anything
     write = write_file if card is True else write_output
     write(path, card_of(root, progress=True).encode())
@@ -156,13 +145,13 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         root: folder or URL of the dataset; several are one after another
         repair: make damaged and missing shards again from the recipe
     """
-    from mapdata.shards.corruption import inspect, repair_found
-    from mapdata.shards.root import folder_of, places
+    from mapdata.shards.corruption import inspect, repair_faults
+    from mapdata.shards.locations import locations, target_folder
 
-    where = places(root)
+    where = locations(root)
     if repair:
         for place in where:
-            folder_of(place)  # what can only be read is refused before any repair
+            target_folder(place)  # what can only be read is refused before any repair
     total = unsound = 0
     needs = ""
     for place in where:
@@ -170,7 +159,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         for fault in findings.faults:
             print(fault)
         found = len(findings.faults)
-        left = repair_found(findings, progress=True) if repair and found else []
+        left = repair_faults(findings, progress=True) if repair and found else []
         for fault in left:
             print(f"not repaired: {fault}")
         total += found
@@ -213,7 +202,7 @@ def show_command(
         figure: what to draw
     """
     from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
-    from mapdata.shards.root import local_path
+    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("map.png")
@@ -246,7 +235,7 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
-    from mapdata.shards.root import local_path
+    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("report.html")

@@ -58,7 +58,7 @@ def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
     """Return the lines of `summary` that say what no recipe of imported maps says."""
     from mapdata.describe.dataset_card import movement_text
     from mapdata.limits import SPLITS
-    from mapdata.shards.root import read_provenance
+    from mapdata.shards.dataset_files import read_provenance
 
     counts = {
         split: sum(entry.counts[split]["maps"] for entry in manifest.shards) for split in SPLITS

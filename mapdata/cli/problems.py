@@ -15,14 +15,16 @@ if TYPE_CHECKING:
 
 def given_problems(
     root: list[str],
-    preset: str | None,
+    recipe: str | None,
     seed: int | None,
     maps: int | None,
     **how: Any,
 ) -> ProblemSet:
     """Return one problem a map, of new maps or of the test split of a dataset, or those of a file.
 
-    Of a .scen, ``maps`` is the number of problems, all without; of another file all are taken.
+    New maps are those of ``recipe``, a preset's name, a recipe file or its JSON text; those of a
+    preset have seed 77 by default. Of a .scen, ``maps`` is the number of problems, all without; of
+    another file all are taken.
 
     Raises:
         ValueError: what would do nothing beside a root or a file; what `ProblemSet.sample`,
@@ -30,15 +32,16 @@ def given_problems(
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     from mapdata.formats import Limits, read_problems
-    from mapdata.generators import MapGenerator
+    from mapdata.generators import PRESETS
     from mapdata.problems import ProblemSet
 
     if not root:
-        return ProblemSet.sample(
-            MapGenerator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how
-        )
+        recipe = recipe or "dungeon"
+        if seed is None and recipe in PRESETS:
+            seed = 77
+        return ProblemSet.sample(recipe, seed, maps, **how)
     is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npz", ".scen")
-    if preset is not None or (seed is not None and not is_file):
+    if recipe is not None or (seed is not None and not is_file):
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
     if not is_file:
         return ProblemSet.read(root, maps, **how)

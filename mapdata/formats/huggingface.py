@@ -61,7 +61,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
                 written.add(split)
     # load_dataset refuses a pattern without files
     files = {split: f"data/{split}-*.parquet" for split in _SPLITS if split in written}
-    text = card(root.places, files=files, extra=[_COLUMNS])
+    text = card(root.locations, files=files, extra=[_COLUMNS])
     (target / "README.md").write_text(text, encoding="utf-8", newline="\n")
     return []
 

@@ -28,10 +28,11 @@ from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
 from mapdata.search.lattice import rule_of
-from mapdata.shards.builder import headers
-from mapdata.shards.files import StrPath, make_folder, write_file
+from mapdata.shards.builder import planned_headers
+from mapdata.shards.files import StrPath, file_hash, make_folder, write_file
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
+from mapdata.shards.locations import target_folder
 from mapdata.shards.manifest import (
     MANIFEST,
     PROVENANCE,
@@ -42,8 +43,7 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.merging import check_names, locked, merge_locked
-from mapdata.shards.root import file_hash, folder_of
-from mapdata.shards.workers import Advance, bar, threads
+from mapdata.shards.workers import Advance, bar, thread_pool
 
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
@@ -124,7 +124,7 @@ def import_maps(
         ValueError: bad arguments, no usable map, or a root that holds something else.
         OSError: the disk is full or may not be written to.
     """
-    root = folder_of(root)
+    root = target_folder(root)
     check_seed(seed)
     thresholds = split_thresholds(tuple(splits))
     check_seed_points("seed_points", seed_points)
@@ -148,7 +148,7 @@ def import_maps(
     folders = _folders(root, list(groups))
     draws = Draws(seed_points, seed)
     made = []
-    with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
+    with bar(progress, sum(map(len, groups.values()))) as advance, thread_pool(1) as pool:
         for (size, metres), found in groups.items():
             ordered = _ordered(found, source)
             codes = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
@@ -290,7 +290,7 @@ def _write(
     have = {entry.name: entry for entry in manifest.shards}
     checked = 0
     disagreements: Counter[str] = Counter()
-    for header in headers(wanted):
+    for header in planned_headers(wanted):
         span = slice(*header.limits)
         batch = maps[span]
         # in a thread, so that Ctrl-C need not wait for it

@@ -38,7 +38,8 @@ from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.files import StrPath
-from mapdata.shards.root import Root, local_path
+from mapdata.shards.locations import local_path
+from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
 MOVEMENT = Movement(8)
@@ -133,7 +134,7 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
     raise FormatError(f"{path}: no line 'map' near the top, expected a MovingAI map")
 
 
-def world(terrain: Bytes, letters: str = LAND) -> Bytes:
+def terrain_grid(terrain: Bytes, letters: str = LAND) -> Bytes:
     """Return a grid, (H, W) uint8, in which only cells of these letters are free."""
     return np.asarray(~np.isin(terrain, list(letters.encode())), np.uint8)
 
@@ -248,7 +249,7 @@ def check_scen(
     """
     path = local_path(path)
     terrains = {}
-    # problems of one map and one world are solved together
+    # problems of one map and one type of terrain are solved together
     groups: dict[tuple[str, str], list[Problem]] = {}
     all_problems = read_scen(path, limits)
     if not all_problems:
@@ -269,7 +270,7 @@ def check_scen(
     is_long = report.total > _AT_A_TIME
     with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
         for (name, letters), problems in groups.items():
-            grid = world(terrains[name], letters)
+            grid = terrain_grid(terrains[name], letters)
             for first in range(0, len(problems), _AT_A_TIME):
                 part = problems[first : first + _AT_A_TIME]
                 starts = [problem.start for problem in part]
@@ -436,7 +437,7 @@ def read(
     for path, ends in points:
         with found.leaving_out(path):
             terrain = read_terrain(path, limits)
-            grid = world(terrain)
+            grid = terrain_grid(terrain)
             cells += np.bincount(terrain.ravel(), minlength=len(cells))
             free = [cell for cell in dict.fromkeys(ends) if not grid[cell]]  # each once
             chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)

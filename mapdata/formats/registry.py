@@ -15,7 +15,8 @@ from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
-from mapdata.shards.root import Places, Root, local_path
+from mapdata.shards.locations import Locations, local_path
+from mapdata.shards.root import Root
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -
 
 
 def export(
-    root: Places,
+    root: Locations,
     target: StrPath,
     kind: str,
     *,

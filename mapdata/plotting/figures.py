@@ -22,7 +22,8 @@ from mapdata.plotting.plot import (
     same_matrices,
 )
 from mapdata.search.api import SEARCHES
-from mapdata.shards.root import Places, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +83,7 @@ def plot_gallery(
         high, wide = of.root.map_size
         axes = new_axes(rows, columns, (2.6 * columns, 2.85 * rows * min(high / wide, 3) + 0.5))
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
-        labels, i = of.root.map(index)
+        labels, i = of.root.locate(index)
         plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
         seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
         ax.plot(seed_points[:, 1], seed_points[:, 0], "o", color=COLOURS["seed"], mec="white", ms=6)
@@ -125,7 +126,7 @@ def plot_distribution(name: str, values: Floats, ax: Axes) -> None:
 
 
 def plot_figure(
-    root: Places,
+    root: Locations,
     kind: str,
     *,
     index: int = 0,
@@ -146,7 +147,7 @@ def plot_figure(
     """
     check_choice("figure", kind, FIGURES)
     if kind in OF_ONE_MAP:
-        labels, i = Root.open(root).map(index)
+        labels, i = Root.open(root).locate(index)
     else:
         of = dataset_statistics(root, progress=progress)
     if kind == "gallery":

@@ -29,13 +29,13 @@ from mapdata.plotting.figures import figure_of, plot_distribution
 from mapdata.plotting.plot import new_axes
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.root import Places
+from mapdata.shards.locations import Locations
 
 MAPS = 500
 """Maps in the browser of a report."""
 
 
-def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
+def report(root: Locations, maps: int = MAPS, *, progress: bool = False) -> str:
     """Return the report of a dataset as one HTML page: maps, distributions and the card.
 
     Args:

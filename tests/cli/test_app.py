@@ -480,7 +480,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("preset: got 'papers', expected one of paper, narrow", ["--preset", "papers"]),
         ("shard_size: got 0", ["--shard-size", "0"]),
         ("workers: got 0", ["--workers", "0"]),
-        ("recipe: 'none.json' is no preset", ["--recipe", "none.json"]),
+        ("recipe: got 'none.json', expected a preset", ["--recipe", "none.json"]),
         ("recipe: not JSON", ["--recipe", "{"]),
         ("--preset: not allowed with --recipe", ["--preset", "narrow", "--recipe", "paper"]),
         ("--part: got '4/4', expected K/N", ["--part", "4/4"]),

@@ -215,7 +215,7 @@ def test_the_interval_is_that_of_a_share() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
     """
-    problems = ProblemSet.sample(MapSpec(), 2, 400)
+    problems = ProblemSet.sample(MapSpec(), 2, 400, movement=Movement(8))
     wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
 
     def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:

@@ -11,7 +11,7 @@ import pytest
 from helpers.wild import cli
 
 from mapdata import read_shard
-from mapdata.describe.table import joined
+from mapdata.describe.table import join_segments
 from mapdata.limits import SPLITS
 from mapdata.shards import read_manifest
 
@@ -46,7 +46,7 @@ def test_the_real_library_opens_it(
             assert row["connected"] == maps.connected[k, : n - 1].tolist()
             assert row["all_connected"] == batch.all_connected[k]
             for search in ("bfs", "astar"):
-                cells = joined(batch.route(search, k))
+                cells = join_segments(batch.route(search, k))
                 assert row[f"{search}_row_path"] == cells[:, 0].tolist()
                 assert row[f"{search}_column_path"] == cells[:, 1].tolist()
                 segments = batch.iterations(search, k)

@@ -340,8 +340,8 @@ def test_an_import_that_has_not_begun_is_refused_as_such(tmp_path: Path) -> None
     with pytest.raises(ValueError, match=says):
         MapDataset(made.root)
     with pytest.raises(ValueError, match=says):
-        ProblemSet.read(made.root)
+        ProblemSet.read(made.root, movement=Movement(8))
     with pytest.raises(ValueError, match=says):
         dataset_statistics(made.root)
     with pytest.raises(ValueError, match=says):
-        Root.open(made.root).map(3)
+        Root.open(made.root).locate(3)

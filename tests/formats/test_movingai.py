@@ -24,7 +24,7 @@ from mapdata.formats.movingai import (
     check_scen,
     read_scen,
     read_terrain,
-    world,
+    terrain_grid,
 )
 from mapdata.movement import Movement
 from mapdata.shards import read_manifest
@@ -71,8 +71,8 @@ def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
     """CRLF, text after the rows, no last line feed, another order of the header."""
     (tmp_path / "a.map").write_bytes(text.encode("utf-8"))
     terrain = read_terrain(tmp_path / "a.map")
-    assert world(terrain).tolist() == LAND
-    assert world(terrain, "W").tolist() == WATER
+    assert terrain_grid(terrain).tolist() == LAND
+    assert terrain_grid(terrain, "W").tolist() == WATER
 
 
 def test_a_blank_line_hides_no_damage(tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ ISLANDS = "type octile\nheight 4\nwidth 7\nmap\nTTT....\n.TT.W..\nTT@.WW.\n..T.W
 
 
 def test_problems_to_compare_planners_on(tmp_path: Path) -> None:
-    """Those with a path, each on its own world; the published lengths are those of our A*."""
+    """Those with a path, each on its own terrain; the published lengths are those of our A*."""
     path = files(tmp_path)
     found = read_problems(path)
     assert found.grids.tolist() == [LAND, LAND, LAND, LAND, WATER]
@@ -332,7 +332,9 @@ def test_problems_that_are_refused(
         read_problems(files(tmp_path, scen), **options)
 
 
-def test_trees_are_a_world_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trees_are_a_terrain_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A problem between trees is solved among trees; none leads from trees to land or water."""
     lines = (
         "0\tcave.map\t7\t4\t0\t0\t1\t2\t3",  # no corner of land is cut

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mapdata import MapSpec, build, read_shard, verify
-from mapdata.describe.table import gaps, joined
+from mapdata.describe.table import join_segments, path_gaps
 from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
 from mapdata.formats.paper import PARAMETERS, numbers, read
 from mapdata.shards import read_manifest
@@ -89,10 +89,10 @@ def test_routes_are_joined_without_repeating_cells() -> None:
     other = np.array([[0, 1], [1, 1]])
     stay = np.array([[0, 1]])
     none = np.empty((0, 2), np.int64)
-    assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, none, other + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
-    assert joined([none]).tolist() == []
+    assert join_segments([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert join_segments([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert join_segments([one, none, other + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
+    assert join_segments([none]).tolist() == []
 
 
 def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
@@ -101,8 +101,8 @@ def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
     """
     one = np.array([[0, 0], [0, 1]])
     none = np.empty((0, 2), np.int64)
-    assert gaps([one, one + 1]) == []
-    assert gaps([none, one, none, none, one + 3, none]) == [0, 2, 2, 4]
+    assert path_gaps([one, one + 1]) == []
+    assert path_gaps([none, one, none, none, one + 3, none]) == [0, 2, 2, 4]
     marked = 0
     labels = [read_shard(root / entry.name) for entry in read_manifest(root).shards]
     for row in rows_of(release):

@@ -39,7 +39,7 @@ def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
     ]
     assert len(set(examples.values())) == len(examples)
     for caption, index in examples.items():
-        labels, i = small.root.map(index)
+        labels, i = small.root.locate(index)
         n = int(labels.maps.rooms[i])
         if caption.endswith("rooms"):
             assert caption == f"{n} rooms"
@@ -49,7 +49,7 @@ def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
             assert (labels.matrix("astar", i) < 0).any()
         if caption == "redundant":
             assert not labels.maps.connected[i, : n - 1].all()
-    assert pick_examples(dataset_statistics(small.root.places)) == examples
+    assert pick_examples(dataset_statistics(small.root.locations)) == examples
 
 
 def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
@@ -162,4 +162,4 @@ def test_command_refuses(
 def test_unknown_figure_is_refused(small: DatasetStatistics) -> None:
     """Unknown figure is refused."""
     with pytest.raises(ValueError, match="expected one of map, gallery"):
-        plot_figure(small.root.places, "pie")
+        plot_figure(small.root.locations, "pie")

@@ -168,7 +168,7 @@ def test_a_click_shows_what_is_stored(page: Browser, root: Path) -> None:
     shown = clicked(page)
     assert [one["name"] for one in shown] == [f"map{index}" for index in of.index]
     for one, index in zip(shown, of.index.tolist(), strict=True):
-        labels, i = of.root.map(index)
+        labels, i = of.root.locate(index)
         assert_shown(one, labels, i, of.rooms_known)
 
 
@@ -247,7 +247,7 @@ def test_everything_to_operate_has_a_name(page: Browser) -> None:
     """Everything to operate has a name."""
     unnamed = """[...document.querySelectorAll("input, select, button, [role=img], [role=region], table")].filter(
         (one) => !(one.labels && one.labels.length && one.labels[0].textContent.trim())
-        && !one.getAttribute("aria-label") && !one.textContent.trim()).map((one) => one.outerHTML)"""
+        && !one.getAttribute("aria-label") && !one.textContent.trim()).locate((one) => one.outerHTML)"""
     assert page.run(unnamed) == []
     assert page.run("document.documentElement.lang") == "en"
     identities = page.run("[...document.querySelectorAll('[id]')].map((one) => one.id)")
@@ -288,7 +288,7 @@ def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
     numbers = listed(browser)
     assert numbers[0] == 0
     assert set(np.diff(numbers).tolist()) == {2, 3}
-    labels, i = Root.open(tmp_path / "d").map(numbers[321])
+    labels, i = Root.open(tmp_path / "d").locate(numbers[321])
     assert browser.run("path('bfs', 321, 0)") == labels.segment("bfs", i, 0).tolist()
     assert browser.run("path('astar', 321, 0)") == labels.segment("astar", i, 0).tolist()
 
