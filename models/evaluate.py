@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Literal
 from matplotlib.figure import Figure
 
 from mapdata import PRESETS, evaluation
-from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
+from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
 
@@ -107,7 +107,7 @@ def evaluate_planners(
     is_preset = preset is None or preset in PRESETS
     if not root and maps is None and until_hard is None and is_preset:
         maps = 600
-    problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
+    problems = load_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
     rows = evaluation.classical(problems.movement)
@@ -180,7 +180,7 @@ def evaluate_samplers(
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
     if not root and maps is None and (preset is None or preset in PRESETS):
         maps = 1000
-    problems = given_problems(root, preset, seed, maps, movement=Movement(8))
+    problems = load_problems(root, preset, seed, maps, movement=Movement(8))
     table = compare(rows, problems, sorted(set(sizes or SIZES)))
     print(
         f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "

@@ -84,7 +84,7 @@ def test_sizes_seed_and_identity_are_printed(printed: dict[str, str]) -> None:
     manifest = "Manifest(60 maps, map_size=(20, 20), seed=5, identity="
     for name, parts in {
         "maps": ["Maps(movement=", "packed=uint64 (40, 20, 1), rooms=int64 (40,)"],
-        "labels": ["Labels(maps=Maps(", "astar=SearchLabels(moves=uint8 ("],
+        "labels": ["Labels(maps=Maps(", "astar=RouteLabels(moves=uint8 ("],
         "sample": ["Sample(map=uint8 (1, 20, 20), ", "problem=0"],
         "batch": ["Sample(map=uint8 (40, 1, 20, 20), ", "start=int64 (40, 2), goal="],
         "dataset": ["map_size=(20, 20)", "content_hash=["],

@@ -26,7 +26,7 @@ from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
-from mapdata.search.lattice import rule_of
+from mapdata.search.lattice import move_rule
 from mapdata.shards.locations import Locations
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             indices,
             (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
             *problems.conditions,
-            rule_of(self.movement),
+            move_rule(self.movement),
         )
         # Conditions may need the paths, which A* finds; what was found is not searched again.
         is_found = len(found[0]) and self.serving.search == "astar"

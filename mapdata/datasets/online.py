@@ -20,8 +20,8 @@ from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.search.api import SEARCHES
-from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import rule_of
+from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.lattice import move_rule
 
 
 class OnlineMapDataset(ProblemDataset):
@@ -75,7 +75,7 @@ class OnlineMapDataset(ProblemDataset):
         self.length = recipe.maps if length is None else check_count("length", length)
         self.movement = movement or self.spec.movement
         self.map_size = self.spec.map_size
-        self._least = least_squared(radius, self.spec.resolution)
+        self._least = min_squared_clearance(radius, self.spec.resolution)
         self._numbers = (
             None if split is None else maps_of_split(self.spec, self.seed, split, 2 * self.length)
         )
@@ -126,8 +126,9 @@ class OnlineMapDataset(ProblemDataset):
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
-            (isinstance(problems, Route), problems.unsolvable),
+            isinstance(problems, Route),
+            problems.unsolvable,
             SEARCHES[self.serving.search],
-            rule_of(self.movement),
+            move_rule(self.movement),
         )
         return grids, ends, Paths(*found)

@@ -12,7 +12,7 @@ from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.generators.maps import Maps
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
-from mapdata.search.labels import Labels, SearchLabels
+from mapdata.search.labels import Labels, RouteLabels
 from mapdata.shards.header import Header
 
 
@@ -130,7 +130,7 @@ def encode(labels: Labels) -> dict[str, Array]:
         "directions": maps.directions[is_passage],
     }
     for name in SEARCHES:
-        search = labels.of(name)
+        search = labels.by_search(name)
         arrays |= {
             f"{name}_offsets": search.offsets,
             f"{name}_moves": pack_moves(search.moves, bits_per_move(maps.movement)),
@@ -179,7 +179,7 @@ def _padded(rows: Array, is_used: Flags) -> Ints:
     return padded
 
 
-def _search_labels(shard: Shard, search: str) -> SearchLabels:
+def _search_labels(shard: Shard, search: str) -> RouteLabels:
     """Return the labels of a search, "bfs" or "astar", on the maps of a shard."""
     arrays = shard.arrays
     movement = shard.header.movement
@@ -189,7 +189,7 @@ def _search_labels(shard: Shard, search: str) -> SearchLabels:
     costs[:, 0] = straight
     if search == "astar" and movement.connectivity == 8:
         costs[:, 1] = arrays["astar_diagonal"]
-    return SearchLabels(
+    return RouteLabels(
         moves=unpack_moves(arrays[f"{search}_moves"], offsets[-1], bits_per_move(movement)),
         offsets=offsets,
         iterations=arrays[f"{search}_iterations"].astype(np.int64),

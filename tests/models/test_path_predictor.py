@@ -46,7 +46,8 @@ from mapdata.models.learned_planners import planners
 from mapdata.models.mixed_batches import MixedBatches
 from mapdata.models.model import WEIGHTS
 from mapdata.models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
-from mapdata.search import STEPS, heuristics, search_batch
+from mapdata.search import STEPS, search_batch
+from mapdata.search.lattice import heuristics
 
 ROOT = Path(__file__).parents[2]
 PAPER = MapSpec.preset("paper")
@@ -264,7 +265,7 @@ def is_path(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_heuristic_is_that_of_the_searches(movement: Movement) -> None:
-    """For all differences of two cells it equals `mapdata.search.heuristics`, in float32."""
+    """For all differences of two cells it equals `heuristics` of mapdata, in float32."""
     differences = np.stack(np.meshgrid(np.arange(-70, 71), np.arange(-70, 71)), axis=-1)
     expected = heuristics(differences, [0, 0], movement)
     down, right = torch.from_numpy(differences).unbind(-1)

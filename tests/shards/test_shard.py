@@ -73,8 +73,8 @@ def assert_same_labels(found: Labels, expected: Labels) -> None:
         np.testing.assert_array_equal(value, truth, err_msg=name, strict=True)
     for search in ("bfs", "astar"):
         for name in ("moves", "offsets", "iterations", "costs"):
-            value = getattr(found.of(search), name)
-            truth = getattr(expected.of(search), name)
+            value = getattr(found.by_search(search), name)
+            truth = getattr(expected.by_search(search), name)
             np.testing.assert_array_equal(value, truth, err_msg=f"{search} {name}", strict=True)
 
 
