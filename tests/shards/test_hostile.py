@@ -26,9 +26,9 @@ from torch import nn
 
 from mapdata import build
 from mapdata.limits import SPLITS
+from mapdata.models.model import load_model
+from mapdata.models.path_predictor import PathPredictor
 from mapdata.shards import MANIFEST, read_manifest
-from models.model import load_model
-from models.path_predictor import PathPredictor
 
 MOST = 200 << 20
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")

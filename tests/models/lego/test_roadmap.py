@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
 from mapdata import MapSpec, Movement, ProblemSet
-from models.lego.roadmap import (
+from mapdata.models.lego.roadmap import (
     SAMPLERS,
     bridge,
     build_roadmap,
