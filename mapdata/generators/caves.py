@@ -47,7 +47,7 @@ class Cave(Scattered):
         """Check the values."""
         super().__post_init__()
         self._convert(check_probability, "occupied")
-        self._convert(partial(check_count, lowest=0), "steps")
+        self._convert(partial(check_count, minimum=0), "steps")
         self._convert(check_seed_points, "seed_points")
 
     def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:

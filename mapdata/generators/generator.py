@@ -24,8 +24,8 @@ from mapdata.checks import (
     known_values,
 )
 from mapdata.generators.maps import Maps
-from mapdata.hashing import canonical_json, hash_of, parsed_json
-from mapdata.limits import MAX_ROOMS, Size, least_version
+from mapdata.hashing import canonical_json, json_hash, parsed_json
+from mapdata.limits import MAX_ROOMS, Size, min_version
 from mapdata.movement import Movement
 
 G = TypeVar("G", bound="MapGenerator")
@@ -95,7 +95,7 @@ class MapGenerator(ABC):
 
     @property
     @abstractmethod
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
 
     @abstractmethod
@@ -108,7 +108,7 @@ class MapGenerator(ABC):
     @property
     def format_version(self) -> int:
         """The lowest version of the format that can store maps of this generator."""
-        return least_version(self.map_size) if self.name == _ROOMS else 2
+        return min_version(self.map_size) if self.name == _ROOMS else 2
 
     def to_dict(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON, with the name of the family."""
@@ -129,7 +129,9 @@ class MapGenerator(ABC):
         Raises:
             ValueError: the family has no preset of this name.
         """
-        presets = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
+        presets = {
+            name: generator for name, generator in PRESETS.items() if isinstance(generator, cls)
+        }
         if name in PRESETS and name not in presets:
             raise ValueError(
                 f"preset: {name!r} is of another family: MapGenerator.preset({name!r})"
@@ -159,7 +161,7 @@ class MapGenerator(ABC):
         if not issubclass(family, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
         parameters = known_values(
-            "spec", values, family, "generator", other_words={"family": "generator"}
+            "spec", values, family, "generator", synonyms={"family": "generator"}
         )
         parameters.pop("generator", None)
         if "movement" in parameters:
@@ -215,7 +217,7 @@ class UnknownFamily(MapGenerator):
         return f"maps of the family {self.name}"
 
     @property
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number that any map can have."""
         return MAX_ROOMS
 
@@ -302,7 +304,7 @@ def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {
     is_dataclass = "__dataclass_fields__" in vars(family)
     if not is_dataclass or isabstract(family) or not hasattr(family, "name"):
         raise ValueError(
-            f"{family.__name__}: expected a frozen dataclass with name, most_seed_points and draw"
+            f"{family.__name__}: expected a frozen dataclass with name, max_seed_points and draw"
         )
     # A notebook defines the same class anew each time its cell runs; the new class replaces it.
     registered = GENERATORS.get(family.name, family)
@@ -375,16 +377,15 @@ def why_unknown(name: str) -> str:
     )
 
 
-def identity(spec: MapGenerator, seed: int) -> str:
+def identity(generator: MapGenerator, seed: int) -> str:
     """Return the identity of the maps of a generator and a seed, 64 hexadecimal digits.
 
     It is the SHA-256 of the canonical JSON of format version, generator and seed. The number of
     maps is not part of it, so that a dataset can grow.
     """
-    return hash_of(
-        {
-            "format_version": spec.format_version,
-            "spec": spec.to_dict(),
-            "seed": check_seed(seed),
-        }
-    )
+    recipe = {
+        "format_version": generator.format_version,
+        "spec": generator.to_dict(),
+        "seed": check_seed(seed),
+    }
+    return json_hash(recipe)

@@ -27,10 +27,11 @@ from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
-from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import HARD, hardness, rule_of
+from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.lattice import HARD, hardness, move_rule
 from mapdata.shards.files import StrPath, write_output
-from mapdata.shards.root import Places, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 _DRAWS = (0, 1000)
 """First and last (excluded) draw that is tried on a map. A dataset tries fewer of them before it
@@ -244,13 +245,13 @@ class ProblemSet:
             until_hard=until_hard,
             seed=recipe.seed,
             movement=movement,
-            min_clearance=least_squared(radius, recipe.spec.resolution),
-            source=f"the maps with identity {identity(recipe.spec, recipe.seed)[:12]}",
+            min_clearance=min_squared_clearance(radius, recipe.generator.resolution),
+            source=f"the maps with identity {identity(recipe.generator, recipe.seed)[:12]}",
         )
 
     @staticmethod
     def read(
-        root: Places,
+        root: Locations,
         maps: int | None = None,
         *,
         movement: Movement,
@@ -284,7 +285,7 @@ class ProblemSet:
             seed = dataset.manifests[0].seed or 0
         code = SPLITS.index(split)
         # Without a radius, roots may have several resolutions, which `dataset.resolution` refuses.
-        min_clearance = least_squared(radius, dataset.resolution) if radius else 0
+        min_clearance = min_squared_clearance(radius, dataset.resolution) if radius else 0
         batches = (
             _map_batch(labels.maps, labels.maps.split == code) for labels in dataset.labels()
         )
@@ -396,8 +397,8 @@ def _sample_until(
     """Sample a problem on each map of the batches, until there are enough hard problems.
 
     The arguments are those of `ProblemSet.sample`, with ``min_clearance``, the clearance from which
-    on cells are free, in the unit of `least_squared`; and ``source``, which says where the maps
-    come from in the description and in errors.
+    on cells are free, in the unit of `min_squared_clearance`; and ``source``, which says where the
+    maps come from in the description and in errors.
     """
     if not isinstance(problems, Random):
         raise ValueError(f"problems: got {problems!r}, expected mapdata.Random(...)")
@@ -451,7 +452,7 @@ def _sample_on(
         batch.indices,
         _DRAWS,
         *problems.conditions,
-        rule_of(movement),
+        move_rule(movement),
     )
     has_problem = ends[:, 0] >= 0
     return _SampledProblems(

@@ -30,7 +30,7 @@ from mapdata import (
 )
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
-from mapdata.search import rule_of
+from mapdata.search.lattice import move_rule
 
 MOVEMENTS = [
     Movement(),
@@ -69,15 +69,15 @@ def sample(
         indices,
         DRAWS,
         *conditions.conditions,
-        rule_of(movement),
+        move_rule(movement),
     )
-    found = np.full((len(grids), 6), NO_PROBLEM)
+    sampled = np.full((len(grids), 6), NO_PROBLEM)
     for k, (row, column, goal_row, goal_column) in enumerate(ends.tolist()):
-        found[k, :4] = ends[k]
+        sampled[k, :4] = ends[k]
         if row != NO_PROBLEM:
             path = astar(grids[k], (row, column), (goal_row, goal_column), movement).path
-            found[k, 4:] = steps_of(path, movement)
-    return found
+            sampled[k, 4:] = steps_of(path, movement)
+    return sampled
 
 
 def steps_of(path: Ints, movement: Movement) -> tuple[int, int]:
@@ -102,9 +102,9 @@ def assert_equals_the_reference(
     """Compare the problem of each grid with that of the slow reference; return how many have
     one.
     """
-    found = sample(grids, seed, epoch, conditions, movement, goals).tolist()
+    sampled = sample(grids, seed, epoch, conditions, movement, goals).tolist()
     with_problem = 0
-    for index, (row, column, goal_row, goal_column, straight, diagonal) in enumerate(found):
+    for index, (row, column, goal_row, goal_column, straight, diagonal) in enumerate(sampled):
         only_goal = None
         if goals is not None:
             goal = goals[index].tolist()
@@ -119,7 +119,7 @@ def assert_equals_the_reference(
             only_goal=only_goal,
         )
         if truth is None:
-            assert found[index] == [NO_PROBLEM] * 6
+            assert sampled[index] == [NO_PROBLEM] * 6
             continue
         with_problem += 1
         assert (row, column) == truth.start
@@ -225,8 +225,8 @@ def test_the_problems_stay_what_they_are(
 ) -> None:
     """On every machine, in every version."""
     grids = generate(MapGenerator.preset(preset), 77, range(50)).occupancy
-    found = sample(grids, 77, 3, conditions, Movement(connectivity))
-    assert hashlib.sha256(found.astype("<i8").tobytes()).hexdigest() == golden
+    sampled = sample(grids, 77, 3, conditions, Movement(connectivity))
+    assert hashlib.sha256(sampled.astype("<i8").tobytes()).hexdigest() == golden
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS[:2], ids=["4", "8"])
@@ -239,9 +239,9 @@ def test_goals_are_uniform(movement: Movement) -> None:
     numbers = np.arange(grid.size).reshape(grid.shape)
     free = numbers[grid == 0]
     grids = np.repeat(grid[None], 20_000, axis=0)
-    found = sample(grids, 1, 0, Random(), movement)
-    starts = numbers[found[:, 0], found[:, 1]]
-    goals = numbers[found[:, 2], found[:, 3]]
+    sampled = sample(grids, 1, 0, Random(), movement)
+    starts = numbers[sampled[:, 0], sampled[:, 1]]
+    goals = numbers[sampled[:, 2], sampled[:, 3]]
     assert set(goals.tolist()) == set(free.tolist())
     goal_counts = np.bincount(goals, minlength=grid.size)[free]
     assert stats.chisquare(goal_counts).pvalue > 1e-3
@@ -258,20 +258,20 @@ def test_goals_are_uniform(movement: Movement) -> None:
 @pytest.mark.parametrize("to_first", [False, True])
 def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) -> None:
     """Datasets in epoch 0 have the problems of a set of problems with their seed, map by map."""
-    spec = MapGenerator.preset("dungeon")
+    generator = MapGenerator.preset("dungeon")
     conditions = Random(distance=(10, None), to_first_seed_point=to_first)
     movement = Movement(8)
-    build(tmp_path, spec, maps=30, seed=5)
+    build(tmp_path, generator, maps=30, seed=5)
     how: dict[str, Any] = {
         "fields": ("map", "start", "goal", "seed_points"),
         "problems": conditions,
         "movement": movement,
         "sampling_seed": 5,
     }
-    online = OnlineMapDataset(spec, 5, 30, **how)[:]
+    online = OnlineMapDataset(generator, 5, 30, **how)[:]
     stored = MapDataset(tmp_path, **how)[:]
     assert_same(online, stored)
-    problems = ProblemSet.sample(spec, 5, 30, problems=conditions, movement=movement)
+    problems = ProblemSet.sample(generator, 5, 30, problems=conditions, movement=movement)
     np.testing.assert_array_equal(online.map[:, 0], problems.grids)
     np.testing.assert_array_equal(online.start, problems.starts)
     np.testing.assert_array_equal(online.goal, problems.goals)
@@ -284,17 +284,19 @@ def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) ->
 
 def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
     """An inflated map may have none; of the others the goal is the first seed point."""
-    spec = MapGenerator.preset("narrow")
+    generator = MapGenerator.preset("narrow")
     conditions = Random(to_first_seed_point=True)
     served = OnlineMapDataset(
-        spec, 3, 200, fields=("map", "goal", "seed_points"), problems=conditions, radius=0.6
+        generator, 3, 200, fields=("map", "goal", "seed_points"), problems=conditions, radius=0.6
     )
     sample = served[:]
     np.testing.assert_array_equal(sample.goal, sample.seed_points[:, 0])
     rows, columns = sample.goal.unbind(1)
     occupied = sample.map[torch.arange(200), 0, rows, columns]
     assert not occupied.any()
-    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6, movement=Movement(8))
+    alone = ProblemSet.sample(
+        generator, 3, 200, problems=conditions, radius=0.6, movement=Movement(8)
+    )
     assert len(alone) < 200
 
 
@@ -302,9 +304,9 @@ def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, search: str) -> None:
     """Conditions need them; a rare one also takes maps in place of those without a problem."""
-    spec = MapGenerator.preset("paper")
+    generator = MapGenerator.preset("paper")
     served = OnlineMapDataset(
-        spec,
+        generator,
         5,
         60,
         fields=("map", "start", "goal", "path", "cost", "iterations", "hardness"),
@@ -324,7 +326,7 @@ def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, se
         assert served.cost[k] == np.float32(expected.cost)
         shortest = astar(grid, start, goal, movement)
         assert len(shortest.path) <= 90
-    own_maps = generate(spec, 5, range(60)).occupancy
+    own_maps = generate(generator, 5, range(60)).occupancy
     in_place = (served.map[:, 0].numpy() == own_maps).all(axis=(1, 2))
     assert 0 < in_place.sum() < 60
 

@@ -49,7 +49,7 @@ from mapdata import (
 from mapdata.generators import Recipe, as_recipe
 from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, Manifest, builder, content_hash, read_manifest
-from mapdata.shards.builder import headers, make_shard
+from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.merging import merge
 
 OTHER = replace(SPEC, skip_probability=0.2)
@@ -154,11 +154,11 @@ GOLDEN = [
 ]
 
 
-@pytest.mark.parametrize(("spec", "seed", "maps", "name", "content"), GOLDEN)
-def test_golden_hashes(spec: MapSpec, seed: int, maps: int, name: str, content: str) -> None:
+@pytest.mark.parametrize(("generator", "seed", "maps", "name", "content"), GOLDEN)
+def test_golden_hashes(generator: MapSpec, seed: int, maps: int, name: str, content: str) -> None:
     """The bytes of format version 1 are what they were, on every machine."""
-    assert identity(spec, seed) == name
-    assert content_hash(label(generate(spec, seed, range(maps)))) == content
+    assert identity(generator, seed) == name
+    assert content_hash(label(generate(generator, seed, range(maps)))) == content
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -218,31 +218,33 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
     """Shards that others made, in random order and twice, are adopted and not made again."""
     planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
-    todo = [*headers(planned)] * 2
+    todo = [*planned_headers(planned)] * 2
     Random(seed).shuffle(todo)
     for header in todo:
-        make_shard(root, header)
+        build_shard(root, header)
     before = stamps(root)
     assert make(root, shard_size=2).content_hash == truth
     assert stamps(root) == before
     assert listing(root) == names(MAPS, 2)
 
 
-@pytest.mark.parametrize("spec", [SPEC, MapSpec.preset("dungeon"), Maze((21, 21))])
+@pytest.mark.parametrize("generator", [SPEC, MapSpec.preset("dungeon"), Maze((21, 21))])
 def test_the_bar_moves_within_a_shard(
-    spec: MapGenerator, root: Path, monkeypatch: pytest.MonkeyPatch
+    generator: MapGenerator, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Labels of pieces, joined, are those of all maps at once."""
     monkeypatch.setattr("mapdata.search.labels._CELLS_AT_ONCE", 1)
     root.mkdir()
-    (header,) = headers(
-        Manifest(spec, SEED, spec.map_size, spec.movement, spec.resolution, 30, 100)
+    (header,) = planned_headers(
+        Manifest(
+            generator, SEED, generator.map_size, generator.movement, generator.resolution, 30, 100
+        )
     )
     moved: list[int] = []
-    entry = make_shard(root, header, advance=moved.append)
+    entry = build_shard(root, header, advance=moved.append)
     assert moved == [8, 8, 8, 6]
-    assert entry.content_hash == content_hash(label(generate(spec, SEED, range(30))))
-    assert make_shard(root, header, advance=moved.append) == entry
+    assert entry.content_hash == content_hash(label(generate(generator, SEED, range(30))))
+    assert build_shard(root, header, advance=moved.append) == entry
     assert moved[4:] == [30]
 
 
@@ -367,13 +369,13 @@ def test_a_lost_manifest_is_made_again(root: Path) -> None:
 def test_a_repaired_manifest_is_that_of_the_build(side: int, tmp_path: Path) -> None:
     """A shard that is alone is a partial one of the default size: the dataset can grow."""
     root = tmp_path / "lone"
-    spec = MapSpec((side, side))
-    build(root, spec, maps=3)
+    generator = MapSpec((side, side))
+    build(root, generator, maps=3)
     text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).unlink()
     repair(root)
     assert (root / MANIFEST).read_bytes() == text
-    assert build(root, spec, maps=5).maps == 5
+    assert build(root, generator, maps=5).maps == 5
     assert verify(root) == []
 
 

@@ -32,7 +32,13 @@ from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import PRESETS
 from mapdata.shards import content_hash, open_shard
 from mapdata.shards.arrays import DATASETS
-from mapdata.shards.hdf5 import ChecksumError, check_metadata, checksum_of, read_dataset, read_root
+from mapdata.shards.hdf5 import (
+    ChecksumError,
+    check_metadata,
+    metadata_checksum,
+    read_dataset,
+    read_root,
+)
 from mapdata.shards.header import ATTRIBUTES, Header
 from mapdata.shards.image import TESTED_H5PY, shard_image
 
@@ -71,8 +77,8 @@ def test_kept_shards_read_as_by_h5py(path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_built_shards_read_as_by_h5py(name: str, movement: Movement, tmp_path: Path) -> None:
     """All presets, all rules of moving."""
-    spec = MapGenerator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
-    manifest = build(tmp_path, spec, maps=2)
+    generator = MapGenerator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
+    manifest = build(tmp_path, generator, maps=2)
     assert_reads_as_h5py(tmp_path / manifest.shards[0].name)
 
 
@@ -84,23 +90,23 @@ def test_imported_shards_read_as_by_h5py(tmp_path: Path) -> None:
     assert_reads_as_h5py(path)
 
 
-def header_of(spec: MapGenerator, maps: int) -> Header:
+def header_of(generator: MapGenerator, maps: int) -> Header:
     """Return the header of the first maps of a spec."""
     return Header(
-        spec=spec,
+        generator=generator,
         seed=SOUND_SEED,
         start=0,
         stop=maps,
-        map_size=spec.map_size,
-        movement=spec.movement,
-        resolution=spec.resolution,
+        map_size=generator.map_size,
+        movement=generator.movement,
+        resolution=generator.resolution,
     )
 
 
-def image_of(spec: MapGenerator, maps: int) -> bytes:
+def image_of(generator: MapGenerator, maps: int) -> bytes:
     """Return the bytes of a shard."""
-    labels = label(generate(spec, SOUND_SEED, range(maps)))
-    return shard_image(labels, header_of(spec, maps))[0]
+    labels = label(generate(generator, SOUND_SEED, range(maps)))
+    return shard_image(labels, header_of(generator, maps))[0]
 
 
 def test_a_shard_of_no_maps_reads_as_by_h5py(tmp_path: Path) -> None:
@@ -238,7 +244,7 @@ def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -
 )
 def test_checksums_are_those_that_their_author_published(text: bytes, checksum: int) -> None:
     """The two answers with a seed of zero in the self-test of lookup3.c."""
-    assert checksum_of(text) == checksum
+    assert metadata_checksum(text) == checksum
 
 
 def contents(image: bytes) -> dict[str, Any]:
@@ -378,7 +384,7 @@ def test_a_file_that_was_not_closed_is_named(sound: Path) -> None:
     """HDF5 marks files that are written to; h5py does not read them either."""
     image = bytearray(sound.read_bytes())
     image[11] = 5  # open for writing, by many readers and one writer
-    image[44:48] = checksum_of(bytes(image[:44])).to_bytes(4, "little")
+    image[44:48] = metadata_checksum(bytes(image[:44])).to_bytes(4, "little")
     sound.write_bytes(image)
     with pytest.raises(OSError, match="already open"):
         h5py.File(sound, "r")

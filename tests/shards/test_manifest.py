@@ -27,7 +27,7 @@ from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
 from mapdata.generators import as_recipe
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, Manifest, read_manifest, write_file
-from mapdata.shards.builder import headers
+from mapdata.shards.builder import planned_headers
 from mapdata.shards.header import is_shard_name
 from mapdata.shards.manifest import Entry, parse_manifest
 from mapdata.shards.merging import LOCK, load_shard, merge, sweep, union
@@ -46,9 +46,19 @@ def entry_of(start: int, stop: int, content: str = HASH) -> Entry:
     return Entry(shard_name(start, stop), start, stop, 4096, HASH, content, {**counts, **splits})
 
 
-def manifest_of(spec: MapSpec, seed: int, maps: int, shard_size: int, done: int = 0) -> Manifest:
+def manifest_of(
+    generator: MapSpec, seed: int, maps: int, shard_size: int, done: int = 0
+) -> Manifest:
     """Return a manifest whose first ``done`` shards are finished."""
-    planned = Manifest(spec, seed, spec.map_size, spec.movement, spec.resolution, maps, shard_size)
+    planned = Manifest(
+        generator,
+        seed,
+        generator.map_size,
+        generator.movement,
+        generator.resolution,
+        maps,
+        shard_size,
+    )
     return replace(planned, shards=tuple(entry_of(*limits) for limits in planned.plan[:done]))
 
 
@@ -73,16 +83,16 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     st.booleans(),
 )
 def test_text_round_trip(
-    spec: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool
+    generator: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool
 ) -> None:
     """A manifest comes back from its text equal, finished or not, with and without a recipe."""
-    manifest = manifest_of(spec, seed, maps, shard_size, done)
+    manifest = manifest_of(generator, seed, maps, shard_size, done)
     if imported:
-        manifest = replace(manifest, spec=None, seed=None)
+        manifest = replace(manifest, generator=None, seed=None)
     again = parse_manifest(manifest.to_json(), "text")
     assert again == manifest
     assert again.to_json() == manifest.to_json()
-    assert again.identity == (None if imported else identity(spec, seed))
+    assert again.identity == (None if imported else identity(generator, seed))
 
 
 def test_the_manifest_on_disk_is_its_text(built: Path) -> None:
@@ -100,8 +110,8 @@ def test_the_recipe_states_all_that_makes_the_maps(built: Path) -> None:
     assert (recipe["seed"], recipe["maps"], recipe["identity"]) == (5, 8, identity(SPEC, 5))
     assert recipe["content_hash"] == manifest.content_hash
     with pytest.raises(ValueError, match="imported"):
-        replace(manifest, spec=None, seed=None).recipe()
-    assert as_recipe(recipe).spec == SPEC
+        replace(manifest, generator=None, seed=None).recipe()
+    assert as_recipe(recipe).generator == SPEC
     with pytest.raises(ValueError, match="is not that of its spec and seed"):
         as_recipe({**recipe, "seed": 6})
 
@@ -111,9 +121,9 @@ def test_a_manifest_is_not_read_beyond_its_limit(
 ) -> None:
     """Its size is looked at first: a file of many gigabytes takes no memory."""
     size = (built / MANIFEST).stat().st_size
-    monkeypatch.setattr("mapdata.shards.manifest.MOST_BYTES", size)
+    monkeypatch.setattr("mapdata.shards.manifest.MAX_MANIFEST_BYTES", size)
     assert read_manifest(built).done == 8
-    monkeypatch.setattr("mapdata.shards.manifest.MOST_BYTES", size - 1)
+    monkeypatch.setattr("mapdata.shards.manifest.MAX_MANIFEST_BYTES", size - 1)
     with pytest.raises(ShardError, match=f"larger than {size - 1} bytes"):
         read_manifest(built)
 
@@ -129,7 +139,7 @@ def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
     assert manifest.complete == (done >= len(manifest.plan))
     assert manifest.total("segments") == sum(entry.stop - entry.start for entry in finished)
     assert manifest.content_hash == f"{int(HASH, 16) * len(finished) % 2**256:064x}"
-    assert [(header.start, header.stop) for header in headers(manifest)] == manifest.plan
+    assert [(header.start, header.stop) for header in planned_headers(manifest)] == manifest.plan
 
 
 # --- names --------------------------------------------------------------------------------------
@@ -568,7 +578,9 @@ def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
 def test_load_shard_gives_the_entry(built: Path) -> None:
     """What the manifest says of a shard can be derived from the file."""
     manifest = read_manifest(built)
-    assert tuple(load_shard(built, header) for header in headers(manifest)) == manifest.shards
+    assert (
+        tuple(load_shard(built, header) for header in planned_headers(manifest)) == manifest.shards
+    )
 
 
 @pytest.mark.parametrize(
@@ -576,7 +588,7 @@ def test_load_shard_gives_the_entry(built: Path) -> None:
 )
 def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
     """A shard that is not there, not whole, or does not hash to what it says gives None."""
-    (header, *_) = headers(read_manifest(built))
+    (header, *_) = planned_headers(read_manifest(built))
     name = header.file_name
     image = bytearray((built / name).read_bytes())
     with h5py.File(built / name, "r") as file:
@@ -595,8 +607,11 @@ def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Pat
 
 def test_load_shard_takes_no_other_maps(built: Path) -> None:
     """A sound shard of another range, seed or resolution gives None."""
-    (header, *_) = headers(read_manifest(built))
-    for other in (replace(header, seed=6), replace(header, spec=replace(SPEC, resolution=0.2))):
+    (header, *_) = planned_headers(read_manifest(built))
+    for other in (
+        replace(header, seed=6),
+        replace(header, generator=replace(SPEC, resolution=0.2)),
+    ):
         assert load_shard(built, other) is None
     assert load_shard(built, header) is not None
 

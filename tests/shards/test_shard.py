@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
 from mapdata.movement import Movement
 from mapdata.shards import content_hash, open_shard, write_file
-from mapdata.shards.arrays import DATASETS, bits_of, decode, pack_moves, unpack_moves
+from mapdata.shards.arrays import DATASETS, bits_per_move, decode, pack_moves, unpack_moves
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
 
@@ -37,16 +37,18 @@ SETTINGS = settings(max_examples=60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")
 
 
-def header_of(spec: MapSpec, seed: int, start: int, stop: int, *, imported: bool = False) -> Header:
+def header_of(
+    generator: MapSpec, seed: int, start: int, stop: int, *, imported: bool = False
+) -> Header:
     """Return the header of maps start <= i < stop."""
     return Header(
-        spec=None if imported else spec,
+        generator=None if imported else generator,
         seed=None if imported else seed,
         start=start,
         stop=stop,
-        map_size=spec.map_size,
-        movement=spec.movement,
-        resolution=spec.resolution,
+        map_size=generator.map_size,
+        movement=generator.movement,
+        resolution=generator.resolution,
     )
 
 
@@ -73,8 +75,8 @@ def assert_same_labels(found: Labels, expected: Labels) -> None:
         np.testing.assert_array_equal(value, truth, err_msg=name, strict=True)
     for search in ("bfs", "astar"):
         for name in ("moves", "offsets", "iterations", "costs"):
-            value = getattr(found.of(search), name)
-            truth = getattr(expected.of(search), name)
+            value = getattr(found.by_search(search), name)
+            truth = getattr(expected.by_search(search), name)
             np.testing.assert_array_equal(value, truth, err_msg=f"{search} {name}", strict=True)
 
 
@@ -100,10 +102,10 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 4), st.booleans())
-def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
+def test_round_trip(generator: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
     """What is written is read back equal, for all movements and sizes, imported or not."""
-    header = header_of(spec, seed, start, start + count, imported=imported)
-    labels = label(generate(spec, seed, range(start, start + count)))
+    header = header_of(generator, seed, start, start + count, imported=imported)
+    labels = label(generate(generator, seed, range(start, start + count)))
     image, content = shard_image(labels, header)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shard.h5"
@@ -134,7 +136,7 @@ def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
 def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
     """Move k is in the bits from k * bits on, spare bits are 0; unpacking undoes packing."""
     moves = np.array([code % movement.connectivity for code in codes], np.uint8)
-    bits = bits_of(movement)
+    bits = bits_per_move(movement)
     packed = pack_moves(moves, bits)
     value = sum(int(move) << bits * k for k, move in enumerate(moves))
     assert packed.tobytes() == value.to_bytes(-(-len(moves) * bits // 8), "little")
