@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
-from mapdata.datasets.sample import PADDING, Sample
+from mapdata.datasets.field_kernels import PADDING
+from mapdata.datasets.sample import Sample
 
 CHARACTERS = "# SGo"
 """Occupied, free, start, goal, path: the characters of maze-30x30-hard-1k.

@@ -16,7 +16,7 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes
 from mapdata.datasets.maze_text import CHARACTERS, maze_tokens
-from mapdata.datasets.sample import PADDING
+from mapdata.datasets.field_kernels import PADDING
 from mapdata.limits import Size
 from mapdata.movement import STEPS, Movement
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mapdata.arrays import Array
-from mapdata.datasets.sample import PADDING
+from mapdata.datasets.field_kernels import PADDING
 from mapdata.export.layouts import Columns
 from mapdata.limits import Size
 

@@ -22,15 +22,16 @@ from mapdata.export.layouts import LAYOUTS, Columns, Layout
 from mapdata.export.maze_text import MazeTextWriter
 from mapdata.export.parquet import ParquetWriter
 from mapdata.export.writers import ArrayWriter, LayoutWriter, Writer
-from mapdata.generators.generator import PRESETS, MapGenerator, identity
+from mapdata.generators.generator import PRESETS, MapGenerator
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.generators.splits import maps_of_split
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
 from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
-from mapdata.shards.recipe import Recipe
-from mapdata.shards.root import Places, Root, local_path
+from mapdata.shards.locations import Locations, local_path
+from mapdata.shards.root import Root
 
 PROBLEM_FORMATS = ("arrays", "parquet", "maze-hard", *LAYOUTS)
 """What `export_problems` writes."""
@@ -50,7 +51,7 @@ _MAZE_TEXT_FIELDS = ("map", "start", "goal", "path")
 
 
 def export_problems(
-    source: Places | Mapping[str, Any] | MapGenerator | Recipe,
+    source: Locations | RecipeLike,
     target: StrPath,
     *,
     format: str = "arrays",  # noqa: A002  (the word of pandas, Pillow and the command line)
@@ -287,23 +288,18 @@ def _open(
         parts = [_stored_part(source, options, name, count) for name in splits]
         origin = _origin_of_dataset(source)
     else:
-        recipe = _recipe_of(source)
-        if seed is not None:
-            recipe = replace(recipe, seed=seed, content_hash=None)
-        shares = dict(zip(SPLITS, recipe.spec.splits, strict=True))
+        recipe = _recipe_of(source, seed)
+        shares = dict(zip(SPLITS, recipe.generator.splits, strict=True))
         asked = [name for name in splits if shares[name] > 0 or name == split]
         parts = [_online_part(recipe, options, name, count) for name in asked]
-        origin = {
-            "recipe": {"spec": recipe.spec.to_dict(), "seed": recipe.seed, "maps": recipe.maps},
-            "identity": identity(recipe.spec, recipe.seed),
-        }
+        origin = {"recipe": recipe.to_dict()}
     written = [part for part in parts if part.count > 0]
     if not written:
         raise ValueError(f"problems: {plain_text(options.problems)}: the source has none of them")
     return written, origin
 
 
-def _stored_part(source: Places, options: _Options, split: str, count: int | None) -> _Part:
+def _stored_part(source: Locations, options: _Options, split: str, count: int | None) -> _Part:
     """Return the problems of a split of a built dataset."""
     dataset = MapDataset(source, split, **options.serving(split))
     if count is None or len(dataset) == 0:
@@ -320,32 +316,37 @@ def _stored_part(source: Places, options: _Options, split: str, count: int | Non
 def _online_part(recipe: Recipe, options: _Options, split: str, count: int | None) -> _Part:
     """Return the problems of a split of maps that are made on the fly."""
     if count is None:
-        indices = maps_of_split(recipe.spec, recipe.seed, split, recipe.maps)
+        indices = maps_of_split(recipe.generator, recipe.seed, split, recipe.maps)
         count = int((indices < recipe.maps).sum())
         if count == 0:
             raise ValueError(f"split: none of the {recipe.maps} maps of the recipe is in {split!r}")
-    dataset = OnlineMapDataset(recipe.spec, recipe.seed, count, split, **options.serving(split))
+    dataset = OnlineMapDataset(recipe.generator, recipe.seed, count, split, **options.serving(split))
     return _Part(split, dataset, count)
 
 
-def _is_dataset(source: Any) -> bool:
+def _is_dataset(source: Locations | RecipeLike) -> bool:
     """Return whether a source is a built dataset, and not a recipe."""
-    if isinstance(source, os.PathLike):
-        return not Path(source).is_file()
-    if not isinstance(source, str):
-        return isinstance(source, Sequence)
-    return source not in PRESETS and ("://" in source or Path(source).is_dir())
+    if isinstance(source, (MapGenerator, Recipe, Mapping)):
+        return False
+    if not isinstance(source, (str, os.PathLike)):
+        return True  # a list of folders
+    name = os.fspath(source)
+    return name not in PRESETS and ("://" in name or Path(name).is_dir())
 
 
-def _recipe_of(source: Any) -> Recipe:
-    if isinstance(source, Recipe):
-        return source
-    if isinstance(source, MapGenerator):
-        return Recipe(source)
-    return Recipe.load(os.fspath(source) if isinstance(source, os.PathLike) else source)
+def _recipe_of(source: RecipeLike, seed: int | None) -> Recipe:
+    """Return the recipe that a source stands for.
+
+    Raises:
+        ValueError: it is neither a dataset nor a recipe.
+    """
+    try:
+        return as_recipe(source, seed=seed)
+    except ValueError as error:
+        raise ValueError(f"{error}; or the folder or URL of a built dataset") from None
 
 
-def _origin_of_dataset(source: Places) -> dict[str, Any]:
+def _origin_of_dataset(source: Locations) -> dict[str, Any]:
     """Return what a dataset is, as plain values."""
     root = Root.open(source)
     return {
@@ -353,7 +354,7 @@ def _origin_of_dataset(source: Places) -> dict[str, Any]:
             {
                 "content_hash": manifest.content_hash,
                 "identity": manifest.identity,
-                "recipe": None if manifest.spec is None else json.loads(manifest.recipe()),
+                "recipe": None if manifest.generator is None else json.loads(manifest.recipe()),
             }
             for manifest in root.manifests
         ]

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mapdata.arrays import Array, Ints
-from mapdata.datasets.sample import PADDING
+from mapdata.datasets.field_kernels import PADDING
 from mapdata.export.growing_array import GrowingArray
 from mapdata.export.layouts import Columns, Layout
 from mapdata.limits import Size
