@@ -135,13 +135,13 @@ class OnlineMapDataset(ProblemDataset):
             fields=field_infos(self._load(np.array([0]), 0)),
         )
 
-    def _maps(self, maps: Ints) -> Maps:
+    def _maps(self, map_numbers: Ints) -> Maps:
         """Return maps by their numbers in the split."""
-        indices = maps if self._map_indices is None else self._map_indices[maps]
+        indices = map_numbers if self._map_indices is None else self._map_indices[map_numbers]
         return generate(self.generator, self.seed, indices)
 
-    def _grids(self, maps: Ints) -> Bytes:
-        return self._inflated(self._maps(maps))
+    def _grids(self, map_numbers: Ints) -> Bytes:
+        return self._inflated(self._maps(map_numbers))
 
     def _inflated(self, maps: Maps) -> Bytes:
         """Return the grids of maps, inflated by the radius of the robot."""
@@ -150,8 +150,8 @@ class OnlineMapDataset(ProblemDataset):
             inflate_all(grids, self._min_clearance)
         return grids
 
-    def _seed_points(self, maps: Ints) -> Ints:
-        return self._maps(maps).seed_points
+    def _seed_points(self, map_numbers: Ints) -> Ints:
+        return self._maps(map_numbers).seed_points
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return maps from the second half of the 2 * length maps, which belong to no sample.
@@ -161,11 +161,13 @@ class OnlineMapDataset(ProblemDataset):
         """
         return self.length + (indices + attempt - 1) % self.length
 
-    def _sample(self, maps: Ints, indices: Ints, epoch: int, attempt: int) -> SampledProblems:
+    def _sample(
+        self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
+    ) -> SampledProblems:
         problems = self.serving.problems
         if isinstance(problems, Random):
-            return super()._sample(maps, indices, epoch, attempt)
-        generated = self._maps(maps)
+            return super()._sample(map_numbers, indices, epoch, attempt)
+        generated = self._maps(map_numbers)
         grids = self._inflated(generated)
         is_route = isinstance(problems, Route)
         ends, cells, offsets, iterations = solve_pairs(
