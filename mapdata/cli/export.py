@@ -69,7 +69,7 @@ def export_command(
         licence: for the card of parquet, as the Hugging Face Hub writes it
         **options: those of the formats of maps
     """
-    from mapdata.cli.convert import movement_of_flags, own_options
+    from mapdata.cli.convert import movement_of_flags, unprefixed_options
     from mapdata.export import PROBLEM_FORMATS, export_problems
     from mapdata.formats import export
 
@@ -91,12 +91,13 @@ def export_command(
         "licence": licence,
     }
     if name in PROBLEM_FORMATS:
-        own_options(name, options)  # refuses those of formats of maps
+        unprefixed_options(name, options)  # refuses those of formats of maps
         origin = source[0] if len(source) == 1 else source
         notes = export_problems(origin, target, format=name, progress=True, **arguments)
     else:
         _refuse_problem_flags(name, arguments)
-        notes = export(source, target, name, progress=True, **own_options(name, options))
+        format_options = unprefixed_options(name, options)
+        notes = export(source, target, name, progress=True, **format_options)
     for note in notes:
         print(f"note: {note}")
     print(f"wrote {Path(target)}")
@@ -110,7 +111,9 @@ def problems_of_flags(problems: str | None, bands: dict[str, str | None]) -> Ran
     """
     from mapdata.problems import Random
 
-    limits = {name: band_of(f"--{name}", text) for name, text in bands.items() if text is not None}
+    limits: dict[str, Any] = {
+        name: band_of(f"--{name}", text) for name, text in bands.items() if text is not None
+    }
     if not limits:
         return problems
     if problems not in (None, "random"):
@@ -155,9 +158,9 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     """Add ``--format``, and the flags that the formats of maps bring."""
     from mapdata.cli.convert import add_format_options
     from mapdata.export import PROBLEM_FORMATS
-    from mapdata.formats.registry import functions
+    from mapdata.formats.registry import functions_by_format
 
-    formats = functions("write")
+    formats = functions_by_format("write")
     names = [*PROBLEM_FORMATS, *(name for name in formats if name not in PROBLEM_FORMATS)]
     parser.add_argument("--format", choices=names, required=True, help="what to write")
     add_format_options(parser, formats)

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
-from mapdata.datasets.maze_text import CHARACTERS, maze_tokens
 from mapdata.datasets.field_kernels import PADDING
+from mapdata.datasets.text import CHARACTERS, maze_tokens
 from mapdata.limits import Size
 from mapdata.movement import STEPS, Movement
 
@@ -85,8 +85,9 @@ _VIN_MOVES = np.array([(-1, 0), (1, 0), (0, 1), (0, -1), (-1, 1), (-1, -1), (1, 
 
 def _move_numbers(moves: Array) -> Array:
     """Return for each of ``moves`` (n, 2) the number k of the same move in `STEPS`."""
-    is_same = (STEPS[None, :, :] == moves[:, None, :]).all(axis=2)
-    return is_same.argmax(axis=1)
+    is_same: Array = (STEPS[None, :, :] == moves[:, None, :]).all(axis=2)
+    move_numbers: Array = is_same.argmax(axis=1)
+    return move_numbers
 
 
 def _optimal_policy(columns: Columns, movement: Movement) -> Bytes:

@@ -9,7 +9,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from mapdata.datasets.maze_text import maze_texts, maze_tokens
+from mapdata.datasets.text import maze_texts, maze_tokens
 from mapdata.export.layouts import Columns
 from mapdata.limits import Size
 

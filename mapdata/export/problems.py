@@ -320,7 +320,9 @@ def _online_part(recipe: Recipe, options: _Options, split: str, count: int | Non
         count = int((indices < recipe.maps).sum())
         if count == 0:
             raise ValueError(f"split: none of the {recipe.maps} maps of the recipe is in {split!r}")
-    dataset = OnlineMapDataset(recipe.generator, recipe.seed, count, split, **options.serving(split))
+    dataset = OnlineMapDataset(
+        recipe.generator, recipe.seed, count, split, **options.serving(split)
+    )
     return _Part(split, dataset, count)
 
 

@@ -43,7 +43,8 @@ def about(folder: Path) -> dict[str, Any]:
 def path_of(folder: Path, i: int) -> Array:
     """Return path i of a folder of arrays."""
     offsets = np.load(folder / "path_offsets.npy")
-    return np.load(folder / "path_cells.npy", mmap_mode="r")[offsets[i] : offsets[i + 1]]
+    cells: Array = np.load(folder / "path_cells.npy", mmap_mode="r")
+    return cells[offsets[i] : offsets[i + 1]]
 
 
 def test_arrays_of_a_dataset_are_its_samples(root: str, tmp_path: Path) -> None:
