@@ -540,14 +540,11 @@ def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
 
 @inlined
 def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, push_f: Int) -> None:
-    """Insert ``push``, the latest of all, into a heap of ``size`` entries.
-
-    It also rises past entries of equal f, since it is later than they are.
-    """
+    """Insert ``push`` into a heap of ``size`` entries, in the order of `_remove_top`."""
     hole = size
     while hole:
         parent = (hole - 1) >> 1
-        if f[parent] < push_f:
+        if f[parent] < push_f or (f[parent] == push_f and heap[parent] > push):
             break
         f[hole] = f[parent]
         heap[hole] = heap[parent]

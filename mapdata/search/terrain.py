@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Floats, Ints
+from mapdata.arrays import Bytes, Float32s, Floats, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS, Movement
 from mapdata.search.kernels import (
@@ -79,6 +79,10 @@ _RING_BUCKETS = 512
 """Buckets of `terrain_costs`. The dearest move, of 721.2, passes at most 361 buckets of width 2."""
 
 
+_MIN_HEAP_CAPACITY = 256
+"""Entries of the heap of `terrain_astar` before it grows."""
+
+
 class PaddedTerrain(NamedTuple):
     """The terrain of one map on its lattice, and the units of its costs.
 
@@ -86,12 +90,14 @@ class PaddedTerrain(NamedTuple):
         values: (cells,) uint8, cost of each padded cell, 0 where it is occupied and in the wall
             around the map.
         min_value: smallest cost of a free cell of the map; 255 if no cell is free.
+        max_value: largest cost of a cell of the map.
         straight_unit: doubled cost of a straight move, for each 1 in the sum of its two cells.
         diagonal_unit: doubled cost of a diagonal move, for each 1 in the sum of its two cells.
     """
 
     values: Bytes
     min_value: Int
+    max_value: Int
     straight_unit: Int
     diagonal_unit: Int
 
@@ -113,6 +119,7 @@ def load_terrain(
     for k in range(lattice.cells):
         came_from[k] = WALL
     min_value: Int = 255
+    max_value: Int = 0
     for row in range(rows):
         first = np.uint64(cell_at(row, 0, lattice))
         for k in range(columns):
@@ -121,9 +128,10 @@ def load_terrain(
             values[first + column] = value
             came_from[first + column] = UNSEEN if value else WALL
             min_value = min(min_value, value if value else 255)
+            max_value = max(max_value, value)
     if lattice.diagonal_cost == UNIT:
-        return PaddedTerrain(values, min_value, np.int64(1), np.int64(1))
-    return PaddedTerrain(values, min_value, np.int64(UNIT), np.int64(DIAGONAL))
+        return PaddedTerrain(values, min_value, max_value, np.int64(1), np.int64(1))
+    return PaddedTerrain(values, min_value, max_value, np.int64(UNIT), np.int64(DIAGONAL))
 
 
 @inlined
@@ -279,8 +287,14 @@ def terrain_astar(
 ) -> tuple[Int, Int, Int]:
     """Run A* on terrain, in the order that the format fixes (docs/format.md).
 
-    The open list is a binary heap, as in `best_first_heap`: f grows by too many different numbers
-    for the buckets of `best_first_buckets`.
+    The open list is a ring of buckets, each of which covers an interval of f. A push goes
+
+    - into a binary heap, which holds the pushes whose f is in the current bucket;
+    - else on top of the stack of its bucket, linked through the log of `Scratch`.
+
+    f never falls along a path, so once the heap is empty, the pushes of the next bucket become the
+    heap. It mostly has few entries, and so is faster than one heap of the whole open list. The
+    intervals are as narrow as they can be with a ring that covers the largest rise of f in a move.
 
     Args:
         start: padded cell, free.
@@ -297,22 +311,53 @@ def terrain_astar(
     came_from = scratch.came_from
     g = scratch.g
     pushed = scratch.pushed
-    heap = scratch.links
+    links = scratch.links
     f = scratch.f
+    heap = np.empty(_MIN_HEAP_CAPACITY, np.uint32)
+    heap_f = np.empty(_MIN_HEAP_CAPACITY, np.int64)
+    # A move and the change of h, which is no larger, together raise f by at most this.
+    max_rise = 4 * padded.max_value * padded.diagonal_unit
+    bucket_bits = 0
+    while max_rise >> bucket_bits >= _RING_BUCKETS - 1:
+        bucket_bits += 1
+    ring_mask = np.uint64(_RING_BUCKETS - 1)
+    bucket_tops = np.zeros(_RING_BUCKETS, np.uint32)
     goal_row, goal_column = position(goal, lattice)
+    row, column = position(start, lattice)
+    h = terrain_heuristic(row - goal_row, column - goal_column, padded, lattice)
+    # f is lowered by MAX_COST, which keeps its order: g and h may both be close to MAX_COST, and
+    # their sum would overflow.
+    bucket = (h - MAX_COST) >> bucket_bits
     came_from[start] = 0  # Any move will do: a path is traced back only as far as its start.
     g[start] = 0
     pushed[1] = start
     heap[0] = 1
-    f[0] = 0  # The start is alone in the heap, so its priority does not matter.
+    heap_f[0] = h - MAX_COST
     heap_size = 1
     pushes = np.uint32(2)
     expansions = 0
-    while heap_size:
+    while True:
+        if heap_size == 0:
+            empty_buckets = 0
+            while empty_buckets < _RING_BUCKETS and bucket_tops[np.uint64(bucket) & ring_mask] == 0:
+                bucket += 1
+                empty_buckets += 1
+            if empty_buckets == _RING_BUCKETS:
+                break
+            slot = np.uint64(bucket) & ring_mask
+            push = bucket_tops[slot]
+            bucket_tops[slot] = 0
+            while push:
+                # A closed cell was pushed again with a smaller f and expanded then.
+                if not came_from[pushed[push]] & CLOSED:
+                    heap, heap_f = _with_room(heap, heap_f, heap_size)
+                    _insert(heap, heap_f, heap_size, push, f[push])
+                    heap_size += 1
+                push = links[push]
+            continue
         cell = pushed[np.uint64(heap[0])]
         heap_size -= 1
-        _remove_top(heap, f, heap_size)
-        # A closed cell was pushed again with a smaller f and expanded then.
+        _remove_top(heap, heap_f, heap_size)
         if came_from[cell] & CLOSED:
             continue
         came_from[cell] |= CLOSED
@@ -338,15 +383,30 @@ def terrain_astar(
             rows_to_goal = row + STEPS[move, 0] - goal_row
             columns_to_goal = column + STEPS[move, 1] - goal_column
             h = terrain_heuristic(rows_to_goal, columns_to_goal, padded, lattice)
+            neighbour_f = (tentative_g - MAX_COST) + h
             came_from[neighbour] = move
             g[neighbour] = tentative_g
             pushed[pushes] = neighbour
-            # f is lowered by MAX_COST, which keeps its order: g and h may both be close to
-            # MAX_COST, and their sum would overflow.
-            _insert(heap, f, heap_size, pushes, (tentative_g - MAX_COST) + h)
-            heap_size += 1
+            if neighbour_f >> bucket_bits == bucket:
+                heap, heap_f = _with_room(heap, heap_f, heap_size)
+                _insert(heap, heap_f, heap_size, pushes, neighbour_f)
+                heap_size += 1
+            else:
+                f[pushes] = neighbour_f
+                slot = np.uint64(neighbour_f >> bucket_bits) & ring_mask
+                links[pushes] = bucket_tops[slot]
+                bucket_tops[slot] = pushes
             pushes += np.uint32(1)
     return expansions, np.int64(pushes), np.int64(0)
+
+
+@inlined
+def _with_room(heap: UInt32s, heap_f: Ints, size: Int) -> tuple[UInt32s, Ints]:
+    """Return a heap of ``size`` entries with room for one more, moved to larger arrays if full."""
+    if size == len(heap):
+        heap = np.concatenate((heap, np.empty_like(heap)))
+        heap_f = np.concatenate((heap_f, np.empty_like(heap_f)))
+    return heap, heap_f
 
 
 @kernel

@@ -212,7 +212,7 @@ def add(one: Pair, other: Pair) -> Pair:
 
 
 def heuristic(cell: Cell, goal: Cell, movement: Movement, factor: int = 1) -> Pair:
-    """Return the cost of the way to the goal on an empty map, Manhattan or octile, times a factor."""
+    """Return the cost to the goal on an empty map, Manhattan or octile, times a factor."""
     rows = abs(cell[0] - goal[0])
     columns = abs(cell[1] - goal[1])
     if movement.connectivity == 4:

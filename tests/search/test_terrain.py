@@ -119,6 +119,25 @@ def test_astar_on_terrain_equals_the_reference(movement: Movement, problem: Prob
     assert (type(solution.cost), type(solution.iterations)) == (float, int)
 
 
+@pytest.mark.parametrize("goal", [(20, 79), (59, 79)], ids=["solvable", "unsolvable"])
+def test_astar_equals_the_reference_where_many_open_cells_have_nearly_the_same_f(
+    goal: Cell,
+) -> None:
+    """One cell of cost 255 makes the buckets of the open list wide, so that hundreds of pushes lie
+    in one of them and its heap has to grow.
+    """
+    terrain = np.random.default_rng(4).integers(1, 3, (60, 80)).astype(np.uint8)
+    terrain[0, 79] = 255
+    terrain[57:, 76] = 0
+    terrain[57, 76:] = 0
+    grid = (terrain == 0).astype(np.uint8)
+    start = (30, 0)
+    solution = astar(grid, start, goal, CUTTING, terrain=terrain)
+    expected = reference.reference_astar(grid.tolist(), start, goal, CUTTING, terrain.tolist())
+    assert [tuple(cell) for cell in solution.path.tolist()] == expected.path
+    assert solution[1:] == expected[1:]
+
+
 @movements
 @settings(max_examples=60)
 @given(problem=problems())
