@@ -9,8 +9,8 @@ import numpy as np
 
 from mapdata.checks import check_flag, check_number
 
-# Kernels use this table, so their cache must change when the table does. The cache is named by a
-# hash of the sources that contain the word @kernel; this comment makes the file one of them.
+# Kernels use this table, so their cache must change when the table does. A hash of all sources with
+# the word @kernel in them names the cache, and this comment makes the file one of these.
 STEPS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)], np.int64)
 """(8, 2) int64: the moves N, E, S, W, NE, SE, SW, NW as (row, col); a move's index is its code."""
 

@@ -41,13 +41,13 @@ from mapdata.search.lattice import (
     Lattice,
     MoveRule,
     cell_at,
+    count_path_cells,
     heuristic,
     in_cells,
     lattice_of,
     load,
-    move_counts,
-    path_cells,
     position,
+    split_cost,
 )
 
 
@@ -227,7 +227,7 @@ def _search_within(
     distances, ratios, lengths = bands
     lower_bound = heuristic(start[0] - goal[0], start[1] - goal[1], lattice)
     min_cost: float = in_cells(lower_bound)
-    min_moves = sum(move_counts(lower_bound))
+    min_moves = sum(split_cost(lower_bound))
     if min_cost > distances[1] or min_moves >= lengths[1]:
         return -1, 0
     # Most starts are too easy, which is faster to see without a search.
@@ -237,7 +237,7 @@ def _search_within(
     load(grid, scratch.came_from)
     start_cell = cell_at(start[0], start[1], lattice)
     straight, diagonal, expansions, _ = solve_loaded(start_cell, goal_cell, ASTAR, lattice, scratch)
-    length = path_cells(straight, diagonal)
+    length = count_path_cells(straight, diagonal)
     cost: float = in_cells(straight * UNIT + diagonal * lattice.diagonal_cost)
     fits = (
         cost <= distances[1]
@@ -304,7 +304,7 @@ def solve_pairs(
             straight, diagonal, expansions[b], _ = solve_loaded(
                 start, goal, weights, lattice, scratch
             )
-            length = path_cells(straight, diagonal)
+            length = count_path_cells(straight, diagonal)
             if length or keep_unsolvable:
                 ends[b, 0], ends[b, 1] = position(start, lattice)
                 ends[b, 2], ends[b, 3] = position(goal, lattice)

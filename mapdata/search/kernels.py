@@ -54,13 +54,13 @@ from mapdata.search.lattice import (
     Lattice,
     MoveRule,
     cell_at,
+    count_path_cells,
     heuristic,
     in_cells,
     is_binary,
     is_legal,
     lattice_of,
     load,
-    path_cells,
     position,
 )
 
@@ -727,7 +727,7 @@ def solve_problem(
     start = cell_at(start_row, start_column, lattice)
     goal = cell_at(goal_row, goal_column, lattice)
     straight, diagonal, expansions, _ = solve_loaded(start, goal, weights, lattice, scratch)
-    path = np.empty((path_cells(straight, diagonal), 2), np.int64)
+    path = np.empty((count_path_cells(straight, diagonal), 2), np.int64)
     write_cells(scratch.came_from, goal, lattice, path)
     return path, straight, diagonal, expansions
 
@@ -773,14 +773,16 @@ def solve_problems(
         must_load = b == 0 or len(grids) > 1 or weights == BFS
         if must_load and not load(grid, scratch.came_from):
             return cells, moves, expansions, offsets, b
-        if not is_end(grid, starts[b], max_end_state) or not is_end(grid, goals[b], max_end_state):
+        if not is_usable_end(grid, starts[b], max_end_state) or not is_usable_end(
+            grid, goals[b], max_end_state
+        ):
             return cells, moves, expansions, offsets, b
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
         moves[b, 0], moves[b, 1], expansions[b], pushes = solve_loaded(
             start, goal, weights, lattice, scratch
         )
-        length = path_cells(moves[b, 0], moves[b, 1])
+        length = count_path_cells(moves[b, 0], moves[b, 1])
         cells = with_capacity(cells, used, length)
         write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
         used += length
@@ -791,7 +793,7 @@ def solve_problems(
 
 
 @inlined
-def is_end(grid: Bytes, cell: Ints, max_state: Int) -> Int:
+def is_usable_end(grid: Bytes, cell: Ints, max_state: Int) -> Int:
     """Return whether ``cell`` (row, col) is inside ``grid`` and holds at most ``max_state``."""
     row = cell[0]  # Unpacking an array takes long to compile.
     column = cell[1]
@@ -829,7 +831,7 @@ def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
     if not is_binary(grid):
         return -2, 0
     for k in range(len(path)):
-        if not is_end(grid, path[k], 0):
+        if not is_usable_end(grid, path[k], 0):
             return k, diagonal_moves
         if k == 0:
             continue

@@ -36,9 +36,9 @@ from mapdata.search.lattice import (
     WALL,
     Lattice,
     load,
-    move_counts,
     move_rule,
     plain_lattice,
+    split_cost,
 )
 
 _MIN_CELLS_FOR_FLOOD = 3
@@ -511,7 +511,7 @@ def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, scratch: Scratch, c
             costs[k, 0] = -1
             costs[k, 1] = 0
             if cost != INFINITY:
-                costs[k, 0], costs[k, 1] = move_counts(cost)
+                costs[k, 0], costs[k, 1] = split_cost(cost)
     else:
         for k in range(len(cells)):
             _, pushes = best_first_buckets(source[0], cells[k], lattice, scratch)

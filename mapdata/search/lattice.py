@@ -92,8 +92,7 @@ BFS: CostWeights = (-1, 0.0)
 """Stands for breadth-first search, which has no f; kernels only compare it with other weights."""
 
 MoveRule: TypeAlias = tuple[Int, Int]
-"""A `Movement` as kernels take it: the fields ``diagonals`` and ``diagonal_cost`` of a `Lattice`.
-"""
+"""A `Movement` as kernels take it: (diagonals, diagonal_cost), two fields of a `Lattice`."""
 
 
 def move_rule(movement: Movement) -> MoveRule:
@@ -275,8 +274,11 @@ def load(grid: Bytes, came_from: Bytes) -> Int:
 
 
 @kernel
-def move_counts(cost: Int) -> tuple[Int, Int]:
-    """Return the straight and diagonal moves of a cost ``s * UNIT + d * DIAGONAL``."""
+def split_cost(cost: Int) -> tuple[Int, Int]:
+    """Return the numbers (s, d) of straight and diagonal moves that a cost is made of.
+
+    The cost is ``s * UNIT + d * DIAGONAL``.
+    """
     low_bits = np.uint64(UNIT - 1)
     diagonal_part = np.uint64(cost) & low_bits  # d * DIAGONAL modulo UNIT
     diagonal = np.int64((diagonal_part * np.uint64(_DIAGONAL_INVERSE)) & low_bits)
@@ -287,12 +289,12 @@ def move_counts(cost: Int) -> tuple[Int, Int]:
 @kernel
 def in_cells(cost: Int) -> Int:
     """Return a cost as a float: ``s + d * sqrt(2)``."""
-    straight, diagonal = move_counts(cost)
+    straight, diagonal = split_cost(cost)
     return straight + diagonal * math.sqrt(2.0)
 
 
 @inlined
-def path_cells(straight: Int, diagonal: Int) -> Int:
+def count_path_cells(straight: Int, diagonal: Int) -> Int:
     """Return how many cells a path of so many moves has, both ends included.
 
     Kernels report a missing path as -1 straight moves; it has no cells.

@@ -41,8 +41,8 @@ def test_bits_are_counted() -> None:
     words += [source.getrandbits(64) for _ in range(100)]
     expected = [bin(word).count("1") for word in words]
     array = np.array(words, np.uint64)
-    found = [count_bits(array, k, k + 1) for k in range(len(words))]
-    assert found == expected
+    counts = [count_bits(array, k, k + 1) for k in range(len(words))]
+    assert counts == expected
     assert count_bits(array, 1, len(words)) == sum(expected[1:])
     assert count_bits(array, 3, 9) == sum(expected[3:9])
 
@@ -58,9 +58,9 @@ def test_one_column_of_wall_more_changes_no_label() -> None:
     by_bits = label(maps).bfs
     by_cells = label(wider).bfs
     for name in ("moves", "offsets", "iterations", "costs"):
-        found = getattr(by_bits, name)
+        actual = getattr(by_bits, name)
         expected = getattr(by_cells, name)
-        np.testing.assert_array_equal(found, expected, err_msg=name)
+        np.testing.assert_array_equal(actual, expected, err_msg=name)
 
 
 def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement) -> None:
@@ -73,8 +73,8 @@ def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement)
         scratch = new_scratch(ASTAR, lattice)
         write_optimal_moves(grid, *goal, needs_costs, lattice, scratch)
         with_border = scratch.came_from.reshape(-1, lattice.stride)
-        found = with_border[1:-1, 1:-1]
-        np.testing.assert_array_equal(found, expected)
+        moves = with_border[1:-1, 1:-1]
+        np.testing.assert_array_equal(moves, expected)
 
 
 def scattered(
@@ -137,21 +137,21 @@ def direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
     """Return the cells from which a search finds a direct path, one as on an empty map."""
     lattice = lattice_of(grid.shape, move_rule(movement))
     words = build_board(grid).free
-    found = set()
+    cells = set()
     for row, column in np.argwhere(grid == 0).tolist():
         if has_direct_path((row, column), goal, lattice, words):
-            found.add((row, column))
-    return found
+            cells.add((row, column))
+    return cells
 
 
 def truly_direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
     """Return the cells whose exact cost to the goal, by Dijkstra, is that on an empty map."""
-    found = set()
+    cells = set()
     for cell, cost in reference.reference_distances(grid.tolist(), goal, movement).items():
         on_an_empty_map = reference.heuristic(cell, goal, movement)
         if reference.weigh(cost, movement) == reference.weigh(on_an_empty_map, movement):
-            found.add(cell)
-    return found
+            cells.add(cell)
+    return cells
 
 
 @given(
@@ -170,8 +170,8 @@ def test_easy_problems_are_known_without_a_search(
     free = np.argwhere(grid == 0).tolist()
     assume(len(free))
     row, column = data.draw(st.sampled_from(free))
-    found = direct_cells(grid, (row, column), movement)
-    assert found == truly_direct_cells(grid, (row, column), movement)
+    direct = direct_cells(grid, (row, column), movement)
+    assert direct == truly_direct_cells(grid, (row, column), movement)
 
 
 @given(
@@ -192,6 +192,6 @@ def test_direct_paths_are_paths_under_other_rules(grid: Bytes, movement: Movemen
     """
     for row, column in np.argwhere(grid == 0).tolist():
         goal = (row, column)
-        found = direct_cells(grid, goal, movement)
-        assert found <= truly_direct_cells(grid, goal, movement)
-        assert found >= truly_direct_cells(grid, goal, Movement(8))
+        direct = direct_cells(grid, goal, movement)
+        assert direct <= truly_direct_cells(grid, goal, movement)
+        assert direct >= truly_direct_cells(grid, goal, Movement(8))

@@ -54,8 +54,8 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
 @given(GRIDS, st.fractions(0, 6, max_denominator=20))
 def test_a_disc_may_touch_and_not_overlap(grid: Grid, radius: Fraction) -> None:
     """Compared exactly, as fractions: occupied where the squared clearance is below (2 r)^2."""
-    least = math.ceil((2 * radius) ** 2)
-    inside = squared_half_cells(grid) < least
+    min_squared = math.ceil((2 * radius) ** 2)
+    inside = squared_half_cells(grid) < min_squared
     np.testing.assert_array_equal(inflate(grid, float(radius)), (inside | (grid == 1)).astype(int))
 
 
@@ -89,8 +89,8 @@ def test_a_radius_that_was_a_float32_counts_as_meant(resolution: float) -> None:
 def test_inflating_leaves_the_grid_alone() -> None:
     """Radius 0 is a copy; lists, bools and floats are grids, too."""
     grid = np.array([[0, 1, 0]], np.uint8)
-    same = inflate(grid, 0)
-    same[:] = 7
+    unchanged = inflate(grid, 0)
+    unchanged[:] = 7
     assert grid.tolist() == [[0, 1, 0]]
     assert inflate([[False, True]], 0.5).tolist() == [[0, 1]]
     assert clearance(np.zeros((1, 1), np.float32)).tolist() == [[0.5]]

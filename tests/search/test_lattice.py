@@ -17,6 +17,7 @@ from mapdata.search.lattice import (
     UNIT,
     WALL,
     cell_at,
+    count_path_cells,
     hardness,
     heuristic,
     heuristics,
@@ -25,7 +26,6 @@ from mapdata.search.lattice import (
     lattice_of,
     load,
     move_rule,
-    path_cells,
     position,
 )
 
@@ -72,13 +72,13 @@ def test_the_heuristic_equals_the_reference(movement: Movement) -> None:
     """In fixed point and as floats, of one pair of cells and of arrays."""
     ends = np.random.default_rng(2).integers(0, 1000, (2, 5, 7, 2))
     lattice = lattice_of((1000, 1000), move_rule(movement))
-    found = heuristics(ends[0], ends[1], movement)
-    assert found.shape == (5, 7)
+    costs = heuristics(ends[0], ends[1], movement)
+    assert costs.shape == (5, 7)
     for at in np.ndindex(5, 7):
         pair = reference.heuristic(tuple(ends[0][at]), tuple(ends[1][at]), movement)
         rows, columns = (ends[0][at] - ends[1][at]).tolist()
-        assert found[at] == reference.as_float(pair, movement)
-        assert in_cells(heuristic(rows, columns, lattice)) == found[at]
+        assert costs[at] == reference.as_float(pair, movement)
+        assert in_cells(heuristic(rows, columns, lattice)) == costs[at]
 
 
 def test_hardness() -> None:
@@ -97,9 +97,9 @@ def test_hardness() -> None:
 
 def test_a_path_has_one_cell_more_than_moves() -> None:
     """A missing path, which kernels report as -1 straight moves, has no cells."""
-    assert path_cells(0, 0) == 1
-    assert path_cells(3, 2) == 6
-    assert path_cells(-1, 0) == 0
+    assert count_path_cells(0, 0) == 1
+    assert count_path_cells(3, 2) == 6
+    assert count_path_cells(-1, 0) == 0
 
 
 def test_the_order_of_moves() -> None:
