@@ -31,14 +31,15 @@ from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS, Movement
 from mapdata.search.kernels import (
     Scratch,
-    _insert,
-    _remove_top,
     count_moves,
-    path_cells,
+    count_path_cells,
+    insert_in_heap,
+    remove_heap_top,
     scratch_view,
     wipe,
     with_capacity,
     write_cells,
+    write_moves,
 )
 from mapdata.search.lattice import (
     CLOSED,
@@ -53,8 +54,8 @@ from mapdata.search.lattice import (
     cell_at,
     is_legal,
     lattice_of,
-    move_counts,
     position,
+    split_cost,
 )
 
 _ONE = np.uint64(1)
@@ -159,7 +160,7 @@ def cost_sums(cost: Int, padded: PaddedTerrain) -> tuple[Int, Int]:
     """Return the sums S and D of a doubled cost; all of it is S where costs are whole numbers."""
     if padded.straight_unit == 1:
         return cost, np.int64(0)
-    return move_counts(cost)
+    return split_cost(cost)
 
 
 @kernel
@@ -351,13 +352,13 @@ def terrain_astar(
                 # A closed cell was pushed again with a smaller f and expanded then.
                 if not came_from[pushed[push]] & CLOSED:
                     heap, heap_f = _with_room(heap, heap_f, heap_size)
-                    _insert(heap, heap_f, heap_size, push, f[push])
+                    insert_in_heap(heap, heap_f, heap_size, push, f[push])
                     heap_size += 1
                 push = links[push]
             continue
         cell = pushed[np.uint64(heap[0])]
         heap_size -= 1
-        _remove_top(heap, heap_f, heap_size)
+        remove_heap_top(heap, heap_f, heap_size)
         if came_from[cell] & CLOSED:
             continue
         came_from[cell] |= CLOSED
@@ -389,7 +390,7 @@ def terrain_astar(
             pushed[pushes] = neighbour
             if neighbour_f >> bucket_bits == bucket:
                 heap, heap_f = _with_room(heap, heap_f, heap_size)
-                _insert(heap, heap_f, heap_size, pushes, neighbour_f)
+                insert_in_heap(heap, heap_f, heap_size, pushes, neighbour_f)
                 heap_size += 1
             else:
                 f[pushes] = neighbour_f
@@ -464,7 +465,7 @@ def solve_on_terrain(
         if high_cost:
             return cells, sums, expansions, offsets, b, high_cost
         straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
-        length = path_cells(straight, diagonal)
+        length = count_path_cells(straight, diagonal)
         if length:
             sums[b, 0], sums[b, 1] = cost_sums(scratch.g[goal], padded)
         cells = with_capacity(cells, used, length)
@@ -473,6 +474,83 @@ def solve_on_terrain(
         offsets[b + 1] = used
         wipe(scratch, pushes)
     return cells[:used], sums, expansions, offsets, count, np.int64(0)
+
+
+@kernel
+def astar_labels_on_terrain(
+    terrains: Bytes,
+    rooms: Ints,
+    cells: Ints,
+    first_segments: Ints,
+    first_pairs: Ints,
+    lattice: Lattice,
+    scratch: Scratch,
+    segment_table: Ints,
+    pair_sums: Ints,
+    moves: Bytes,
+    first: Int,
+    used: Int,
+) -> tuple[Int, Int, Int, Int]:
+    """Label maps by A* on terrain, and check that their seed points are free cells.
+
+    A* searches each segment. The search around a seed point gives the costs to all later rooms:
+    since sqrt(2) is irrational, only one pair of sums S and D has the least cost.
+
+    Args:
+        terrains: (N, H, W).
+        rooms: (N,) number of rooms of each map.
+        cells: (N, R) padded cells of the seed points; cell 0, a wall, for those outside of the map.
+        first_segments: (N or more,) the first segment of each map, a row of ``segment_table``.
+        first_pairs: (N or more,) the first pair of each map, a row of ``pair_sums``.
+        lattice: of the maps.
+        scratch: memory of the searches.
+        segment_table: (S, 2), to be filled with the moves and expansions of each segment.
+        pair_sums: (P, 2), to be filled with the sums S and D between the seed points of each pair,
+            (-1, 0) without a path.
+        moves: to be filled with the moves of all segments.
+        first: the map to begin with; those before it are done.
+        used: how many moves the maps before ``first`` have.
+
+    Returns:
+        The number of maps that are done; the number of their moves; and why the next map is not
+        done: the room whose seed point is not a free cell, or -1; and the doubled cost that is too
+        high to be exact, or 0. With -1 and 0, its moves do not fit into ``moves``.
+    """
+    no_cost = np.int64(0)
+    values = np.zeros(lattice.cells, np.uint8)
+    for m in range(first, len(terrains)):
+        padded = load_terrain(terrains[m], lattice, values, scratch.came_from)
+        for room in range(rooms[m]):
+            if values[cells[m, room]] == 0:
+                return m, used, room, no_cost
+        used_before = used
+        pair = first_pairs[m]
+        for room in range(rooms[m] - 1):
+            start = cells[m, room]
+            goal = cells[m, room + 1]
+            load_terrain(terrains[m], lattice, values, scratch.came_from)
+            expansions, _, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
+            if high_cost:
+                return m, used_before, -1, high_cost
+            straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
+            length = max(straight + diagonal, 0)
+            segment_table[first_segments[m] + room, 0] = length
+            segment_table[first_segments[m] + room, 1] = expansions
+            if used + length > len(moves):
+                return m, used_before, -1, no_cost
+            write_moves(scratch.came_from, goal, length, lattice, moves, used)
+            used += length
+            high_cost = terrain_costs(np.full(1, start), padded, lattice, scratch)
+            if high_cost:
+                return m, used_before, -1, high_cost
+            for later_room in range(room + 1, rooms[m]):
+                cost = scratch.g[cells[m, later_room]]
+                pair_sums[pair, 0] = -1
+                pair_sums[pair, 1] = 0
+                if cost < INFINITY_ON_TERRAIN:
+                    pair_sums[pair, 0], pair_sums[pair, 1] = cost_sums(cost, padded)
+                pair += 1
+    return len(terrains), used, -1, no_cost
 
 
 @inlined

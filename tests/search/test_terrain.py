@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from math import isqrt, sqrt
 from typing import Any, NamedTuple, TypeAlias
 
@@ -19,10 +20,11 @@ from helpers.specs import MOVEMENTS, movements
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapdata import astar, bfs, check_path, distance_field
+from mapdata import MapSpec, astar, bfs, check_path, distance_field, generate
 from mapdata.arrays import Bytes, Floats
+from mapdata.generators.maps import Maps, pack
 from mapdata.movement import Movement
-from mapdata.search import inflate, inflate_terrain, search_batch
+from mapdata.search import hardness, inflate, inflate_terrain, label, search_batch
 from mapdata.search.kernels import plain_new_scratch
 from mapdata.search.lattice import (
     DIAGONAL,
@@ -500,3 +502,113 @@ def test_the_smallest_cost_is_that_of_the_searched_map() -> None:
     iterations = astar(terrain == 0, (5, 5), (20, 9), OCTILE, terrain=terrain).iterations
     terrain[29, 0] = 1
     assert astar(terrain == 0, (5, 5), (20, 9), OCTILE, terrain=terrain).iterations > iterations
+
+
+# --- hardness -----------------------------------------------------------------------------------
+
+
+@movements
+@settings(max_examples=60)
+@given(problem=problems())
+def test_hardness_on_terrain_is_the_cost_over_the_heuristic(
+    movement: Movement, problem: Problem
+) -> None:
+    """It is the quotient of the reference's costs, and at least 1."""
+    terrain, start, goal = problem
+    solution = astar(problem.grid, start, goal, movement, terrain=terrain)
+    if solution.cost <= 0:
+        return
+    min_cost = int(terrain[terrain > 0].min())
+    ratio = hardness(
+        np.array([solution.cost]), np.array([start]), np.array([goal]), movement, min_cost
+    )
+    lower_bound = reference.heuristic(start, goal, movement, 2 * min_cost)
+    assert ratio[0] == solution.cost / reference.as_float(lower_bound, movement, terrain.tolist())
+    assert ratio[0] >= 1
+
+
+@movements
+def test_hardness_is_exactly_one_where_the_path_costs_what_the_heuristic_says(
+    movement: Movement,
+) -> None:
+    """Not 1 - 1e-16, whatever the smallest cost."""
+    goals = np.argwhere(np.ones((9, 40)))[1:]
+    starts = np.zeros_like(goals)
+    for value in (1, 3, 7, 10, 77, 255):
+        terrain = np.full((9, 40), value, np.uint8)
+        costs = search_batch("astar", terrain == 0, starts, goals, movement, terrain=terrain).cost
+        assert (hardness(costs, starts, goals, movement, value) == 1).all()
+
+
+# --- labels -------------------------------------------------------------------------------------
+
+
+def labelled_maps(movement: Movement) -> tuple[Maps, Bytes]:
+    """Return maps with a handful of rooms, and terrain for them."""
+    spec = MapSpec(
+        map_size=(18, 23),
+        rooms=(2, 6),
+        room_rows=(2, 7),
+        room_columns=(2, 7),
+        passage_width=(1, 3),
+        skip_probability=0.4,
+        movement=movement,
+    )
+    maps = generate(spec, seed=4, indices=range(12))
+    costs = np.random.default_rng(8).choice([1, 2, 5, 30], (12, 18, 23)).astype(np.uint8)
+    return maps, np.where(maps.occupancy == 0, costs, 0).astype(np.uint8)
+
+
+@movements
+def test_labels_on_terrain_equal_the_reference(movement: Movement) -> None:
+    """Routes, iterations and connection matrices by A*; by BFS they are those without terrain."""
+    maps, terrain = labelled_maps(movement)
+    labels = label(maps, terrain=terrain)
+    without = label(maps)
+    for i in range(len(maps)):
+        grid = maps.occupancy[i].tolist()
+        seed_points = [tuple(cell) for cell in maps.seed_points[i, : maps.rooms[i]].tolist()]
+        search = partial(reference.reference_astar, terrain=terrain[i].tolist())
+        route = reference.reference_route(search, grid, seed_points, movement)
+        assert labels.iterations("astar", i).tolist() == [result.iterations for result in route]
+        for segment, result in zip(labels.route("astar", i), route, strict=True):
+            assert [tuple(cell) for cell in segment.tolist()] == result.path
+        matrix = reference.reference_matrix(search, grid, seed_points, movement)
+        np.testing.assert_array_equal(labels.matrix("astar", i), matrix)
+        np.testing.assert_array_equal(labels.matrix("bfs", i), without.matrix("bfs", i))
+    np.testing.assert_array_equal(labels.bfs.moves, without.bfs.moves)
+    np.testing.assert_array_equal(labels.reachable, without.reachable)
+
+
+@movements
+def test_labels_on_terrain_of_ones_are_those_without_terrain(movement: Movement) -> None:
+    """The same moves, iterations and matrices."""
+    maps, terrain = labelled_maps(movement)
+    labels = label(maps, terrain=(terrain > 0).astype(np.uint8))
+    without = label(maps)
+    np.testing.assert_array_equal(labels.astar.moves, without.astar.moves)
+    np.testing.assert_array_equal(labels.astar.offsets, without.astar.offsets)
+    np.testing.assert_array_equal(labels.astar.iterations, without.astar.iterations)
+    for i in range(len(maps)):
+        np.testing.assert_array_equal(labels.matrix("astar", i), without.matrix("astar", i))
+
+
+def test_labels_refuse_terrain_that_does_not_fit() -> None:
+    """Another number of maps, or a cell on which maps and terrain disagree."""
+    maps, terrain = labelled_maps(OCTILE)
+    with pytest.raises(ValueError, match="terrain: got 11 maps, expected 12"):
+        label(maps, terrain=terrain[1:])
+    with pytest.raises(ValueError, match=r"terrain: got 1 at \(0, "):
+        label(maps, terrain=np.ones_like(terrain))
+
+
+def test_labels_name_the_map_whose_costs_are_too_high() -> None:
+    """Its number is that of the map, not its place in the batch."""
+    maps = Maps.empty(OCTILE, (1, 4114), np.array([41, 57]), 2)
+    maps.rooms[:] = 2
+    maps.seed_points[:] = [[[0, 0], [0, 1]], [[0, 0], [0, 4113]]]
+    terrain = np.full((2, 1, 4114), 255, np.uint8)
+    terrain[0, 0, 1000] = 0  # so that no cost of map 41 is high
+    maps.packed[:] = pack((terrain == 0).astype(np.uint8))
+    with pytest.raises(ValueError, match="map 57: terrain: a path costs 1,048,815"):
+        label(maps, terrain=terrain)
