@@ -361,8 +361,15 @@ def reference_problem(
     movement: Movement,
     draws: int = 32,
     only_goal: Cell | None = None,
+    terrain: Grid | None = None,
 ) -> ReferenceProblem | None:
-    """Draw goals, and for each a start that is far enough, until all bands are met."""
+    """Draw goals, and for each a start that is far enough, until all bands are met.
+
+    On terrain the number of a path's cells does not follow from its cost, so A* counts them.
+    """
+    factor = 1
+    if terrain is not None:
+        factor = 2 * min(value for row in terrain for value in row if value > 0)
     if only_goal is not None and not is_free(grid, only_goal):
         return None
     known: dict[Cell, dict[Cell, Pair]] = {}
@@ -372,20 +379,26 @@ def reference_problem(
         words = block(seed, index, epoch, PROBLEM, draw)
         goal = only_goal or free[bounded(words[0], 0, len(free) - 1)]
         if goal not in known:
-            known[goal] = reference_distances(grid, goal, movement)
+            known[goal] = reference_distances(grid, goal, movement, terrain)
         costs = known[goal]
         nearest, _ = bands[0]
         starts = [
             cell
             for cell in free
-            if cell != goal and cell in costs and as_float(costs[cell], movement) >= nearest
+            if cell != goal
+            and cell in costs
+            and as_float(costs[cell], movement, terrain) >= nearest
         ]
         if not starts:
             continue
         start = starts[bounded(words[1], 0, len(starts) - 1)]
-        distance = as_float(costs[start], movement)
-        hardness = distance / as_float(heuristic(start, goal, movement), movement)
-        length = sum(costs[start]) + 1
+        distance = as_float(costs[start], movement, terrain)
+        lower_bound = heuristic(start, goal, movement, factor)
+        hardness = distance / as_float(lower_bound, movement, terrain)
+        if terrain is None:
+            length = sum(costs[start]) + 1
+        else:
+            length = len(reference_astar(grid, start, goal, movement, terrain).path)
         values = zip((distance, hardness, length), bands, strict=True)
         if all(low <= value <= high for value, (low, high) in values):
             return ReferenceProblem(start, goal, costs[start])
