@@ -391,7 +391,8 @@ def _search_on_terrain(
         raise ValueError(high_cost_complaint(high_cost))
     if solved == 0:
         raise ValueError(_problem_complaint(grid, start, goal))
-    (cost,) = cost_of_sums(sums, movement).tolist()
+    straight_sum, diagonal_sum = sums[0].tolist()
+    cost = (straight_sum + diagonal_sum * movement.diagonal_cost) / 2 if len(path) else -1.0
     return SearchResult(path, cost, int(expansions[0]))
 
 
