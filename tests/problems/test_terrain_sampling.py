@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from mapdata import Movement, Random, astar
 from mapdata.arrays import Bytes, Ints
-from mapdata.problems.sampling import sample_problems
-from mapdata.problems.terrain_sampling import sample_terrain_problems
-from mapdata.search.lattice import move_rule
+from mapdata.problems.sampling import sample_problems, solve_pairs
+from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_terrain_pairs
+from mapdata.search.lattice import ASTAR, move_rule
 
 DRAWS = (0, 32)
 """The draws that a dataset tries on a map: the first, and one past the last."""
@@ -182,3 +182,46 @@ def test_without_conditions_the_sampler_of_grids_gives_the_problems_of_terrain(
         move_rule(Movement(8)),
     )
     np.testing.assert_array_equal(ends, expected)
+
+
+@movements
+@pytest.mark.parametrize("only_route", [0, 1])
+@pytest.mark.parametrize("keep_unsolvable", [0, 1])
+def test_pairs_on_terrain_are_those_of_grids_with_paths_by_astar(
+    movement: Movement, only_route: int, keep_unsolvable: int
+) -> None:
+    """Costs change the path of a pair, not whether it has one; seed points may be occupied."""
+    terrains = random_terrains(3, (11, 12), 20)
+    grids = (terrains == 0).astype(np.uint8)
+    seed_points = np.random.default_rng(4).integers(0, (11, 12), size=(20, 4, 2))
+    rooms = np.tile([2, 3, 4, 4], 5)
+    arguments = (
+        seed_points,
+        rooms,
+        np.uint64(5),
+        2,
+        np.arange(20),
+        only_route,
+        keep_unsolvable,
+    )
+    rule = move_rule(movement)
+    ends, cells, offsets, expansions, refused, high_cost = solve_terrain_pairs(
+        terrains, *arguments, rule
+    )
+    assert (refused, high_cost) == (20, 0)
+    expected_ends, *_ = solve_pairs(grids, *arguments, ASTAR, rule)
+    np.testing.assert_array_equal(ends, expected_ends)
+    on_ones = solve_terrain_pairs(1 - grids, *arguments, rule)
+    for ours, expected in zip(on_ones, solve_pairs(grids, *arguments, ASTAR, rule), strict=False):
+        np.testing.assert_array_equal(ours, expected)
+    assert (np.diff(offsets) > 0).any()
+    for b in range(20):
+        path = cells[offsets[b] : offsets[b + 1]]
+        start = (int(ends[b, 0]), int(ends[b, 1]))
+        goal = (int(ends[b, 2]), int(ends[b, 3]))
+        if ends[b, 0] >= 0 and not grids[b][start] and not grids[b][goal]:
+            solution = astar(grids[b], start, goal, movement, terrain=terrains[b])
+            np.testing.assert_array_equal(path, solution.path)
+            assert expansions[b] == solution.iterations
+        else:
+            assert len(path) == 0

@@ -403,13 +403,16 @@ def test_a_near_goal_on_a_map_with_high_costs_is_not_refused() -> None:
 
 
 def test_a_heuristic_beyond_the_bound_does_not_overflow() -> None:
-    """The goal is 2.3 M cells away by the heuristic, whose fixed-point number passes int64, and
-    behind a wall: all cells before the wall are expanded, and there is no path.
+    """The goal is behind a wall, and so far away that the fixed-point number of the heuristic
+    would pass the end of int64 among the 1,200 cells before the wall. Each is expanded once.
     """
-    walled = STRIP.copy()
-    walled[0, 5] = 0
-    solution = astar(walled == 0, (0, 0), (0, 8999), OCTILE, terrain=walled)
-    assert (solution.cost, solution.iterations) == (-1.0, 5)
+    terrain = np.random.default_rng(7).integers(200, 256, (6, 10_600)).astype(np.uint8)
+    terrain[0, 0] = 200
+    terrain[:, 200] = 0
+    goal = (3, 10_599)
+    assert 2 * 200 * (goal[1] - 199) < 2 * MAX_PATH_COST < 2 * 200 * goal[1]
+    solution = astar(terrain == 0, (0, 0), goal, OCTILE, terrain=terrain)
+    assert (solution.cost, solution.iterations) == (-1.0, 6 * 200)
 
 
 def test_whole_costs_have_no_bound() -> None:
