@@ -27,10 +27,11 @@ from mapdata.search.footprint import inflate_all, min_squared_clearance
 from mapdata.search.kernels import new_scratch
 from mapdata.search.labels import connected_components, pairs_of
 from mapdata.search.lattice import BFS, UNIT, MoveRule, cells_of, lattice_of, load
-from mapdata.shards.arrays import Shard, bits_of
+from mapdata.shards.arrays import Shard, bits_per_move
 from mapdata.shards.errors import ShardError
+from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import Entry, Manifest
-from mapdata.shards.root import Places, Root
+from mapdata.shards.root import Root
 
 ARRAYS = (
     "maps",
@@ -307,7 +308,7 @@ class BatchReader:
 
     def __init__(
         self,
-        root: Places,
+        root: Locations,
         split: str | None,
         problems: Source,
         radius: float,
@@ -331,7 +332,7 @@ class BatchReader:
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size
         self.movement = self.root.movement
-        self.most_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
+        self.most_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
         if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
             raise ShardError(
                 f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected "
@@ -396,7 +397,7 @@ class BatchReader:
         except (FileNotFoundError, ShardError):
             # It may have been replaced since the manifest was read, as by a larger one when the
             # dataset grew.
-            now = Root.open(self.root.places[place])
+            now = Root.open(self.root.locations[place])
             successor = _successor(self.manifests[place], now.manifests[0], entry)
             if successor is None:
                 raise
@@ -474,7 +475,7 @@ class BatchReader:
         Raises:
             ShardError: a stored path leaves the map or does not end at its goal.
         """
-        bits = bits_of(self.movement)
+        bits = bits_per_move(self.movement)
         column = ARRAYS.index(f"{search}_offsets")
         paths = np.empty((3, len(shards)), np.int64)
         find_paths(self._addresses, shards, maps, rooms, column, paths)
@@ -494,7 +495,7 @@ class BatchReader:
         )
         if bad >= 0:
             place, _, entry = self.shards[shards[bad]]
-            path = f"{self.root.places[place]}/{entry.name}"
+            path = f"{self.root.locations[place]}/{entry.name}"
             number = entry.start + maps[bad]
             raise ShardError(f"{path}: a stored path of map {number} is damaged")
         return Paths(cells[: offsets[-1]], offsets, paths[2])

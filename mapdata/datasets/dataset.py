@@ -27,7 +27,7 @@ from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import move_rule
-from mapdata.shards.root import Places
+from mapdata.shards.locations import Locations
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -313,7 +313,7 @@ class MapDataset(ProblemDataset):
 
     def __init__(
         self,
-        root: Places,
+        root: Locations,
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
@@ -335,7 +335,7 @@ class MapDataset(ProblemDataset):
         super().__init__(split, serving, dtype, transform)
         reader = BatchReader(root, split, source, radius, movement)
         self.reader = reader
-        self.roots = reader.root.places
+        self.roots = reader.root.locations
         self._content = [manifest.content_hash for manifest in reader.manifests]
         self._most_seed_points = reader.most_seed_points
         self.movement = movement or reader.movement

@@ -294,7 +294,7 @@ def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
     rows, columns = sample.goal.unbind(1)
     occupied = sample.map[torch.arange(200), 0, rows, columns]
     assert not occupied.any()
-    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6)
+    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6, movement=Movement(8))
     assert len(alone) < 200
 
 

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from mapdata import MapSpec, astar, bfs, check_path, distance_field, generate
 from mapdata.arrays import Bytes, Floats
 from mapdata.generators.maps import Maps, pack
+from mapdata.jit import kernel
 from mapdata.movement import Movement
 from mapdata.search import hardness, inflate, inflate_terrain, label, search_batch
 from mapdata.search.kernels import plain_new_scratch
@@ -30,10 +31,12 @@ from mapdata.search.lattice import (
     DIAGONAL,
     MAX_PATH_COST,
     UNIT,
+    MoveRule,
+    lattice_of,
     move_rule,
     plain_lattice,
 )
-from mapdata.search.terrain import load_terrain, terrain_costs
+from mapdata.search.terrain import load_terrain, terrain_costs, terrain_heuristic
 
 Array: TypeAlias = npt.NDArray[Any]
 
@@ -402,17 +405,33 @@ def test_a_near_goal_on_a_map_with_high_costs_is_not_refused() -> None:
     assert astar(FREE_STRIP, (0, 4000), (0, 4003), OCTILE, terrain=STRIP).cost == 765.0
 
 
-def test_a_heuristic_beyond_the_bound_does_not_overflow() -> None:
-    """The goal is behind a wall, and so far away that the fixed-point number of the heuristic
-    would pass the end of int64 among the 1,200 cells before the wall. Each is expanded once.
-    """
-    terrain = np.random.default_rng(7).integers(200, 256, (6, 10_600)).astype(np.uint8)
-    terrain[0, 0] = 200
-    terrain[:, 200] = 0
-    goal = (3, 10_599)
-    assert 2 * 200 * (goal[1] - 199) < 2 * MAX_PATH_COST < 2 * 200 * goal[1]
-    solution = astar(terrain == 0, (0, 0), goal, OCTILE, terrain=terrain)
-    assert (solution.cost, solution.iterations) == (-1.0, 6 * 200)
+@kernel
+def heuristic_of(columns: int, terrain: Bytes, rule: MoveRule) -> int:
+    """Return the doubled heuristic of a way of ``columns`` columns."""
+    lattice = lattice_of(terrain.shape, rule)
+    values = np.zeros(lattice.cells, np.uint8)
+    padded = load_terrain(terrain, lattice, values, values.copy())
+    heuristic: int = terrain_heuristic(1, columns, padded, lattice)
+    return heuristic
+
+
+@pytest.mark.parametrize("value", [1, 200, 255])
+def test_a_heuristic_beyond_the_bound_does_not_overflow(value: int) -> None:
+    """From the bound on it is the bound; before, it is what unbounded integers give."""
+    terrain = np.full((1, 1), value, np.uint8)
+    last_exact = MAX_PATH_COST // (2 * value)
+    for columns in (1, last_exact - 1, last_exact + 1, 2 * last_exact, 4 * last_exact, 2**24):
+        exact = 2 * value * ((columns - 1) * UNIT + DIAGONAL)
+        heuristic = heuristic_of(columns, terrain, move_rule(OCTILE))
+        assert heuristic == min(exact, MAX_PATH_COST * UNIT)
+
+
+def test_a_goal_beyond_the_bound_and_a_wall_has_no_path() -> None:
+    """All cells before the wall are expanded, and no cost is too high."""
+    walled = STRIP.copy()
+    walled[0, 5] = 0
+    solution = astar(walled == 0, (0, 0), (0, 8999), OCTILE, terrain=walled)
+    assert (solution.cost, solution.iterations) == (-1.0, 5)
 
 
 def test_whole_costs_have_no_bound() -> None:
