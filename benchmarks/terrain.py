@@ -49,7 +49,8 @@ def smooth_terrain(source: np.random.Generator, levels: list[int], scale: int = 
     noise = rows[:, first] * (1 - weight) + rows[:, first + 1] * weight
     share = (noise - noise.min()) / np.ptp(noise)
     level = np.minimum((share * len(levels)).astype(int), len(levels) - 1)
-    return np.array(levels, np.uint8)[level]
+    terrain: Bytes = np.array(levels, np.uint8)[level]
+    return terrain
 
 
 def maps_of(count: int) -> Mapping[str, list[Bytes]]:

@@ -32,7 +32,6 @@ from mapdata.movement import STEPS, Movement
 from mapdata.search.kernels import (
     Scratch,
     count_moves,
-    count_path_cells,
     insert_in_heap,
     remove_heap_top,
     scratch_view,
@@ -52,6 +51,7 @@ from mapdata.search.lattice import (
     Lattice,
     MoveRule,
     cell_at,
+    count_path_cells,
     is_legal,
     lattice_of,
     position,
@@ -77,8 +77,10 @@ _OCCUPIED_COST = np.int64(-(2**62))
 """Stands for the cost of an occupied cell: no cost is smaller, or one move away from it."""
 
 _RING_BUCKETS = 512
-"""Buckets of `terrain_costs`. The dearest move, of 721.2, passes at most 361 buckets of width 2."""
+"""Buckets of `terrain_costs` and `terrain_astar`.
 
+In `terrain_costs` the most expensive move, of 721.2, passes at most 361 buckets of width 2.
+"""
 
 _MIN_HEAP_CAPACITY = 256
 """Entries of the heap of `terrain_astar` before it grows."""
@@ -137,7 +139,7 @@ def load_terrain(
 
 @inlined
 def terrain_heuristic(rows: Int, columns: Int, padded: PaddedTerrain, lattice: Lattice) -> Int:
-    """Return the doubled cost of a way by (rows, columns) on a free map of the smallest cost.
+    """Return the doubled cost of a path by (rows, columns) on a free map of the smallest cost.
 
     No path costs less, and the heuristics of two neighbours differ by no more than a move between
     them costs, so A* expands no cell twice. The same holds for the limit `MAX_COST`, which keeps
@@ -169,7 +171,8 @@ def cost_in_cells(cost: Int, padded: PaddedTerrain) -> float:
     if not 0 <= cost < INFINITY_ON_TERRAIN:
         return -1.0
     straight_sum, diagonal_sum = cost_sums(cost, padded)
-    return (straight_sum + diagonal_sum * math.sqrt(2.0)) / 2
+    cost_of_path: float = (straight_sum + diagonal_sum * math.sqrt(2.0)) / 2
+    return cost_of_path
 
 
 @kernel

@@ -39,7 +39,8 @@ class Problems(NamedTuple):
     @property
     def grids(self) -> Bytes:
         """Return the maps without costs."""
-        return (self.terrains == 0).astype(np.uint8)
+        grids: Bytes = (self.terrains == 0).astype(np.uint8)
+        return grids
 
     def cells(self, k: int) -> tuple[Cell, Cell]:
         """Return start and goal of problem k."""
@@ -183,8 +184,8 @@ def test_fields_on_terrain_of_ones_are_those_without_terrain(movement: Movement)
     on_ones, without = empty_fields(), empty_fields()
     fill_terrain_goal_fields(*problems, rule, on_ones)
     fill_goal_fields(problems.grids, problems.starts, problems.goals, rule, without)
-    for ours, expected in zip(on_ones, without, strict=True):
-        assert ours.tobytes() == expected.tobytes()
+    for name in GoalFields._fields:
+        assert getattr(on_ones, name).tobytes() == getattr(without, name).tobytes()
     paths = search_batch("astar", problems.grids, problems.starts, problems.goals, movement)
     probabilities, *_ = terrain_path_probabilities(*problems, paths.cells, paths.offsets, rule)
     expected_probabilities = path_probabilities(

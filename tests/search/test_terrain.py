@@ -66,7 +66,8 @@ class Problem(NamedTuple):
     @property
     def grid(self) -> Bytes:
         """Return the grid without costs."""
-        return (self.terrain == 0).astype(np.uint8)
+        grid: Bytes = (self.terrain == 0).astype(np.uint8)
+        return grid
 
 
 def random_problem(
@@ -241,7 +242,8 @@ Oracle: TypeAlias = Callable[[Bytes, Cell, Movement], Floats]
 
 def scipy_field(terrain: Bytes, goal: Cell, movement: Movement) -> Floats:
     """Return the costs to ``goal`` by scipy's Dijkstra, -1 where there is no path."""
-    return scipy_distances(terrain == 0, [goal], movement, terrain)[0]
+    costs: Floats = scipy_distances(terrain == 0, [goal], movement, terrain)[0]
+    return costs
 
 
 def skimage_field(terrain: Bytes, goal: Cell, movement: Movement) -> Floats:
