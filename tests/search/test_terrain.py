@@ -26,8 +26,10 @@ from mapdata.generators.maps import Maps, pack
 from mapdata.jit import kernel
 from mapdata.movement import Movement
 from mapdata.search import hardness, inflate, inflate_terrain, label, search_batch
+from mapdata.search.api import solve_batch
 from mapdata.search.kernels import plain_new_scratch
 from mapdata.search.lattice import (
+    ASTAR,
     DIAGONAL,
     MAX_PATH_COST,
     UNIT,
@@ -362,6 +364,16 @@ def test_a_batch_on_terrain_equals_single_searches(movement: Movement) -> None:
             np.testing.assert_array_equal(path, solution.path)
             assert batch_result.cost[k] == solution.cost
             assert batch_result.iterations[k] == solution.iterations
+
+
+def test_a_batch_may_allow_occupied_ends_of_terrain() -> None:
+    """There is no path, and no cell is expanded; the problem after it is solved as usual."""
+    terrain = np.array([[3, 0, 3], [3, 3, 3]], np.uint8)
+    ends = [(0, 0), (0, 0)], [(0, 1), (1, 0)]
+    solutions = solve_batch(ASTAR, terrain == 0, *ends, OCTILE, True, terrain=terrain)
+    assert solutions.cost.tolist() == [-1.0, 3.0]
+    assert solutions.iterations.tolist() == [0, 2]
+    assert solutions.offsets.tolist() == [0, 0, 2]
 
 
 def test_a_batch_by_bfs_takes_terrain() -> None:
