@@ -155,7 +155,7 @@ def rows_of(name: str, terrains: list[Bytes], rounds: int) -> list[Row]:
             "equal costs",
         ),
         row(f"A* a path, {sized}", "path", SCIKIT_IMAGE, "scikit-image path", "", "equal costs"),
-        row(f"A* a path, {sized}", "path", PYASTAR2D, "pyastar2d path", "1x", "another rule"),
+        row(f"A* a path, {sized}", "path", PYASTAR2D, "pyastar2d path", "", "another rule"),
     ]
 
 
@@ -170,7 +170,8 @@ def table(quick: bool, parent: str | None = None) -> str:
         f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
         "median of the repeats'",
         f"{count} maps of each kind without occupied cells, single calls, 8-connected with cut "
-        "corners; a map and a goal each, so that no branch is learnt by heart",
+        "corners; each call has its own map and goal, so that the processor cannot learn the "
+        "branches of a map",
         "pyastar2d has another rule: a move costs what the cell that it enters costs",
     )
     return to_text("Terrain", rows, packages=PACKAGES, notes=notes, peers=[SCIKIT_IMAGE, PYASTAR2D])

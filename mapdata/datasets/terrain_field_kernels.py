@@ -23,7 +23,7 @@ from mapdata.search.lattice import ASTAR, MoveRule, cell_at, cells_of, lattice_o
 from mapdata.search.terrain import (
     cost_in_cells,
     load_terrain,
-    terrain_costs,
+    shortest_terrain_costs,
     terrain_heuristic,
 )
 
@@ -45,12 +45,12 @@ def fill_terrain_goal_fields(
     count, rows, columns = terrains.shape
     lattice = lattice_of((rows, columns), rule)
     scratch = new_scratch(ASTAR, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
     moves = scratch.came_from
     for b in range(count):
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        padded = load_terrain(terrains[b], lattice, values, scratch.came_from)
-        high_cost = terrain_costs(np.full(1, goal), padded, lattice, scratch)
+        padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
+        high_cost = shortest_terrain_costs(np.full(1, goal), padded, lattice, scratch)
         if high_cost:
             return b, high_cost
         for row in range(rows):
@@ -93,7 +93,7 @@ def terrain_path_probabilities(
     count, rows, columns = terrains.shape
     lattice = lattice_of((rows, columns), rule)
     scratch = new_scratch(ASTAR, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
     from_start = np.empty(lattice.cells)
     to_goal = np.empty(lattice.cells)
     probabilities = np.zeros((count, 1, rows, columns), np.float32)
@@ -101,19 +101,19 @@ def terrain_path_probabilities(
         path = cells_of(cells[offsets[b] : offsets[b + 1]], lattice)
         if len(path) == 0:
             continue
-        padded = load_terrain(terrains[b], lattice, values, scratch.came_from)
-        high_cost = terrain_costs(path[:1], padded, lattice, scratch)
+        padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
+        high_cost = shortest_terrain_costs(path[:1], padded, lattice, scratch)
         if high_cost:
             return probabilities, b, high_cost
         for cell in range(lattice.cells):
             from_start[cell] = cost_in_cells(scratch.g[cell], padded)
-        high_cost = terrain_costs(path[-1:], padded, lattice, scratch)
+        high_cost = shortest_terrain_costs(path[-1:], padded, lattice, scratch)
         if high_cost:
             return probabilities, b, high_cost
         for cell in range(lattice.cells):
             to_goal[cell] = cost_in_cells(scratch.g[cell], padded)
         # No cell is farther from the path than from its start, so no cost is too high.
-        terrain_costs(path, padded, lattice, scratch)
+        shortest_terrain_costs(path, padded, lattice, scratch)
         path_cost = to_goal[path[0]]
         for row in range(rows):
             for column in range(columns):
@@ -145,17 +145,17 @@ def fill_terrain_room_matrices(
     count = len(terrains)
     lattice = lattice_of(terrains.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
     max_rooms = seed_points.shape[1]
     matrices = np.full((count, max_rooms, max_rooms), NO_ROOM, np.float32)
     for b in range(count):
-        padded = load_terrain(terrains[b], lattice, values, scratch.came_from)
+        padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
         rooms = 0
         while rooms < max_rooms and seed_points[b, rooms, 0] >= 0:
             rooms += 1
         cells = cells_of(seed_points[b, :rooms], lattice)
         for i in range(rooms):
-            high_cost = terrain_costs(cells[i : i + 1], padded, lattice, scratch)
+            high_cost = shortest_terrain_costs(cells[i : i + 1], padded, lattice, scratch)
             if high_cost:
                 return matrices, b, high_cost
             for j in range(rooms):

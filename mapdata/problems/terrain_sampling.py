@@ -29,8 +29,8 @@ from mapdata.search.terrain import (
     PaddedTerrain,
     cost_in_cells,
     load_terrain,
+    shortest_terrain_costs,
     terrain_astar,
-    terrain_costs,
     terrain_heuristic,
 )
 
@@ -77,7 +77,7 @@ def sample_terrain_problems(
     """
     lattice = lattice_of(terrains.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
     count = len(terrains)
     ends = np.full((count, 4), -1)
     offsets = np.zeros(count + 1, np.int64)
@@ -87,8 +87,8 @@ def sample_terrain_problems(
     for b in range(count):
         used = offsets[b]
         offsets[b + 1] = used
-        padded = load_terrain(terrains[b], lattice, values, scratch.came_from)
-        free_cells = np.flatnonzero(values)
+        padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
+        free_cells = np.flatnonzero(cell_costs)
         if len(free_cells) < 2:
             continue
         for draw in range(*draws):
@@ -101,7 +101,7 @@ def sample_terrain_problems(
                 if goals[b, 0] < 0 or terrains[b, goals[b, 0], goals[b, 1]] == 0:
                     break
                 goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-            high_cost = terrain_costs(np.full(1, goal), padded, lattice, scratch)
+            high_cost = shortest_terrain_costs(np.full(1, goal), padded, lattice, scratch)
             if high_cost:
                 return ends, cells[:used], offsets, expansions, b, high_cost
             start_count = 0
@@ -114,7 +114,7 @@ def sample_terrain_problems(
                 start = starts[bounded(start_random, 0, start_count - 1)]
                 length = 0
                 if bands is not None:
-                    load_terrain(terrains[b], lattice, values, scratch.came_from)
+                    load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
                     length, expansions[b] = _search_within(
                         bands, start, goal, padded, lattice, scratch
                     )
@@ -203,7 +203,7 @@ def solve_terrain_pairs(
     count = len(terrains)
     lattice = lattice_of(terrains.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
     ends = np.full((count, 4), -1)
     offsets = np.zeros(count + 1, np.int64)
     expansions = np.zeros(count, np.int64)
@@ -221,10 +221,10 @@ def solve_terrain_pairs(
             goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
             if start == goal:
                 continue
-            padded = load_terrain(terrains[b], lattice, values, scratch.came_from)
+            padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
             expansions[b] = 0
             length = 0
-            if values[start] and values[goal]:
+            if cell_costs[start] and cell_costs[goal]:
                 expansions[b], _, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
                 if high_cost:
                     return ends, cells[:used], offsets, expansions, b, high_cost

@@ -35,7 +35,7 @@ from mapdata.search.lattice import (
     move_rule,
 )
 from mapdata.search.terrain import (
-    cost_of_sums,
+    costs_from_sums,
     solve_on_terrain,
     terrain_path_cost,
     write_terrain_field,
@@ -254,7 +254,7 @@ def _solve_on_terrain(
         grid = (terrains[min(solved, len(terrains) - 1)] == 0).astype(np.uint8)
         complaint = _problem_complaint(grid, starts[solved], goals[solved])
         raise ValueError(f"problem {solved}: {complaint}")
-    return BatchResult(cells, offsets, cost_of_sums(sums, movement), expansions)
+    return BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
 
 
 def distance_field(

@@ -77,9 +77,10 @@ _OCCUPIED_COST = np.int64(-(2**62))
 """Stands for the cost of an occupied cell: no cost is smaller, or one move away from it."""
 
 _RING_BUCKETS = 512
-"""Buckets of `terrain_costs` and `terrain_astar`.
+"""Buckets of `shortest_terrain_costs` and `terrain_astar`.
 
-In `terrain_costs` the most expensive move, of 721.2, passes at most 361 buckets of width 2.
+In `shortest_terrain_costs` the most expensive move, of 721.2, passes at most 361 buckets of width
+2.
 """
 
 _MIN_HEAP_CAPACITY = 256
@@ -90,51 +91,53 @@ class PaddedTerrain(NamedTuple):
     """The terrain of one map on its lattice, and the units of its costs.
 
     Attributes:
-        values: (cells,) uint8, cost of each padded cell, 0 where it is occupied and in the wall
+        cell_costs: (cells,) uint8, cost of each padded cell, 0 where it is occupied and in the wall
             around the map.
-        min_value: smallest cost of a free cell of the map; 255 if no cell is free.
-        max_value: largest cost of a cell of the map.
+        min_cell_cost: smallest cost of a free cell of the map; 255 if no cell is free.
+        max_cell_cost: largest cost of a cell of the map.
         straight_unit: doubled cost of a straight move, for each 1 in the sum of its two cells.
         diagonal_unit: doubled cost of a diagonal move, for each 1 in the sum of its two cells.
     """
 
-    values: Bytes
-    min_value: Int
-    max_value: Int
+    cell_costs: Bytes
+    min_cell_cost: Int
+    max_cell_cost: Int
     straight_unit: Int
     diagonal_unit: Int
 
 
 @kernel
 def load_terrain(
-    terrain: Bytes, lattice: Lattice, values: Bytes, came_from: Bytes
+    terrain: Bytes, lattice: Lattice, cell_costs: Bytes, came_from: Bytes
 ) -> PaddedTerrain:
     """Copy ``terrain`` (H, W) onto the lattice.
 
     Args:
         terrain: (H, W) costs of cells, 0 where they are occupied.
         lattice: of the map.
-        values: (cells,) to be filled with the costs; 0 in the wall around the map, where nothing is
-            written.
+        cell_costs: (cells,) to be filled with the costs. It is 0 in the wall around the map, where
+            nothing is written.
         came_from: (cells,) to be filled with UNSEEN and WALL.
     """
     rows, columns = terrain.shape
     for k in range(lattice.cells):
         came_from[k] = WALL
-    min_value: Int = 255
-    max_value: Int = 0
+    min_cell_cost: Int = 255
+    max_cell_cost: Int = 0
     for row in range(rows):
         first = np.uint64(cell_at(row, 0, lattice))
         for k in range(columns):
             column = np.uint64(k)
-            value = np.int64(terrain[row, column])
-            values[first + column] = value
-            came_from[first + column] = UNSEEN if value else WALL
-            min_value = min(min_value, value if value else 255)
-            max_value = max(max_value, value)
+            cell_cost = np.int64(terrain[row, column])
+            cell_costs[first + column] = cell_cost
+            came_from[first + column] = UNSEEN if cell_cost else WALL
+            min_cell_cost = min(min_cell_cost, cell_cost if cell_cost else 255)
+            max_cell_cost = max(max_cell_cost, cell_cost)
     if lattice.diagonal_cost == UNIT:
-        return PaddedTerrain(values, min_value, max_value, np.int64(1), np.int64(1))
-    return PaddedTerrain(values, min_value, max_value, np.int64(UNIT), np.int64(DIAGONAL))
+        return PaddedTerrain(cell_costs, min_cell_cost, max_cell_cost, np.int64(1), np.int64(1))
+    return PaddedTerrain(
+        cell_costs, min_cell_cost, max_cell_cost, np.int64(UNIT), np.int64(DIAGONAL)
+    )
 
 
 @inlined
@@ -147,7 +150,7 @@ def terrain_heuristic(rows: Int, columns: Int, padded: PaddedTerrain, lattice: L
     """
     rows = abs(rows)
     columns = abs(columns)
-    factor = 2 * padded.min_value
+    factor = 2 * padded.min_cell_cost
     if lattice.diagonals == 0:
         return (rows + columns) * factor * padded.straight_unit
     if padded.straight_unit > 1 and max(rows, columns) * factor >= MAX_PATH_COST:
@@ -158,7 +161,7 @@ def terrain_heuristic(rows: Int, columns: Int, padded: PaddedTerrain, lattice: L
 
 
 @kernel
-def cost_sums(cost: Int, padded: PaddedTerrain) -> tuple[Int, Int]:
+def split_terrain_cost(cost: Int, padded: PaddedTerrain) -> tuple[Int, Int]:
     """Return the sums S and D of a doubled cost; all of it is S where costs are whole numbers."""
     if padded.straight_unit == 1:
         return cost, np.int64(0)
@@ -170,13 +173,15 @@ def cost_in_cells(cost: Int, padded: PaddedTerrain) -> float:
     """Return a doubled cost as a cost in cells, -1 for occupied cells and those without a path."""
     if not 0 <= cost < INFINITY_ON_TERRAIN:
         return -1.0
-    straight_sum, diagonal_sum = cost_sums(cost, padded)
+    straight_sum, diagonal_sum = split_terrain_cost(cost, padded)
     cost_of_path: float = (straight_sum + diagonal_sum * math.sqrt(2.0)) / 2
     return cost_of_path
 
 
 @kernel
-def terrain_costs(sources: Ints, padded: PaddedTerrain, lattice: Lattice, scratch: Scratch) -> Int:
+def shortest_terrain_costs(
+    sources: Ints, padded: PaddedTerrain, lattice: Lattice, scratch: Scratch
+) -> Int:
     """Write the least costs from every cell to the nearest source, and the optimal moves.
 
     This is Dijkstra's search with a ring of buckets instead of a heap (Dial 1969,
@@ -201,7 +206,7 @@ def terrain_costs(sources: Ints, padded: PaddedTerrain, lattice: Lattice, scratc
     Returns:
         0, or the least cost of a cell that is too high to be exact; then the search stopped there.
     """
-    values = padded.values
+    cell_costs = padded.cell_costs
     optimal_moves = scratch.came_from
     costs = scratch.g
     pushed = scratch.pushed
@@ -209,12 +214,12 @@ def terrain_costs(sources: Ints, padded: PaddedTerrain, lattice: Lattice, scratc
     straight_unit = padded.straight_unit
     diagonal_unit = padded.diagonal_unit
     bucket_bits = 0
-    while 2 << bucket_bits <= 2 * padded.min_value * straight_unit:
+    while 2 << bucket_bits <= 2 * padded.min_cell_cost * straight_unit:
         bucket_bits += 1
     ring_mask = np.uint64(_RING_BUCKETS - 1)
     bucket_tops = np.zeros(_RING_BUCKETS, np.uint32)
     for k in range(lattice.cells):
-        costs[k] = INFINITY_ON_TERRAIN if values[k] else _OCCUPIED_COST
+        costs[k] = INFINITY_ON_TERRAIN if cell_costs[k] else _OCCUPIED_COST
         optimal_moves[k] = 0
     # Push 0 does not exist, so that a link of 0 ends a stack.
     pushes = _ONE
@@ -242,11 +247,11 @@ def terrain_costs(sources: Ints, padded: PaddedTerrain, lattice: Lattice, scratc
                 continue  # The cell was pushed again with a smaller cost, and has been expanded.
             if cost >= MAX_COST:
                 return cost
-            value = np.int64(values[cell])
+            cell_cost = np.int64(cell_costs[cell])
             moves: Int = 0
             straight_neighbours = (cell - stride, cell + _ONE, cell + stride, cell - _ONE)
             for move, neighbour in enumerate(straight_neighbours):
-                move_cost = (value + np.int64(values[neighbour])) * straight_unit
+                move_cost = (cell_cost + np.int64(cell_costs[neighbour])) * straight_unit
                 old_cost = costs[neighbour]
                 new_cost = cost + move_cost
                 moves |= np.int64(old_cost + move_cost == cost) << move
@@ -259,17 +264,17 @@ def terrain_costs(sources: Ints, padded: PaddedTerrain, lattice: Lattice, scratc
                     pushes += _ONE
             if lattice.diagonals:
                 # This copy of the corner rule of `is_legal` has no branches.
-                north_free = may_cut | (values[cell - stride] != 0)
-                east_free = may_cut | (values[cell + _ONE] != 0)
-                south_free = may_cut | (values[cell + stride] != 0)
-                west_free = may_cut | (values[cell - _ONE] != 0)
+                north_free = may_cut | (cell_costs[cell - stride] != 0)
+                east_free = may_cut | (cell_costs[cell + _ONE] != 0)
+                south_free = may_cut | (cell_costs[cell + stride] != 0)
+                west_free = may_cut | (cell_costs[cell - _ONE] != 0)
                 for move, neighbour, is_allowed in (
                     (4, cell - stride + _ONE, north_free & east_free),
                     (5, cell + stride + _ONE, south_free & east_free),
                     (6, cell + stride - _ONE, south_free & west_free),
                     (7, cell - stride - _ONE, north_free & west_free),
                 ):
-                    move_cost = (value + np.int64(values[neighbour])) * diagonal_unit
+                    move_cost = (cell_cost + np.int64(cell_costs[neighbour])) * diagonal_unit
                     old_cost = costs[neighbour]
                     new_cost = cost + move_cost
                     moves |= np.int64(is_allowed & (old_cost + move_cost == cost)) << move
@@ -311,7 +316,7 @@ def terrain_astar(
         The number of expansions; the number of pushes plus 1, as `wipe` takes it; and 0, or the
         least cost of a cell that is too high to be exact, at which the search stopped.
     """
-    values = padded.values
+    cell_costs = padded.cell_costs
     came_from = scratch.came_from
     g = scratch.g
     pushed = scratch.pushed
@@ -320,7 +325,7 @@ def terrain_astar(
     heap = np.empty(_MIN_HEAP_CAPACITY, np.uint32)
     heap_f = np.empty(_MIN_HEAP_CAPACITY, np.int64)
     # A move and the change of h, which is no larger, together raise f by at most this.
-    max_rise = 4 * padded.max_value * padded.diagonal_unit
+    max_rise = 4 * padded.max_cell_cost * padded.diagonal_unit
     bucket_bits = 0
     while max_rise >> bucket_bits >= _RING_BUCKETS - 1:
         bucket_bits += 1
@@ -371,13 +376,13 @@ def terrain_astar(
             return expansions, np.int64(pushes), cost
         if cell == goal:
             break
-        value = np.int64(values[cell])
+        cell_cost = np.int64(cell_costs[cell])
         row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
             neighbour = np.uint64(cell + lattice.offsets[move])
             state = came_from[neighbour]
             unit = padded.straight_unit if move < 4 else padded.diagonal_unit
-            tentative_g = cost + (value + np.int64(values[neighbour])) * unit
+            tentative_g = cost + (cell_cost + np.int64(cell_costs[neighbour])) * unit
             # Most neighbours fail this test, so that corners are looked at for few of them. Closed
             # cells always fail it, because the heuristic is consistent.
             if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
@@ -442,8 +447,8 @@ def solve_on_terrain(
     count = len(starts)
     lattice = lattice_of(terrains.shape[1:], rule)
     scratch = scratch_view(memory, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
-    padded = load_terrain(terrains[0], lattice, values, scratch.came_from)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
+    padded = load_terrain(terrains[0], lattice, cell_costs, scratch.came_from)
     sums = np.empty((count, 2), np.int64)
     expansions = np.empty(count, np.int64)
     offsets = np.zeros(count + 1, np.int64)
@@ -452,9 +457,9 @@ def solve_on_terrain(
     for b in range(count):
         terrain = terrains[b if len(terrains) > 1 else 0]
         if b > 0 and len(terrains) > 1:
-            padded = load_terrain(terrain, lattice, values, scratch.came_from)
-        min_value = 0 if allow_occupied_ends else 1
-        if not _is_end(terrain, starts[b], min_value) or not _is_end(terrain, goals[b], min_value):
+            padded = load_terrain(terrain, lattice, cell_costs, scratch.came_from)
+        min_cost = 0 if allow_occupied_ends else 1
+        if not _is_end(terrain, starts[b], min_cost) or not _is_end(terrain, goals[b], min_cost):
             return cells, sums, expansions, offsets, b, np.int64(0)
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
@@ -462,7 +467,7 @@ def solve_on_terrain(
         sums[b, 1] = 0
         expansions[b] = 0
         offsets[b + 1] = used
-        if values[start] == 0 or values[goal] == 0:
+        if cell_costs[start] == 0 or cell_costs[goal] == 0:
             continue
         expansions[b], pushes, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
         if high_cost:
@@ -470,7 +475,7 @@ def solve_on_terrain(
         straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
         length = count_path_cells(straight, diagonal)
         if length:
-            sums[b, 0], sums[b, 1] = cost_sums(scratch.g[goal], padded)
+            sums[b, 0], sums[b, 1] = split_terrain_cost(scratch.g[goal], padded)
         cells = with_capacity(cells, used, length)
         write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
         used += length
@@ -520,18 +525,18 @@ def astar_labels_on_terrain(
         high to be exact, or 0. With -1 and 0, its moves do not fit into ``moves``.
     """
     no_cost = np.int64(0)
-    values = np.zeros(lattice.cells, np.uint8)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
     for m in range(first, len(terrains)):
-        padded = load_terrain(terrains[m], lattice, values, scratch.came_from)
+        padded = load_terrain(terrains[m], lattice, cell_costs, scratch.came_from)
         for room in range(rooms[m]):
-            if values[cells[m, room]] == 0:
+            if cell_costs[cells[m, room]] == 0:
                 return m, used, room, no_cost
         used_before = used
         pair = first_pairs[m]
         for room in range(rooms[m] - 1):
             start = cells[m, room]
             goal = cells[m, room + 1]
-            load_terrain(terrains[m], lattice, values, scratch.came_from)
+            load_terrain(terrains[m], lattice, cell_costs, scratch.came_from)
             expansions, _, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
             if high_cost:
                 return m, used_before, -1, high_cost
@@ -543,7 +548,7 @@ def astar_labels_on_terrain(
                 return m, used_before, -1, no_cost
             write_moves(scratch.came_from, goal, length, lattice, moves, used)
             used += length
-            high_cost = terrain_costs(np.full(1, start), padded, lattice, scratch)
+            high_cost = shortest_terrain_costs(np.full(1, start), padded, lattice, scratch)
             if high_cost:
                 return m, used_before, -1, high_cost
             for later_room in range(room + 1, rooms[m]):
@@ -551,18 +556,18 @@ def astar_labels_on_terrain(
                 pair_sums[pair, 0] = -1
                 pair_sums[pair, 1] = 0
                 if cost < INFINITY_ON_TERRAIN:
-                    pair_sums[pair, 0], pair_sums[pair, 1] = cost_sums(cost, padded)
+                    pair_sums[pair, 0], pair_sums[pair, 1] = split_terrain_cost(cost, padded)
                 pair += 1
     return len(terrains), used, -1, no_cost
 
 
 @inlined
-def _is_end(terrain: Bytes, cell: Ints, min_value: Int) -> Int:
-    """Return whether ``cell`` (row, col) is inside ``terrain`` and costs at least ``min_value``."""
+def _is_end(terrain: Bytes, cell: Ints, min_cost: Int) -> Int:
+    """Return whether ``cell`` (row, col) is inside ``terrain`` and costs at least ``min_cost``."""
     row = cell[0]  # Unpacking an array takes long to compile.
     column = cell[1]
     is_inside = 0 <= row < terrain.shape[0] and 0 <= column < terrain.shape[1]
-    return is_inside and terrain[row, column] >= min_value
+    return is_inside and terrain[row, column] >= min_cost
 
 
 @kernel
@@ -584,9 +589,11 @@ def write_terrain_field(
     """
     lattice = lattice_of(terrain.shape, rule)
     scratch = scratch_view(memory, lattice)
-    values = np.zeros(lattice.cells, np.uint8)
-    padded = load_terrain(terrain, lattice, values, scratch.came_from)
-    high_cost = terrain_costs(np.full(1, cell_at(row, column, lattice)), padded, lattice, scratch)
+    cell_costs = np.zeros(lattice.cells, np.uint8)
+    padded = load_terrain(terrain, lattice, cell_costs, scratch.came_from)
+    high_cost = shortest_terrain_costs(
+        np.full(1, cell_at(row, column, lattice)), padded, lattice, scratch
+    )
     if high_cost:
         return high_cost
     for i in range(terrain.shape[0]):
@@ -595,7 +602,7 @@ def write_terrain_field(
     return np.int64(0)
 
 
-def cost_of_sums(sums: Ints, movement: Movement) -> Floats:
+def costs_from_sums(sums: Ints, movement: Movement) -> Floats:
     """Return the costs (n,) in cells of the sums S and D (n, 2), -1 where S is negative."""
     straight_sums, diagonal_sums = sums.T
     costs = (straight_sums + diagonal_sums * movement.diagonal_cost) / 2
@@ -604,8 +611,8 @@ def cost_of_sums(sums: Ints, movement: Movement) -> Floats:
 
 def terrain_path_cost(terrain: Bytes, path: Ints, movement: Movement) -> float:
     """Return the cost in cells of a legal ``path`` (k, 2) on ``terrain`` (H, W)."""
-    values = terrain[path[:, 0], path[:, 1]].astype(np.int64)
-    move_sums = values[:-1] + values[1:]
+    cell_costs = terrain[path[:, 0], path[:, 1]].astype(np.int64)
+    move_sums = cell_costs[:-1] + cell_costs[1:]
     is_diagonal = np.all(path[:-1] != path[1:], axis=1)
     diagonal_sum = int(move_sums[is_diagonal].sum())
     straight_sum = int(move_sums.sum()) - diagonal_sum

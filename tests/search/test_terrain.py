@@ -38,7 +38,7 @@ from mapdata.search.lattice import (
     move_rule,
     plain_lattice,
 )
-from mapdata.search.terrain import load_terrain, terrain_costs, terrain_heuristic
+from mapdata.search.terrain import load_terrain, shortest_terrain_costs, terrain_heuristic
 
 Array: TypeAlias = npt.NDArray[Any]
 
@@ -103,7 +103,7 @@ def optimal_moves(terrain: Bytes, goal: Cell, movement: Movement) -> Bytes:
     scratch = plain_new_scratch(lattice)
     padded = load_terrain(terrain, lattice, np.zeros(lattice.cells, np.uint8), scratch.came_from)
     cell = (goal[0] + 1) * lattice.stride + goal[1] + 1
-    assert terrain_costs(np.array([cell]), padded, lattice, scratch) == 0
+    assert shortest_terrain_costs(np.array([cell]), padded, lattice, scratch) == 0
     rows = terrain.shape[0] + 2
     return scratch.came_from.reshape(rows, lattice.stride)[1:-1, 1:-1]
 
