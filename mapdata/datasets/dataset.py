@@ -521,12 +521,12 @@ class MapDataset(ProblemDataset):
         """
         recipes = []
         for manifest in self.reader.manifests:
-            spec = manifest.spec
+            generator = manifest.generator
             recipe = None
             # `Recipe` refuses a generator whose family is not registered here.
-            is_registered = not isinstance(spec, UnknownFamily)
-            if spec is not None and is_registered and manifest.seed is not None:
-                recipe = Recipe(spec, manifest.seed, manifest.maps, manifest.content_hash)
+            is_registered = not isinstance(generator, UnknownFamily)
+            if generator is not None and is_registered and manifest.seed is not None:
+                recipe = Recipe(generator, manifest.seed, manifest.maps, manifest.content_hash)
             recipes.append(recipe)
         resolutions = {manifest.resolution for manifest in self.reader.manifests}
         splits = SPLITS if self.split is None else (self.split,)
