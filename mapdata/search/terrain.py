@@ -501,8 +501,8 @@ def astar_labels_on_terrain(
 ) -> tuple[Int, Int, Int, Int]:
     """Label maps by A* on terrain, and check that their seed points are free cells.
 
-    A* searches each segment. The search around a seed point gives the costs to all later rooms:
-    since sqrt(2) is irrational, only one pair of sums S and D has the least cost.
+    A* searches each segment. One search around a seed point gives the costs to the rooms after the
+    next one: since sqrt(2) is irrational, only one pair of sums S and D has the least cost.
 
     Args:
         terrains: (N, H, W).
@@ -548,10 +548,17 @@ def astar_labels_on_terrain(
                 return m, used_before, -1, no_cost
             write_moves(scratch.came_from, goal, length, lattice, moves, used)
             used += length
+            pair_sums[pair, 0] = -1
+            pair_sums[pair, 1] = 0
+            if straight >= 0:
+                pair_sums[pair, 0], pair_sums[pair, 1] = split_terrain_cost(scratch.g[goal], padded)
+            pair += 1
+            if room + 2 == rooms[m]:
+                continue  # There is no later room than that of the segment.
             high_cost = shortest_terrain_costs(np.full(1, start), padded, lattice, scratch)
             if high_cost:
                 return m, used_before, -1, high_cost
-            for later_room in range(room + 1, rooms[m]):
+            for later_room in range(room + 2, rooms[m]):
                 cost = scratch.g[cells[m, later_room]]
                 pair_sums[pair, 0] = -1
                 pair_sums[pair, 1] = 0
