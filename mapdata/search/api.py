@@ -470,10 +470,10 @@ def as_terrain(terrain: ArrayLike, grid: Bytes) -> Bytes:
             number = array[(array < 0) | (array > 255)][0]
             raise ValueError(f"terrain: got the value {number}, expected integers from 0 to 255")
         array = array.astype(np.uint8)
-    if grid.max() > 1:
-        raise ValueError(values_complaint(grid))
     disagreements = (array == 0) != grid
     if disagreements.any():
+        if grid.max() > 1:
+            raise ValueError(values_complaint(grid))
         cell = tuple(np.argwhere(disagreements)[0].tolist())
         state = "occupied" if grid[cell] else "free"
         raise ValueError(
