@@ -200,7 +200,7 @@ def solve_batch(
     """Solve B problems by the search with these weights; otherwise as `search_batch`.
 
     With ``allow_occupied_ends``, a start or goal may be occupied: such a problem has no path, and
-    no cell is expanded. On terrain, ``weights`` are those of BFS or A*.
+    no cell is expanded. On terrain, ``weights`` have to be those of BFS or A*.
     """
     array = np.asarray(grids)
     grid_stack = as_grid(array if array.ndim == 3 else array[None], 3)
@@ -214,6 +214,8 @@ def solve_batch(
         )
     rule = move_rule(movement)
     if terrain is not None:
+        if weights not in (BFS, ASTAR):
+            raise ValueError(f"weights: got {weights} with terrain, expected BFS or A*")
         terrain_array = np.asarray(terrain)
         terrain_stack = as_terrain(
             terrain_array if terrain_array.ndim == 3 else terrain_array[None], grid_stack
