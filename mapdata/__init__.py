@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from mapdata.search import clearance as clearance
     from mapdata.search import distance_field as distance_field
     from mapdata.search import inflate as inflate
+    from mapdata.search import inflate_terrain as inflate_terrain
     from mapdata.search import label as label
     from mapdata.search import search_batch as search_batch
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
@@ -75,6 +76,7 @@ _FACES = {
         "clearance",
         "distance_field",
         "inflate",
+        "inflate_terrain",
         "label",
         "search_batch",
     ),
