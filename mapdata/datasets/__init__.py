@@ -12,6 +12,7 @@ from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS, Batch
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 
@@ -28,6 +29,7 @@ __all__ = [
     "MapDataModule",
     "MapDataset",
     "OnlineMapDataset",
+    "ProblemSetDataset",
     "Sample",
     "row",
 ]
