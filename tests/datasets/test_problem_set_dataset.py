@@ -18,6 +18,7 @@ from torch.utils.data import DataLoader
 from mapdata import Movement, ProblemSet, ProblemSetDataset, Sample, search_batch
 from mapdata.arrays import Bytes
 from mapdata.datasets import DatasetInfo, EpochSampler, FieldInfo
+from mapdata.datasets.arguments import FieldFunction
 from mapdata.formats import read_problems
 
 MOVEMENTS = [Movement(4), Movement(8), Movement(8, corner_cutting=True, diagonal_cost=1)]
@@ -121,7 +122,7 @@ def test_bfs_is_searched_on_the_fly(movement: Movement) -> None:
 def test_all_fields_and_options_are_those_of_other_datasets() -> None:
     """Types, fixed lengths, functions and transforms work as for maps on disk."""
     problems = problem_set(Movement(8))
-    fields = (*samples.ALL_FIELDS, half)
+    fields: tuple[str | FieldFunction, ...] = (*samples.ALL_FIELDS, half)
     dataset = ProblemSetDataset(problems, fields, dtype="float32", max_length=99)
     batch = dataset[2:7]
     assert batch._fields == (*samples.ALL_FIELDS, "half")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -198,7 +199,7 @@ def test_problems_of_the_test_split_are_read(tmp_path: Path) -> None:
     written = {
         split: write_problems(folder / split, count, count) for split, count in SAMPLES.items()
     }
-    options: dict[str, dict[str, str]] = {"test": {}, "train": {"split": "train"}}
+    options: dict[str, dict[str, Any]] = {"test": {}, "train": {"split": "train"}}
     for split, split_options in options.items():
         grids, starts, goals = written[split]
         problems = read_problems(folder, **split_options)
@@ -277,7 +278,8 @@ def test_a_bad_sample_is_refused_by_its_number(fault: str, message: str, tmp_pat
         maps[3, 0, 6] = 1
     for name, array in (("maps", maps), ("starts", starts), ("goals", goals)):
         np.save(folder / f"{name}.npy", array)
-    for options in ({}, {"count": 2}):  # the samples 0 to 5, or 0 and 3
+    refused: list[dict[str, Any]] = [{}, {"count": 2}]  # the samples 0 to 5, or 0 and 3
+    for options in refused:
         with pytest.raises(FormatError, match=rf"{tmp_path}/test/maps\.npy: {message}"):
             read_problems(tmp_path, **options)
     assert len(read_problems(tmp_path, count=3)) == 3  # the samples 0, 2 and 4
