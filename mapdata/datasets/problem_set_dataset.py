@@ -114,9 +114,7 @@ class ProblemSetDataset(ProblemDataset):
     def _problems(self, indices: Ints, epoch: int) -> Batch:
         del epoch  # the problems are the same in all epochs
         search = self.serving.search
-        # Indexing keeps the order of axes in memory that the grids have, which may be shared by
-        # all problems; kernels need row-major order.
-        grids = np.ascontiguousarray(self.problem_set.grids[indices])
+        grids = self.problem_set.grids[indices]  # a copy for this batch alone
         starts = self.problem_set.starts[indices]
         goals = self.problem_set.goals[indices]
 
