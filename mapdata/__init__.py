@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mapdata.datasets import MapDataModule as MapDataModule
     from mapdata.datasets import MapDataset as MapDataset
     from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
+    from mapdata.datasets import ProblemSetDataset as ProblemSetDataset
     from mapdata.datasets import Sample as Sample
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
@@ -52,7 +53,13 @@ if TYPE_CHECKING:
     from mapdata.shards import verify as verify
 
 _FACES = {
-    "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
+    "datasets": (
+        "MapDataModule",
+        "MapDataset",
+        "OnlineMapDataset",
+        "ProblemSetDataset",
+        "Sample",
+    ),
     "evaluation": ("Plan", "evaluate"),
     "generators": (
         "PRESETS",
