@@ -150,7 +150,7 @@ class GuidedSearch(Batched):
                 movement.corner_cutting,
                 self.trust * 64 / side,
             )
-            plans.append(Plan(path, expansions))
+            plans.append(Plan(path, expansions, prepared=grids[0].size))
         return plans
 
 

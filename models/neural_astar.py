@@ -266,7 +266,7 @@ class NeuralAstar(LearnedPlanner):
         for k, parent in enumerate(parents.tolist()):
             path = _trace(parent, int(start_numbers[k]), int(goal_numbers[k]))
             cells = np.column_stack(np.divmod(path, columns))
-            plans.append(Plan(cells, expansions[k]))
+            plans.append(Plan(cells, expansions[k], prepared=grids[k].size))
         return plans
 
 

@@ -10,13 +10,23 @@ from mapdata.evaluation.metrics import (
     to_text,
     with_interval,
 )
-from mapdata.evaluation.planners import Batched, BestFirst, Limit, Search, classical
+from mapdata.evaluation.planners import (
+    Batched,
+    BestFirst,
+    GoalFieldAstar,
+    JumpPointSearch,
+    Limit,
+    Search,
+    classical,
+)
 
 __all__ = [
     "METRICS",
     "BatchPlanner",
     "Batched",
     "BestFirst",
+    "GoalFieldAstar",
+    "JumpPointSearch",
     "Limit",
     "Plan",
     "Planner",

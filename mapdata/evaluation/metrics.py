@@ -34,10 +34,17 @@ class Plan(NamedTuple):
     Attributes:
         path: (k, 2) integer cells from start to goal, both included; (0, 2) without a path.
         expansions: number of cells that the planner expanded, the goal included.
+        prepared: number of cells that it computed something of before the search: those of a field
+            of costs to the goal, or all cells of a map that a network looks at.
+        looks: number of different cells that the search visited to see which neighbours are free,
+            the expanded ones included; None if it visited no others. Jump point search visits
+            the cells that its scans pass.
     """
 
     path: npt.NDArray[np.integer[Any]]
     expansions: int
+    prepared: int = 0
+    looks: int | None = None
 
     def __repr__(self) -> str:
         return summary(self)
@@ -86,7 +93,10 @@ def evaluate(
       failures.
     - ``p_exp``: mean max(0, 1 - E / E*) (Neural A*'s Exp), over all problems.
     - ``hmean``: harmonic mean of ``opt`` and ``p_exp`` (Neural A*'s Hmean), 0 if both are 0.
-    - ``<name>_low``, ``<name>_high`` of these six: 95 % percentile interval over resampled
+    - ``prepared_ratio`` and ``look_ratio``: mean of `Plan.prepared` / E* and of `Plan.looks` / E*,
+      over all problems. No other column counts these cells: the three ratios show what a planner
+      does instead of expansions.
+    - ``<name>_low``, ``<name>_high`` of the six before: 95 % percentile interval over resampled
       problems, with the same resamples for all planners.
     - ``ms``: mean milliseconds of a call of `plan`, which solves one problem.
     - ``ms_batched``: mean milliseconds a problem in calls of `plan_batch` with 64 problems; NaN for
@@ -129,6 +139,9 @@ def evaluate(
             row: dict[str, object] = {"planner": names[k], "subset": subset, "n": mask.sum()}
             for m, name in enumerate(METRICS):
                 row[name] = metrics[k, m]
+            for name, counts in (("prepared_ratio", run.prepared), ("look_ratio", run.looks)):
+                ratios = counts[mask] / reference_expansions[mask]
+                row[name] = ratios.mean() if mask.any() else np.nan
             row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
             row["ms_batched"] = run.ms_batched
             for m, name in enumerate(METRICS):
@@ -179,7 +192,7 @@ def to_text(table: pd.DataFrame) -> str:
         text = pd.DataFrame({"planner": rows["planner"]})
         for metric in METRICS:
             text[metric] = with_interval(rows, metric)
-        for name in ("ms", "ms_batched"):
+        for name in ("prepared_ratio", "look_ratio", "ms", "ms_batched"):
             text[name] = rows[name].map("{:.3f}".format)
         heading = f"{subset}: {rows['n'].iloc[0]} problems"
         if subset == "hard":
@@ -200,12 +213,16 @@ class _Run(NamedTuple):
     Attributes:
         costs: (N,) costs L of the paths, NaN for failures.
         expansions: (N,) numbers of expansions E.
+        prepared: (N,) numbers of prepared cells.
+        looks: (N,) numbers of visited cells.
         ms: (N,) milliseconds that `plan` took.
         ms_batched: mean milliseconds a problem in batches, NaN without `plan_batch`.
     """
 
     costs: Floats
     expansions: Floats
+    prepared: Floats
+    looks: Floats
     ms: Floats
     ms_batched: float
 
@@ -214,6 +231,8 @@ def _run(planner: Planner, problems: ProblemSet) -> _Run:
     """Solve all problems with a planner, check its paths and measure its times."""
     costs = np.empty(len(problems))
     expansions = np.empty(len(problems))
+    prepared = np.empty(len(problems))
+    looks = np.empty(len(problems))
     ms = np.empty(len(problems))
     # The first problem is solved twice, and the second time counts: the first call may compile
     # kernels and fill caches.
@@ -226,10 +245,12 @@ def _run(planner: Planner, problems: ProblemSet) -> _Run:
         ms[k] = 1000 * (time.perf_counter() - began)
         costs[k] = _cost(plan, problems, k)
         expansions[k] = plan.expansions
+        prepared[k] = plan.prepared
+        looks[k] = plan.expansions if plan.looks is None else plan.looks
     ms_batched = np.nan
     if isinstance(planner, BatchPlanner):
         ms_batched = _mean_batched_ms(planner, problems)
-    return _Run(costs, expansions, ms, ms_batched)
+    return _Run(costs, expansions, prepared, looks, ms, ms_batched)
 
 
 def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | Ints) -> Floats:

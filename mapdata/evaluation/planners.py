@@ -13,7 +13,15 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
 from mapdata.limits import Cell
 from mapdata.movement import NEURAL_ASTAR, STEPS, Movement
-from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
+from mapdata.search.api import (
+    BatchResult,
+    astar,
+    check_jump_points,
+    search_batch,
+    solve_batch,
+    solve_by_goal_fields,
+    solve_by_jump_points,
+)
 
 MAX_ESTIMATE = 2**20
 """Maximal ``weight * (H + W)`` of `BestFirst`, so that f fits into 64 bits."""
@@ -22,12 +30,14 @@ MAX_ESTIMATE = 2**20
 def classical(movement: Movement = Movement(8)) -> list[Planner]:
     """Return the planners that every comparison should show, for one movement.
 
-    "limit" expands only the cells of an optimal path. No planner that searches from start to goal
-    can do with fewer. If the movement is that of Neural A*, the A* of its repository is added.
+    "limit" expands only the cells of an optimal path. No planner that expands all cells of its path
+    can do with fewer. Jump point search does, since it passes over cells; it is left out under
+    4-connectivity. If the movement is that of Neural A*, the A* of its repository is added.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
-     'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'limit']
+     'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'jump point search',
+     'A* with the exact goal field', 'limit']
     """
     planners: list[Planner] = [
         Search("BFS", movement, "bfs"),
@@ -35,8 +45,11 @@ def classical(movement: Movement = Movement(8)) -> list[Planner]:
         Search("A*", movement, "astar"),
         *(BestFirst(f"weighted A* ({w})", movement, weight=w) for w in (1.1, 1.25, 1.5, 2, 3)),
         BestFirst("greedy best-first", movement, weight=1, uses_path_cost=False),
-        Limit("limit", movement),
     ]
+    if movement.connectivity == 8:
+        planners.append(JumpPointSearch("jump point search", movement))
+    planners.append(GoalFieldAstar("A* with the exact goal field", movement))
+    planners.append(Limit("limit", movement))
     if movement == NEURAL_ASTAR:
         planners.append(VanillaAstar())
     return planners
@@ -64,8 +77,63 @@ class Search(Batched):
 
 
 @dataclass(frozen=True)
+class JumpPointSearch(Batched):
+    """Jump point search: it finds optimal paths and expands few cells, with no preparation.
+
+    It serves grids whose free cells all cost the same. Its expansions are the jump points that it
+    takes from the frontier, among equal f the one that was pushed last, as in mapdata's A*. Its
+    looks are the cells that its scans between jump points pass, often more than A* expands.
+
+    Source: Harabor and Grastien, AAAI 2011, with cut corners; SoCS 2012, without.
+
+    Attributes:
+        name: its name in the table.
+        movement: 8-connected. Under 4-connectivity there is JPS4 (Baum 2025, arXiv 2501.14816).
+    """
+
+    name: str
+    movement: Movement
+
+    def __post_init__(self) -> None:
+        """Check the movement.
+
+        Raises:
+            ValueError: it is 4-connected.
+        """
+        check_jump_points(self.movement)
+
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
+        paths, looks = solve_by_jump_points(grids, starts, goals, self.movement)
+        return [
+            plan._replace(looks=look_count)
+            for plan, look_count in zip(_plans(paths), looks.tolist(), strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class GoalFieldAstar(Batched):
+    """A* whose heuristic is the exact cost to the goal, which is computed for each problem.
+
+    It expands the cells of its path alone. The cells of the field, all free cells that reach the
+    goal, are its prepared cells. Where there is no path, no cell is expanded.
+    """
+
+    name: str
+    movement: Movement
+
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
+        paths, field_sizes = solve_by_goal_fields(grids, starts, goals, self.movement)
+        return _with_prepared(_plans(paths), field_sizes)
+
+
+@dataclass(frozen=True)
 class Limit(Batched):
-    """The path of mapdata's A*, with only its cells expanded: what perfect guidance would reach."""
+    """The path of mapdata's A*, with only its cells expanded: what perfect guidance would reach.
+
+    The cells that A* expanded to find the path are its prepared cells.
+    """
 
     name: str
     movement: Movement
@@ -74,7 +142,8 @@ class Limit(Batched):
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
         paths = search_batch("astar", grids, starts, goals, self.movement)
         cells_per_path = np.diff(paths.offsets)
-        return _plans(paths._replace(iterations=cells_per_path))
+        plans = _plans(paths._replace(iterations=cells_per_path))
+        return _with_prepared(plans, paths.iterations)
 
 
 @dataclass(frozen=True)
@@ -157,6 +226,14 @@ class BestFirst(Batched):
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")
         weights_of_g_and_h = (int(self.uses_path_cost), float(self.weight))
         return _plans(solve_batch(weights_of_g_and_h, grids, starts, goals, self.movement))
+
+
+def _with_prepared(plans: list[Plan], prepared: Ints) -> list[Plan]:
+    """Return ``plans`` with these numbers of prepared cells, (B,)."""
+    return [
+        plan._replace(prepared=cell_count)
+        for plan, cell_count in zip(plans, prepared.tolist(), strict=True)
+    ]
 
 
 def _plans(paths: BatchResult) -> list[Plan]:

@@ -15,10 +15,12 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
 from mapdata.checks import check_choice
-from mapdata.movement import Movement
+from mapdata.movement import Movement, check_movement
+from mapdata.search.jump_points import jump_to_goals
 from mapdata.search.kernels import (
     copy_to_bytes,
     first_bad_cell,
+    follow_goal_fields,
     plain_scratch_bytes,
     solve_problem,
     solve_problems,
@@ -202,16 +204,7 @@ def solve_batch(
     With ``allow_occupied_ends``, a start or goal may be occupied: such a problem has no path, and
     no cell is expanded. On terrain, ``weights`` have to be those of BFS or A*.
     """
-    array = np.asarray(grids)
-    grid_stack = as_grid(array if array.ndim == 3 else array[None], 3)
-    start_cells = _as_cells("starts", starts)
-    goal_cells = _as_cells("goals", goals)
-    count = len(start_cells)
-    if len(goal_cells) != count or (array.ndim == 3 and len(grid_stack) != count):
-        raise ValueError(
-            f"got {len(grid_stack)} grids, {count} starts and {len(goal_cells)} goals, expected "
-            "equal numbers"
-        )
+    grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
     rule = move_rule(movement)
     if terrain is not None:
         if weights not in (BFS, ASTAR):
@@ -233,13 +226,109 @@ def solve_batch(
         rule,
         _scratch_memory(grid_stack, rule),
     )
-    if solved < count:
-        grid = grid_stack[min(solved, len(grid_stack) - 1)]
-        complaint = _problem_complaint(grid, start_cells[solved], goal_cells[solved])
+    _check_all_solved(solved, grid_stack, start_cells, goal_cells)
+    return BatchResult(cells, offsets, _costs_of_moves(moves, movement), expansions)
+
+
+def check_jump_points(movement: Movement) -> None:
+    """Check that there is a jump point search for ``movement``.
+
+    Raises:
+        ValueError: it has no diagonal moves.
+    """
+    check_movement(movement)
+    if movement.connectivity == 4:
+        raise ValueError(
+            "movement: got 4 moves, expected 8 for jump point search; for 4 moves there is JPS4 "
+            "(Baum 2025, arXiv 2501.14816), which mapdata does not have"
+        )
+
+
+def solve_by_jump_points(
+    grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, movement: Movement
+) -> tuple[BatchResult, Ints]:
+    """Solve B problems by jump point search (`mapdata.search.jump_points`).
+
+    The arguments are those of `search_batch`.
+
+    Returns:
+        The paths, with the jump points that were taken from the frontier as expansions; and the
+        number of cells that the scans passed, (B,), the start included.
+
+    Raises:
+        ValueError: what `search_batch` refuses; a movement without diagonal moves.
+    """
+    check_jump_points(movement)
+    rule = move_rule(movement)
+    grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
+    cells, moves, expansions, looks, offsets, solved = jump_to_goals(
+        grid_stack, start_cells, goal_cells, rule, _scratch_memory(grid_stack, rule)
+    )
+    _check_all_solved(solved, grid_stack, start_cells, goal_cells)
+    costs = _costs_of_moves(moves, movement)
+    return BatchResult(cells, offsets, costs, expansions), looks
+
+
+def solve_by_goal_fields(
+    grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, movement: Movement
+) -> tuple[BatchResult, Ints]:
+    """Solve B problems by A* whose heuristic is the exact cost to the goal.
+
+    The arguments are those of `search_batch`.
+
+    Returns:
+        The paths, with the number of their cells as expansions, which is 0 where there is no path,
+        since the start has no cost to the goal then; and the number of cells whose cost to the
+        goal was computed, (B,).
+
+    Raises:
+        ValueError: what `search_batch` or `distance_field` refuses.
+    """
+    rule = move_rule(movement)
+    grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
+    cells, moves, field_sizes, offsets, solved = follow_goal_fields(
+        grid_stack, start_cells, goal_cells, rule, _scratch_memory(grid_stack, rule)
+    )
+    _check_all_solved(solved, grid_stack, start_cells, goal_cells)
+    costs = _costs_of_moves(moves, movement)
+    return BatchResult(cells, offsets, costs, np.diff(offsets)), field_sizes
+
+
+def _as_problems(grids: ArrayLike, starts: ArrayLike, goals: ArrayLike) -> tuple[Bytes, Ints, Ints]:
+    """Return B problems as the kernels expect them: (B or 1, H, W), (B, 2) and (B, 2).
+
+    Raises:
+        ValueError: a grid that `as_grid` refuses, other cells than (B, 2), or unequal numbers.
+    """
+    array = np.asarray(grids)
+    grid_stack = as_grid(array if array.ndim == 3 else array[None], 3)
+    start_cells = _as_cells("starts", starts)
+    goal_cells = _as_cells("goals", goals)
+    count = len(start_cells)
+    if len(goal_cells) != count or (array.ndim == 3 and len(grid_stack) != count):
+        raise ValueError(
+            f"got {len(grid_stack)} grids, {count} starts and {len(goal_cells)} goals, expected "
+            "equal numbers"
+        )
+    return grid_stack, start_cells, goal_cells
+
+
+def _check_all_solved(solved: int, grids: Bytes, starts: Ints, goals: Ints) -> None:
+    """Check that a kernel solved all problems, and none was refused after ``solved`` of them.
+
+    Raises:
+        ValueError: it refused one; the message has its number and the reason.
+    """
+    if solved < len(starts):
+        grid = grids[min(solved, len(grids) - 1)]
+        complaint = _problem_complaint(grid, starts[solved], goals[solved])
         raise ValueError(f"problem {solved}: {complaint}")
+
+
+def _costs_of_moves(moves: Ints, movement: Movement) -> Floats:
+    """Return the costs (B,) of paths with (B, 2) straight and diagonal moves; -1 for (-1, 0)."""
     straight, diagonal = moves.T
-    costs = np.where(straight < 0, -1.0, straight + diagonal * movement.diagonal_cost)
-    return BatchResult(cells, offsets, costs, expansions)
+    return np.where(straight < 0, -1.0, straight + diagonal * movement.diagonal_cost)
 
 
 def _solve_on_terrain(

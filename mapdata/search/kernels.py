@@ -62,6 +62,7 @@ from mapdata.search.lattice import (
     lattice_of,
     load,
     position,
+    split_cost,
 )
 
 _ZERO = np.uint64(0)
@@ -76,7 +77,7 @@ _BUCKET_BITS = UNIT_BITS - 6
 _BUCKETS = 256
 """The buckets together cover 4 straight moves, more than f grows by at once, which is 2 sqrt(2)."""
 
-_TOO_LONG = (
+TOO_LONG = (
     f"the grid has paths of {MAX_PATH_COST} cells or more, for which costs are not exact: expected "
     "a coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
 )
@@ -368,7 +369,7 @@ def best_first_buckets(
             break
         cost = g[cell]
         if cost >= MAX_PATH_COST * UNIT:
-            raise ValueError(_TOO_LONG)
+            raise ValueError(TOO_LONG)
         row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
             neighbour = np.uint64(cell + lattice.offsets[move])
@@ -449,7 +450,7 @@ def best_first_heap(
             break
         cost = g[cell]
         if cost >= MAX_PATH_COST * UNIT:
-            raise ValueError(_TOO_LONG)
+            raise ValueError(TOO_LONG)
         row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
             neighbour = np.uint64(cell + lattice.offsets[move])
@@ -792,6 +793,75 @@ def solve_problems(
     return cells[:used], moves, expansions, offsets, count
 
 
+@kernel
+def follow_goal_fields(
+    grids: Bytes, starts: Ints, goals: Ints, rule: MoveRule, memory: Bytes
+) -> tuple[Ints, Ints, Ints, Ints, Int]:
+    """Search problem b by A* whose heuristic is the exact cost to ``goals[b]``, for B problems.
+
+    With this heuristic f is equal on all cells of shortest paths and larger on all others. Among
+    equal f A* expands the cell that was pushed last. So it expands the cells of a single path: from
+    each of them it takes the last optimal move, in the order of `STEPS`.
+
+    Args:
+        grids: (B, H, W), or (1, H, W) for a grid that all problems share.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        rule: which moves are legal.
+        memory: for the `Scratch` of `shortest_costs`.
+
+    Returns:
+        The cells (M, 2) of all paths, one after another; (B, 2) straight and diagonal moves, (-1,
+        0) without a path, where moves of equal cost all count as straight; (B,) numbers of free
+        cells that reach the goal; (B + 1,) offsets of the paths in the cells; and the number of
+        problems solved, as `solve_problems` returns it.
+    """
+    count = len(starts)
+    lattice = lattice_of(grids.shape[1:], rule)
+    scratch = scratch_view(memory, lattice)
+    moves = np.empty((count, 2), np.int64)
+    field_sizes = np.empty(count, np.int64)
+    offsets = np.zeros(count + 1, np.int64)
+    cells = np.empty((64 * count + 64, 2), np.int64)
+    used = 0
+    for b in range(count):
+        grid = grids[b if len(grids) > 1 else 0]
+        is_valid = load(grid, scratch.came_from)
+        if (
+            not is_valid
+            or not is_usable_end(grid, starts[b], 0)
+            or not is_usable_end(grid, goals[b], 0)
+        ):
+            return cells, moves, field_sizes, offsets, b
+        start = cell_at(starts[b, 0], starts[b, 1], lattice)
+        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
+        shortest_costs(np.full(1, goal), INFINITY, lattice, scratch)
+        field_size = 0
+        for k in range(lattice.cells):
+            cost = scratch.g[np.uint64(k)]
+            field_size += (cost >= 0) & (cost < INFINITY)
+        field_sizes[b] = field_size
+        straight: Int = -1
+        diagonal: Int = 0
+        if scratch.g[start] < INFINITY:
+            straight, diagonal = split_cost(scratch.g[start])
+        moves[b, 0] = straight
+        moves[b, 1] = diagonal
+        length = count_path_cells(straight, diagonal)
+        cells = with_capacity(cells, used, length)
+        cell = start
+        for k in range(used, used + length):
+            cells[k, 0], cells[k, 1] = position(cell, lattice)
+            if cell != goal:
+                move = len(lattice.offsets) - 1
+                while (scratch.came_from[np.uint64(cell)] >> move) & 1 == 0:
+                    move -= 1
+                cell += lattice.offsets[move]
+        used += length
+        offsets[b + 1] = used
+    return cells[:used], moves, field_sizes, offsets, count
+
+
 @inlined
 def is_usable_end(grid: Bytes, cell: Ints, max_state: Int) -> Int:
     """Return whether ``cell`` (row, col) is inside ``grid`` and holds at most ``max_state``."""
@@ -934,7 +1004,7 @@ def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scra
     bucket = 0
     while bucket_size and bucket < max_cost:
         if bucket >= MAX_PATH_COST:
-            raise ValueError(_TOO_LONG)
+            raise ValueError(TOO_LONG)
         later_size = _ZERO
         while bucket_size:
             bucket_size -= _ONE

@@ -107,6 +107,34 @@ def test_the_metrics_by_hand() -> None:
     assert {name: hard[name] for name in expected} == expected
 
 
+def test_prepared_cells_and_looks_are_shown_beside_expansions() -> None:
+    """They are divided by A*'s expansions, and change no metric; without a number of its own a
+    planner's looks are its expansions.
+    """
+    problems = three()
+    prepared = {(0, 2): 10, (0, 3): 3, (3, 0): 0}
+    looks = {(0, 2): 15, (0, 3): 9, (3, 0): None}
+    working = Functional(
+        lambda grid, start, goal: Plan(np.empty((0, 2), int), 2, prepared[goal], looks[goal]),
+        "working",
+    )
+    plain = Functional(lambda grid, start, goal: Plan(np.empty((0, 2), int), 2), "plain")
+    table = evaluate([working, plain], problems, bootstrap=5)
+    counted = row(table, "working", "all")
+    assert counted["prepared_ratio"] == pytest.approx((10 / 5 + 3 / 6) / 3, rel=1e-12)
+    assert counted["look_ratio"] == pytest.approx((15 / 5 + 9 / 6 + 2 / 4) / 3, rel=1e-12)
+    hard = row(table, "working", "hard")
+    assert (hard["prepared_ratio"], hard["look_ratio"]) == (2, 3)
+    uncounted = row(table, "plain", "all")
+    assert uncounted["prepared_ratio"] == 0
+    assert uncounted["look_ratio"] == uncounted["expansion_ratio"]
+    for name in ("expansion_ratio", "p_exp", "hmean"):
+        assert counted[name] == uncounted[name]
+    halved = evaluate([working, plain], problems, baseline="plain", bootstrap=5)
+    assert row(halved, "working", "hard")["prepared_ratio"] == 10 / 2
+    assert "2.000      3.000" in to_text(table)
+
+
 def test_another_planner_may_be_the_baseline() -> None:
     """Expansions are divided by those of the named planner, problem by problem."""
     problems = three()
@@ -181,7 +209,10 @@ def test_the_row_of_astar_is_exact(movement: Movement) -> None:
         row_of_planner = row(table, "A*", subset)
         for suffix in ("", "_low", "_high"):
             assert [row_of_planner[name + suffix] for name in METRICS] == [1, 1, 1, 1, 0, 0]
-        assert row(table, "Dijkstra", subset)["opt"] == row(table, "limit", subset)["opt"] == 1
+        for planner in ("Dijkstra", "A* with the exact goal field", "limit"):
+            assert row(table, planner, subset)["opt"] == 1
+        if movement.connectivity == 8:
+            assert row(table, "jump point search", subset)["opt"] == 1
         for planner, bound in (("weighted A* (1.5)", 1.5), ("weighted A* (2)", 2)):
             assert 1 <= row(table, planner, subset)["cost_ratio_high"] <= bound
     assert table["success"].eq(1).all()
@@ -194,17 +225,18 @@ def test_the_table_has_two_rows_for_each_planner() -> None:
     planners: list[Planner] = [*classical(Movement()), Scripted([(DETOUR, 1), ([], 1), ([], 1)])]
     table = evaluate(planners, three(), bootstrap=10)
     assert table["planner"].tolist() == [planner.name for planner in planners] * 2
-    assert table["subset"].tolist() == ["all"] * 11 + ["hard"] * 11
-    columns = ["planner", "subset", "n", *METRICS, "ms", "ms_batched"]
+    assert table["subset"].tolist() == ["all"] * 12 + ["hard"] * 12
+    columns = ["planner", "subset", "n", *METRICS]
+    columns += ["prepared_ratio", "look_ratio", "ms", "ms_batched"]
     assert table.columns.tolist() == columns + [
         f"{name}_{end}" for name in METRICS for end in ("low", "high")
     ]
     assert (table["ms"] > 0).all()
-    assert table["ms_batched"].isna().tolist() == ([False] * 10 + [True]) * 2
+    assert table["ms_batched"].isna().tolist() == ([False] * 11 + [True]) * 2
     text = to_text(table)
     assert "all: 3 problems" in text
     assert "hard: 1 problems, hardness at least 1.05" in text
-    assert max(map(len, text.splitlines())) < 130
+    assert max(map(len, text.splitlines())) < 170
 
 
 def test_a_subset_without_problems_has_nan() -> None:

@@ -15,8 +15,26 @@ from helpers import reference
 from helpers.grids import scipy_distances
 from helpers.reference import Cell
 
-from mapdata import MapSpec, Maze, Plan, ProblemSet, astar, bfs, check_path, evaluate
-from mapdata.evaluation import BatchPlanner, BestFirst, Limit, Search, classical
+from mapdata import (
+    MapSpec,
+    Maze,
+    Plan,
+    ProblemSet,
+    astar,
+    bfs,
+    check_path,
+    distance_field,
+    evaluate,
+)
+from mapdata.evaluation import (
+    BatchPlanner,
+    BestFirst,
+    GoalFieldAstar,
+    JumpPointSearch,
+    Limit,
+    Search,
+    classical,
+)
 from mapdata.evaluation.planners import VanillaAstar
 from mapdata.movement import NEURAL_ASTAR, Movement
 
@@ -91,6 +109,8 @@ def assert_same(plan: Plan, expected: Plan) -> None:
     np.testing.assert_array_equal(plan.path, expected.path)
     assert plan.expansions == expected.expansions
     assert type(plan.expansions) is int
+    assert type(plan.prepared) is int
+    assert type(plan.looks) in (int, type(None))
 
 
 def ends_of(problems: ProblemSet) -> list[tuple[Cell, Cell]]:
@@ -169,6 +189,7 @@ def test_classical_planners_solve_problems_alone_and_in_batches(movement: Moveme
     problems = ProblemSet.sample(MapSpec(), 7, 30, movement=movement)
     ends = ends_of(problems)
     rows = {planner.name: planner for planner in classical(movement)}
+    jump_points = ["jump point search"] if movement.connectivity == 8 else []
     assert list(rows) == [
         "BFS",
         "Dijkstra",
@@ -179,6 +200,8 @@ def test_classical_planners_solve_problems_alone_and_in_batches(movement: Moveme
         "weighted A* (2)",
         "weighted A* (3)",
         "greedy best-first",
+        *jump_points,
+        "A* with the exact goal field",
         "limit",
     ]
     for planner in rows.values():
@@ -192,6 +215,44 @@ def test_classical_planners_solve_problems_alone_and_in_batches(movement: Moveme
         assert_same(rows["BFS"].plan(grid, start, goal), Plan(by_bfs.path, by_bfs.iterations))
         assert_same(rows["A*"].plan(grid, start, goal), Plan(by_astar.path, by_astar.iterations))
         assert_same(rows["limit"].plan(grid, start, goal), Plan(by_astar.path, len(by_astar.path)))
+        assert rows["A*"].plan(grid, start, goal)[2:] == (0, None)
+        assert rows["limit"].plan(grid, start, goal).prepared == by_astar.iterations
+
+
+@movements
+def test_the_search_with_the_goal_field_prepares_all_cells_that_reach_the_goal(
+    movement: Movement,
+) -> None:
+    """Its path is optimal, and it expands the cells of its path, none where there is no path."""
+    planner = GoalFieldAstar("exact", movement)
+    for grid, start, goal in grids(60, 4):
+        plan = planner.plan(grid, start, goal)
+        field = distance_field(grid, goal, movement)
+        assert plan.prepared == (field >= 0).sum()
+        assert plan.looks is None
+        assert plan.expansions == len(plan.path)
+        cost = check_path(grid, plan.path, movement) if len(plan.path) else -1.0
+        assert cost == astar(grid, start, goal, movement).cost
+
+
+def test_jump_point_search_counts_its_looks() -> None:
+    """On an empty map it expands start, turn and goal at most, and passes the rows and columns that
+    it scans.
+    """
+    planner = JumpPointSearch("jumps", Movement(8))
+    straight = planner.plan(np.zeros((1, 9), np.uint8), (0, 2), (0, 6))
+    assert (straight.expansions, straight.prepared, straight.looks) == (2, 0, 7)
+    assert straight.path.tolist() == [[0, 2], [0, 3], [0, 4], [0, 5], [0, 6]]
+    turned = planner.plan(np.zeros((5, 5), np.uint8), (0, 0), (2, 4))
+    assert (turned.expansions, len(turned.path)) == (3, 5)
+
+
+def test_jump_point_search_with_four_moves_is_refused() -> None:
+    """The message names what there is for four moves."""
+    with pytest.raises(
+        ValueError, match=r"got 4 moves, expected 8 .* JPS4 \(Baum 2025, arXiv 2501"
+    ):
+        JumpPointSearch("jumps", Movement())
 
 
 def test_no_path_and_start_is_goal() -> None:
@@ -203,7 +264,15 @@ def test_no_path_and_start_is_goal() -> None:
     for planner in classical():
         nothing = planner.plan(grid, (2, 2), (2, 8))
         assert nothing.path.shape == (0, 2)
-        assert nothing.expansions == (0 if isinstance(planner, Limit) else 5 * 6)
+        if isinstance(planner, JumpPointSearch):
+            # No obstacle ends, so that no cell but the start is a jump point.
+            assert (nothing.expansions, nothing.looks) == (1, 5 * 6)
+        elif isinstance(planner, GoalFieldAstar):
+            assert (nothing.expansions, nothing.prepared) == (0, 5 * 2)
+        elif isinstance(planner, Limit):
+            assert (nothing.expansions, nothing.prepared) == (0, 5 * 6)
+        else:
+            assert nothing.expansions == 5 * 6
         alone = planner.plan(grid, (2, 2), (2, 2))
         assert alone.path.tolist() == [[2, 2]]
         assert alone.expansions == 1
