@@ -382,7 +382,7 @@ def test_the_script_writes_a_list_of_rows(
     of_all = {found["planner"]: found["n"] for found in rows if found["subset"] == "all"}
     learned = {name for name in of_all if name.startswith("path_predictor")}
     assert learned
-    assert len(set(of_all) - learned) == 10
+    assert len(set(of_all) - learned) == 12
     assert set(of_all.values()) == {12}
     table = pd.read_csv(outputs["csv"])
     assert table["planner"].tolist() == [found["planner"] for found in rows]
@@ -474,10 +474,11 @@ def test_the_figure_shows_every_planner() -> None:
     """One mark with its own shape or colour and one name a planner, and axes that say what they
     are.
     """
-    table = evaluate(classical(Movement()), three(), bootstrap=5)
+    movement = Movement(8)
+    table = evaluate(classical(movement), three(movement), bootstrap=5)
     axes = plot_planners(table, subset="all")
     handles, names = axes.get_legend_handles_labels()
-    assert names == [planner.name for planner in classical()]
+    assert names == [planner.name for planner in classical(movement)]
     marks = {(line.get_marker(), line.get_color()) for line in handles}  # type: ignore[attr-defined]
     assert len(marks) == len(names)
     assert "expansions" in axes.get_xlabel()
