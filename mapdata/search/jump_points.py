@@ -62,7 +62,6 @@ _OPEN = np.uint8(250)
 _EXPANDED = np.uint8(248)
 """State of the start or a jump point that has been expanded."""
 
-
 _ALL_MOVES = 255
 """The set of all eight moves; bit k stands for move k."""
 
@@ -133,6 +132,8 @@ def _scan_diagonal(states: Bytes, cell: Int, move: Int, goal: Int, lattice: Latt
     length = 0
     while True:
         if not may_cut:
+            # This copy of the corner rule of `is_legal` uses that the steps to both neighbours are
+            # the same along the whole scan.
             if states[np.uint64(cell + first_step)] == WALL:
                 return 0
             if states[np.uint64(cell + second_step)] == WALL:

@@ -16,11 +16,11 @@ A `Movement` takes two forms on its way into the kernels. Public functions turn 
 once, by `move_rule`. A kernel that is called from Python turns the rule into the `Lattice` of its
 map size, by `lattice_of`. All kernels below that one take the lattice alone.
 
-The legal moves, the heuristic and hardness are defined here. The corner rule is written five more
+The legal moves, the heuristic and hardness are defined here. The corner rule is written six more
 times, and each copy states its reason: `flood`, `first_bad_cell` and `shortest_costs` in
-kernels.py; on tensors, `legal_moves` in models/geometry.py; and models/learned_planners.py, whose
-search works on rows and columns so that it can be read without this module. Tests hold all six
-together.
+kernels.py; the diagonal scan in jump_points.py; on tensors, `legal_moves` in models/geometry.py;
+and models/learned_planners.py, whose search works on rows and columns so that it can be read
+without this module. Tests hold all seven together.
 """
 
 from __future__ import annotations

@@ -272,6 +272,7 @@ def test_it_plans_where_there_is_a_path(trained: NeuralAstar, tmp_path: Path) ->
             alone = planner.plan(grids[k], (0, 0), (20, 20))
             assert np.array_equal(alone.path, plan.path)
             assert alone.expansions == plan.expansions
+            assert alone.prepared == plan.prepared == 21 * 21
             if searches.cost[k] < 0:
                 assert plan.path.shape == (0, 2)
                 components, _ = label(grids[k] == 0, np.ones((3, 3)))

@@ -349,6 +349,7 @@ def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
             assert len(plan.path) == len(np.unique(plan.path, axis=0))
             assert 1 <= plan.expansions <= (grid == 0).sum()
             assert len(plan.path) <= plan.expansions
+            assert plan.prepared == grid.size
             assert cost <= (plan.expansions - 1) * movement.diagonal_cost
 
 
