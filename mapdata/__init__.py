@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from mapdata.search import distance_field as distance_field
     from mapdata.search import inflate as inflate
     from mapdata.search import label as label
+    from mapdata.search import pull_taut as pull_taut
     from mapdata.search import search_batch as search_batch
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
     from mapdata.shards import ShardError as ShardError
@@ -72,6 +73,7 @@ _FACES = {
         "distance_field",
         "inflate",
         "label",
+        "pull_taut",
         "search_batch",
     ),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),

@@ -32,6 +32,7 @@ from mapdata.search.lattice import (
     position,
     rule_of,
 )
+from mapdata.search.taut import pull_taut
 
 __all__ = [
     "MAX_CELLS",
@@ -63,6 +64,7 @@ __all__ = [
     "least_squared",
     "load",
     "position",
+    "pull_taut",
     "rule_of",
     "search_batch",
     "write_cells",
