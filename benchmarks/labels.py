@@ -149,7 +149,7 @@ def movement_rows(rounds: int) -> list[Row]:
         passage_width=(2, 4),
     )
     # the spec, how many maps, and the limits of time, 4-connected and 8-connected
-    worlds = {
+    cases = {
         "preset paper": (MapSpec.preset("paper"), 200, "", ""),
         "preset dungeon": (MapSpec.preset("dungeon"), 100, "", ""),
         "preset dungeon128": (MapSpec.preset("dungeon128"), 10, "", "12 ms"),
@@ -158,9 +158,9 @@ def movement_rows(rounds: int) -> list[Row]:
     works = {}
     counts = {}
     limits = {}
-    for world, (spec, count, limit_4, limit_8) in worlds.items():
+    for case, (spec, count, limit_4, limit_8) in cases.items():
         for movement, limit in ((Movement(4), limit_4), (Movement(8), limit_8)):
-            name = f"{world}, {movement.connectivity}-connected"
+            name = f"{case}, {movement.connectivity}-connected"
             works[name] = partial(_draw_and_label, replace(spec, movement=movement), count)
             counts[name] = count
             limits[name] = limit

@@ -169,13 +169,15 @@ def pathfinding(module: Any, grid: Bytes) -> Solver:
     """Its grid, 1 free, cleaned between searches."""
     from importlib import import_module
 
-    world = import_module("pathfinding.core.grid").Grid(matrix=(1 - grid).tolist())
+    grid_of_nodes = import_module("pathfinding.core.grid").Grid(matrix=(1 - grid).tolist())
     finder = module.AStarFinder()
 
     def solve(start: Cell, goal: Cell) -> Path:
-        world.cleanup()
+        grid_of_nodes.cleanup()
         found: Path = finder.find_path(
-            world.node(start[1], start[0]), world.node(goal[1], goal[0]), world
+            grid_of_nodes.node(start[1], start[0]),
+            grid_of_nodes.node(goal[1], goal[0]),
+            grid_of_nodes,
         )[0]
         return found
 

@@ -223,13 +223,13 @@ def imported() -> Figure:
         import_maps(folder, source, seed_points=6)
         root = Root.open(folder)
         for ax, index in zip(axes, (3, 8, 13), strict=True):
-            labels, i = root.map(index)
+            labels, i = root.locate(index)
             plot_map(labels, i, ax)
             bare(ax, f"plan {index}")
     return figure
 
 
-def families() -> Figure:
+def generators() -> Figure:
     """Show the maps that docs/howto/spec.md draws."""
     figure, axes = new_figure(1, 2, (11.5, 4))
     plot_map(run_first_block("docs/howto/spec.md")["labels"], 0, axes[0])
@@ -270,7 +270,7 @@ def speed() -> Figure:
     return figure
 
 
-def worlds() -> Figure:
+def families() -> Figure:
     """Show two maps of each preset."""
     figure, axes = new_figure(2, len(PRESETS) // 2, (11, 11.4))
     for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
@@ -527,7 +527,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "overview": overview,
     "batch": batch,
     "speed": speed,
-    "worlds": worlds,
+    "families": families,
     "presets": presets,
     "movements": movements,
     "figure-1": figure_1,
@@ -535,7 +535,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "figure-3": figure_3,
     "figure-4": figure_4,
     "distributions": distributions,
-    "families": families,
+    "generators": generators,
     "imported": imported,
     "clearance": clearance,
     "fields": fields,

@@ -35,7 +35,7 @@ SEED = 77
 WIDE_ROOMS = MapSpec(
     (256, 256), rooms=(60, 120), room_rows=(8, 30), room_columns=(8, 30), passage_width=(1, 4)
 )
-WORLDS: dict[str, tuple[MapGenerator, int]] = {
+GENERATORS: dict[str, tuple[MapGenerator, int]] = {
     "paper": (MapGenerator.preset("paper"), 1000),
     "dungeon": (MapGenerator.preset("dungeon"), 1000),
     "narrow": (MapGenerator.preset("narrow"), 300),
@@ -47,7 +47,7 @@ WORLDS: dict[str, tuple[MapGenerator, int]] = {
     "dungeon128": (MapGenerator.preset("dungeon128"), 300),
     "dungeon256": (WIDE_ROOMS, 300),
 }
-"""The worlds, and how many hard problems of each are compared."""
+"""The generators by name, each with the number of hard problems that are compared."""
 
 RULES = {
     "": (Movement(8), "path_predictor.pt"),
@@ -78,9 +78,9 @@ FOLLOWED = (
 """Columns of the table of what is followed."""
 
 
-def problems_of(world: str, movement: Movement) -> ProblemSet:
-    """Return the set of a world under a movement."""
-    generator, hard = WORLDS[world]
+def problems_of(name: str, movement: Movement) -> ProblemSet:
+    """Return the set of problems of a generator under a movement."""
+    generator, hard = GENERATORS[name]
     return ProblemSet.sample(generator, SEED, until_hard=hard, movement=movement)
 
 
@@ -170,11 +170,11 @@ def page_of_sets() -> str:
     sections = []
     for ending, (movement, weights) in RULES.items():
         model = PathPredictor.load(WEIGHTS / weights)
-        for world in WORLDS:
-            problems = problems_of(world, movement)
+        for generator in GENERATORS:
+            problems = problems_of(generator, movement)
             table = evaluate([*classical(movement), *planners(model)], hard_of(problems))
             table = table[table["subset"] == "hard"]
-            name = f"{world}{ending}-hard-{WORLDS[world][1]}"
+            name = f"{generator}{ending}-hard-{GENERATORS[generator][1]}"
             print(f"{name}: {problems.content_hash[:12]}", flush=True)
             rows = [["planner", "success", *COLUMNS.values(), "ms alone", "ms in batches"]]
             measures = pd.DataFrame({metric: with_interval(table, metric) for metric in COLUMNS})

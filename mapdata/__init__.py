@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from mapdata.datasets import Sample as Sample
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
+    from mapdata.generators import PRESETS as PRESETS
     from mapdata.generators import Cave as Cave
     from mapdata.generators import Forest as Forest
     from mapdata.generators import MapGenerator as MapGenerator
     from mapdata.generators import Maps as Maps
     from mapdata.generators import MapSpec as MapSpec
     from mapdata.generators import Maze as Maze
+    from mapdata.generators import Recipe as Recipe
     from mapdata.generators import generate as generate
     from mapdata.generators import identity as identity
     from mapdata.movement import Movement as Movement
@@ -53,12 +55,14 @@ _FACES = {
     "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
     "evaluation": ("Plan", "evaluate"),
     "generators": (
+        "PRESETS",
         "Cave",
         "Forest",
         "MapGenerator",
         "MapSpec",
         "Maps",
         "Maze",
+        "Recipe",
         "generate",
         "identity",
     ),

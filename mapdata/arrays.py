@@ -1,4 +1,4 @@
-"""The types of arrays, named by what they hold; how objects that hold arrays are printed."""
+"""Arrays: names for their types, offsets of runs, and the ``repr`` of objects that hold them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ Float32s = NDArray[np.float32]
 
 
 def offsets_of(counts: ArrayLike) -> Ints:
-    """Return where runs of so many values begin, one after another, and where the last ends.
+    """Return the offsets (N + 1,) of N runs of ``counts`` elements that are stored consecutively.
+
+    Run k is ``offsets[k]:offsets[k + 1]``.
 
     >>> offsets_of([2, 0, 3])
     array([0, 2, 2, 5])
@@ -30,7 +32,9 @@ def offsets_of(counts: ArrayLike) -> Ints:
 
 
 def summary(self: Any) -> str:
-    """Return the ``repr`` of a dataclass or NamedTuple that holds arrays: their dtype and shape.
+    """Return the ``repr`` of a dataclass or NamedTuple, with dtype and shape for its arrays.
+
+    It is assigned to ``__repr__`` in the body of the class:
 
     >>> from dataclasses import dataclass
     >>> @dataclass
@@ -41,14 +45,14 @@ def summary(self: Any) -> str:
     >>> Problem(np.zeros((1, 64, 64), np.uint8), np.array([3, 5]))
     Problem(map=uint8 (1, 64, 64), goal=[3, 5])
     """
-    shown = (f"{name}={_brief(getattr(self, name))}" for name in self.__match_args__)
-    return f"{type(self).__name__}({', '.join(shown)})"
+    fields = [f"{name}={_brief_text(getattr(self, name))}" for name in self.__match_args__]
+    return f"{type(self).__name__}({', '.join(fields)})"
 
 
-def _brief(value: Any) -> str:
-    """Return dtype and shape of an array or tensor, the values of one of up to two."""
-    if not hasattr(value, "dtype"):
-        return repr(value)
-    if 1 <= prod(value.shape) <= 2:
-        return str(value.tolist())
-    return f"{value.dtype} {tuple(value.shape)}".removeprefix("torch.")
+def _brief_text(field: Any) -> str:
+    """Return dtype and shape of an array or tensor, or its numbers if there are one or two."""
+    if not hasattr(field, "dtype"):
+        return repr(field)
+    if 1 <= prod(field.shape) <= 2:
+        return str(field.tolist())
+    return f"{field.dtype} {tuple(field.shape)}".removeprefix("torch.")

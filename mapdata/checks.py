@@ -1,4 +1,4 @@
-"""Checks of arguments and of plain values, as JSON and configurations hold them."""
+"""Checks of arguments, and of plain values as JSON files and configurations hold them."""
 
 from __future__ import annotations
 
@@ -16,115 +16,137 @@ def check_seed(seed: int, name: str = "seed") -> int:
     """Return ``seed`` as an int.
 
     Raises:
-        ValueError: not an integer of 64 bits, 0 to 2**64 - 1.
+        ValueError: it is not an unsigned integer of 64 bits.
     """
-    value = _integer(name, seed)
-    if not 0 <= value < 2**64:
-        raise ValueError(f"{name}: got {value}, expected 0 to 2**64 - 1")
-    return value
+    integer = _as_integer(name, seed)
+    if not 0 <= integer < 2**64:
+        raise ValueError(f"{name}: got {integer}, expected 0 to 2**64 - 1")
+    return integer
 
 
-def check_count(name: str, value: object, lowest: int = 1) -> int:
+def check_count(name: str, value: object, minimum: int = 1) -> int:
     """Return ``value`` as an int.
 
     Raises:
-        ValueError: not an integer, or below ``lowest``.
+        ValueError: it is not an integer, or below ``minimum``.
     """
-    count = _integer(name, value)
-    if count < lowest:
-        raise ValueError(f"{name}: got {count}, expected an integer of at least {lowest}")
+    count = _as_integer(name, value)
+    if count < minimum:
+        raise ValueError(f"{name}: got {count}, expected an integer of at least {minimum}")
     return count
 
 
 def check_choice(name: str, value: object, choices: Collection[str]) -> None:
-    """Refuse a value that is not one of ``choices``; the message names the nearest of them."""
-    if value not in tuple(choices):  # JSON may hold what has no hash
+    """Refuse a value that is not in ``choices``.
+
+    Raises:
+        ValueError: the message names all choices, and the one that is most similar.
+    """
+    # The choices may be a dict or a set, where looking up a list from JSON would raise TypeError.
+    if value not in tuple(choices):
         hint = did_you_mean(value, choices)
         raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(choices)}{hint}")
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of an error message: the known name that is most like ``name``, if any is.
+    """Return the end of an error message: the known name that is most similar, if any is similar.
 
     >>> did_you_mean("dungoen", ["paper", "dungeon"])
     '; did you mean dungeon?'
     """
-    import difflib  # only errors need it
+    import difflib  # imported here, because only error messages need it
 
-    near = difflib.get_close_matches(str(name), known, n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    matches = difflib.get_close_matches(str(name), known, n=1)
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def known_values(
-    what: str,
+    name: str,
     values: object,
-    of: type[Any],
-    *further: str,
-    other_words: Mapping[str, str] = {},
+    dataclass: type[Any],
+    *extra_keys: str,
+    synonyms: Mapping[str, str] = {},
 ) -> dict[str, Any]:
-    """Return ``values`` as keyword arguments of the dataclass ``of``.
+    """Return ``values`` as keyword arguments of a dataclass.
 
     Args:
-        what: what they are, for the error.
+        name: name of the argument, which begins error messages.
         values: named values, as JSON has them.
-        of: the dataclass; its fields are the keys that are known.
-        further: keys that are known, too.
-        other_words: keys that are not known but likely to be written, with the key that is meant.
+        dataclass: its fields are the known keys.
+        extra_keys: further known keys, which are no fields.
+        synonyms: unknown keys that users are likely to write, with the known key that they mean.
 
     Raises:
-        ValueError: no object of named values, or a key that is not known.
+        ValueError: ``values`` is not an object of named values, or has an unknown key.
     """
     if not isinstance(values, Mapping):
-        raise ValueError(f"{what}: got {values!r}, expected an object of named values")
-    names = [*further, *(item.name for item in fields(of))]
-    unknown = [str(name) for name in values if name not in names]
-    if unknown:
-        meant = [other_words[name] for name in unknown if name in other_words]
-        hint = f"; did you mean {meant[0]}?" if meant else did_you_mean(unknown[0], names)
-        keys = "key" if len(unknown) == 1 else "keys"
+        raise ValueError(f"{name}: got {values!r}, expected an object of named values")
+    known_keys = [*extra_keys, *(field.name for field in fields(dataclass))]
+    unknown_keys = [str(key) for key in values if key not in known_keys]
+    if unknown_keys:
+        intended_keys = [synonyms[key] for key in unknown_keys if key in synonyms]
+        if intended_keys:
+            hint = f"; did you mean {intended_keys[0]}?"
+        else:
+            hint = did_you_mean(unknown_keys[0], known_keys)
+        noun = "key" if len(unknown_keys) == 1 else "keys"
         raise ValueError(
-            f"{what}: unknown {keys}: {', '.join(unknown)}; known are {', '.join(names)}{hint}"
+            f"{name}: unknown {noun}: {', '.join(unknown_keys)}; known are "
+            f"{', '.join(known_keys)}{hint}"
         )
     return dict(values)
 
 
 def items_of(values: object) -> tuple[Any, ...]:
-    """Return the items of a tuple, a list or another sequence; of anything else there are none."""
+    """Return the items of a list, tuple or other sequence; an empty tuple for anything else."""
     return tuple(values) if _is_sequence(values) else ()
 
 
 def plain_values(values: object) -> Any:
-    """Return ``values`` with a dict in place of each mapping, and a list in place of each sequence.
+    """Return ``values`` with every mapping turned into a dict and every sequence into a list.
 
-    JSON and checkpoints cannot hold the configurations of other libraries, such as OmegaConf.
+    JSON and checkpoints cannot hold the mappings and sequences of other libraries, such as
+    OmegaConf.
     """
     if isinstance(values, Mapping):
-        return {name: plain_values(value) for name, value in values.items()}
-    return [plain_values(item) for item in values] if _is_sequence(values) else values
+        return {key: plain_values(value) for key, value in values.items()}
+    if _is_sequence(values):
+        return [plain_values(item) for item in values]
+    return values
 
 
 def _is_sequence(values: object) -> TypeGuard[Sequence[Any]]:
-    """Return whether ``values`` is a sequence of items; text and bytes are not."""
+    """Return whether ``values`` is a sequence and neither text nor bytes."""
     return isinstance(values, Sequence) and not isinstance(values, (str, bytes, bytearray))
 
 
 def check_integers(name: str, values: object) -> Range:
-    """Return ``values`` as two ints; numpy integers are welcome, floats and bools are not."""
-    items = items_of(values)
-    if len(items) != 2:
+    """Return ``values`` as two ints; numpy integers are accepted, floats and bools are not.
+
+    Raises:
+        ValueError: it is not a sequence of two integers.
+    """
+    pair = items_of(values)
+    if len(pair) != 2:
         raise ValueError(f"{name}: got {values!r}, expected 2 integers")
-    return _integer(name, items[0]), _integer(name, items[1])
+    first, second = pair
+    return _as_integer(name, first), _as_integer(name, second)
 
 
-def _integer(name: str, value: Any) -> int:
-    with suppress(TypeError):  # of what is no integer, and of arrays
-        if not isinstance(value, bool):
+def _as_integer(name: str, value: Any) -> int:
+    """Return an integer of Python or numpy as an int; floats and bools are refused."""
+    if not isinstance(value, bool):
+        with suppress(TypeError):  # raised for floats, texts and arrays
             return index(value)
     raise ValueError(f"{name}: got {value!r}, expected an integer")
 
 
 def check_sides(name: str, values: object) -> Size:
-    """Return ``values`` as the (rows, columns) of a map."""
+    """Return ``values`` as the (rows, columns) of a map.
+
+    Raises:
+        ValueError: it is not two integers, or a side is below 1 or above `MAX_SIDE`.
+    """
     sides = check_integers(name, values)
     if not 1 <= min(sides) <= max(sides) <= MAX_SIDE:
         raise ValueError(f"{name}: got {sides}, expected 1 to {MAX_SIDE} rows and columns")
@@ -132,15 +154,16 @@ def check_sides(name: str, values: object) -> Size:
 
 
 def check_flag(name: str, value: object) -> None:
-    """Refuse what is neither True nor False, such as the text "false", which counts as true."""
+    """Refuse a value that is not a bool: the text "false", for example, would count as true."""
     if not isinstance(value, bool):
         raise ValueError(f"{name}: got {value!r}, expected True or False")
 
 
 def check_number(name: str, value: object) -> float:
-    """Return ``value`` as a float; text and bools are no numbers."""
+    """Return ``value`` as a float; numbers as text and bools are refused."""
     if hasattr(value, "__float__") and not isinstance(value, (bool, str)):
-        with suppress(OverflowError, TypeError):  # of arrays
+        # Integers above the largest float overflow; arrays of several numbers raise TypeError.
+        with suppress(OverflowError, TypeError):
             return float(value)
     raise ValueError(f"{name}: got {value!r}, expected a number")
 
@@ -154,7 +177,7 @@ def check_probability(name: str, value: object) -> float:
 
 
 def check_resolution(name: str, value: object) -> float:
-    """Return ``value`` as metres per cell: finite, and above 0."""
+    """Return ``value`` as metres per cell, a finite number above 0."""
     resolution = check_number(name, value)
     if not 0 < resolution < math.inf:
         raise ValueError(f"{name}: got {resolution}, expected metres per cell above 0")
@@ -162,22 +185,36 @@ def check_resolution(name: str, value: object) -> float:
 
 
 def check_fractions(values: object) -> tuple[float, ...]:
-    """Return ``values`` as the fractions of the splits, which add up to 1."""
-    items = tuple(check_number("splits", item) for item in items_of(values))
-    inside = len(items) == len(SPLITS) and all(0 <= item <= 1 for item in items)
-    if not inside or abs(sum(items) - 1) > 1e-9:
+    """Return ``values`` as the fractions of maps in the splits train, val and test.
+
+    Raises:
+        ValueError: it is not three fractions in [0, 1] that add up to 1.
+    """
+    fractions = tuple(check_number("splits", fraction) for fraction in items_of(values))
+    has_one_per_split = len(fractions) == len(SPLITS)
+    are_in_range = all(0 <= fraction <= 1 for fraction in fractions)
+    add_up_to_1 = abs(sum(fractions) - 1) <= 1e-9
+    if not (has_one_per_split and are_in_range and add_up_to_1):
         raise ValueError(
             f"splits: got {values!r}, expected three fractions in [0, 1] that add up to 1"
         )
-    return items
+    return fractions
 
 
-def check_range(name: str, limits: Range, lowest: int, highest: int, why: str = "") -> None:
-    """Refuse a range that runs backwards, or that leaves ``lowest`` to ``highest``."""
+def check_range(name: str, limits: Range, minimum: int, maximum: int, reason: str = "") -> None:
+    """Refuse a range (low, high) that is reversed, or not inside ``minimum`` to ``maximum``.
+
+    Args:
+        name: name of the argument, which begins error messages.
+        limits: the range, both ends included.
+        minimum: lowest allowed number.
+        maximum: highest allowed number.
+        reason: why there is a maximum, the end of the error message.
+    """
     low, high = limits
     if low > high:
         raise ValueError(f"{name}: upper limit {high} is under the lower limit {low}")
-    if low < lowest:
-        raise ValueError(f"{name}: got {limits}, expected at least {lowest}")
-    if high > highest:
-        raise ValueError(f"{name}: got {limits}, expected at most {highest}{why}")
+    if low < minimum:
+        raise ValueError(f"{name}: got {limits}, expected at least {minimum}")
+    if high > maximum:
+        raise ValueError(f"{name}: got {limits}, expected at most {maximum}{reason}")

@@ -1,10 +1,10 @@
 """Ctrl-C ends a command with one line and exit code 130, whenever it is pressed.
 
 Python raises `KeyboardInterrupt` wherever the main thread is. That is right while a command works,
-since what it has begun is cleaned up. While modules are imported it may be swallowed or become
-another error, and while the interpreter shuts down nothing can catch it. So the process of a
-command line calls `exit_on_interrupt` before it imports anything large, and works within
-`stoppable`.
+because `finally` blocks then clean up what it has begun. While modules are imported, the exception
+may be swallowed or replaced by another one, and while the interpreter shuts down nothing can catch
+it. So the process of a command line calls `exit_on_interrupt` before it imports anything large, and
+does its work within `stoppable`.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
 EXIT_CODE = 130
-"""What shells say of a program that Ctrl-C ended: 128 + SIGINT."""
+"""The exit code that shells report for a program that Ctrl-C ended: 128 + SIGINT."""
 
 STOPPED = "stopped; run the same command again to go on"
 
 THREADS = "mapdata"
-"""What the names of threads begin with whose work Ctrl-C does not wait for."""
+"""Prefix of the names of worker threads; Ctrl-C does not wait for them."""
 
 
 def exit_on_interrupt() -> None:
-    """From now on let Ctrl-C end this process at once, outside of `stoppable`.
+    """From now on let Ctrl-C end this process at once, except within `stoppable`.
 
-    Only the main thread of a process that is a command line may call it. Where Ctrl-C is ignored,
-    as in a background job of a shell, it stays ignored.
+    Only the main thread of a command line's process may call it. Where Ctrl-C is ignored, as in a
+    background job of a shell, it stays ignored.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
     signal.signal(signal.SIGINT, _leave_now)
     sys.excepthook = _report_error
     sys.unraisablehook = _report_unraisable
-    # Registered first, it runs last. Behind it Python would take the handler away: Ctrl-C would
-    # end the process by the bare signal. The work is done by then.
+    # Registered first, this runs last. After it Python removes the handler, and Ctrl-C would end
+    # the process by the bare signal, although its work is done by then. So Ctrl-C is ignored.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def stoppable(message: str = STOPPED) -> Iterator[None]:
-    """Let Ctrl-C raise `KeyboardInterrupt` here, and end the process once that has cleaned up.
+    """Let Ctrl-C raise `KeyboardInterrupt` in this block, and end the process after the cleanup.
 
-    Ctrl-C once more does not wait for that. In a process without `exit_on_interrupt` nothing is
-    changed, and `KeyboardInterrupt` goes on to the caller.
+    A second Ctrl-C ends the process without waiting for the cleanup. In a process that did not call
+    `exit_on_interrupt` this does nothing, and `KeyboardInterrupt` reaches the caller.
 
     Args:
-        message: the line on stderr.
+        message: the line that is printed to stderr.
     """
     if signal.getsignal(signal.SIGINT) is not _leave_now:
         yield
@@ -64,7 +64,7 @@ def stoppable(message: str = STOPPED) -> Iterator[None]:
         signal.signal(signal.SIGINT, handler)
         yield
     except BaseException as error:
-        # An import may have made another error of the interrupt, and Lightning makes it SystemExit.
+        # An import may have turned the interrupt into another error; Lightning raises SystemExit.
         if handler.pressed or isinstance(error, KeyboardInterrupt):
             leave(message)
         raise
@@ -73,33 +73,37 @@ def stoppable(message: str = STOPPED) -> Iterator[None]:
 
 
 def leave(message: str = STOPPED) -> NoReturn:
-    """End this process with the line and the exit code of Ctrl-C.
+    """Print ``message`` to stderr and end this process with the exit code of Ctrl-C.
 
-    A plain exit would wait for the shards under way in other threads, however long they take.
+    A plain exit would wait for the shards that other threads are building.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(Exception):  # a reader that is gone; a write that the signal interrupted
+    with suppress(Exception):  # the reader of a pipe may be gone, or the signal cut a write short
         sys.stdout.flush()
-    # print() cannot be called while the main thread is inside another print().
+    # The signal may have arrived inside a print(), and print() cannot be called inside itself.
     with suppress(OSError):
         os.write(2, f"mapdata: {message}\n".encode())
     os._exit(EXIT_CODE)
 
 
 def _leave_now(number: int, frame: FrameType | None) -> NoReturn:
-    """Handle SIGINT where there is nothing to clean up."""
+    """Handle SIGINT outside of `stoppable`, where there is nothing to clean up."""
     leave()
 
 
 class _RaiseOnce:
-    """Handles SIGINT while a command works."""
+    """The handler of SIGINT within `stoppable`.
+
+    Attributes:
+        pressed: whether Ctrl-C was pressed.
+    """
 
     def __init__(self) -> None:
-        """Begin with no SIGINT."""
+        """Create a handler that has not been called."""
         self.pressed = False
 
     def __call__(self, number: int, frame: FrameType | None) -> NoReturn:
-        """Raise KeyboardInterrupt; the second time, end the process."""
+        """Raise KeyboardInterrupt at the first call, and end the process at the second."""
         if self.pressed:
             leave()
         self.pressed = True
@@ -107,16 +111,19 @@ class _RaiseOnce:
 
 
 def _report_error(
-    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+    error_type: type[BaseException], error: BaseException, traceback: TracebackType | None
 ) -> None:
-    """Print an error that nobody caught; compiled modules print here what their import swallows."""
-    if issubclass(kind, KeyboardInterrupt):
+    """Print an error that nothing caught, or end the process if it is `KeyboardInterrupt`.
+
+    Compiled modules also report the errors here that they swallow while they are imported.
+    """
+    if issubclass(error_type, KeyboardInterrupt):
         leave()
-    sys.__excepthook__(kind, error, trace)
+    sys.__excepthook__(error_type, error, traceback)
 
 
 def _report_unraisable(unraisable: UnraisableHookArgs) -> None:
-    """Print an error of a destructor or callback, where `KeyboardInterrupt` would be lost."""
+    """Print an error of a destructor or callback, where Python ignores `KeyboardInterrupt`."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         leave()
     sys.__unraisablehook__(unraisable)

@@ -1,7 +1,8 @@
-"""The one decorator that makes a kernel: compiled on first use, and cached on disk.
+"""The decorator `kernel`, which compiles a function on its first use and caches it on disk.
 
-The kernels of mapdata are never stale. Of others numba watches the file of the kernel alone: what
-it calls, and the constants that it uses, belong into the same file, or into mapdata.
+The cache of mapdata's own kernels is never stale. For kernels of other packages, numba watches only
+the file of the kernel. So the functions that such a kernel calls, and the constants that it uses,
+have to be in the same file or in mapdata.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 from numba.core import event, types
 
 Int: TypeAlias = Any
-"""An integer inside a kernel, where Python's and numpy's mix."""
+"""An integer inside a kernel, where integers of Python and of numpy mix."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,9 +33,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 def source_hash(package: Path) -> str:
     """Return a hash of all sources in ``package`` that define kernels.
 
-    numba watches only the file of the function it compiled. A kernel that calls one of another file
-    would go on giving the old bytes after an edit there, so the name of the cache folder covers all
-    of them.
+    numba watches only the file of the function that it compiled. A kernel that calls a kernel of
+    another file would keep running the old code after an edit there. So the name of the cache
+    folder depends on all these files.
     """
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
@@ -47,7 +48,7 @@ def source_hash(package: Path) -> str:
 def cache_home() -> Path:
     """Return the user's cache folder.
 
-    Compiled code is loaded from it, so it must not be a shared one like /tmp.
+    Compiled code is loaded from it, so it must not be a folder that users share, like /tmp.
     """
     if override := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(override)
@@ -58,7 +59,8 @@ def cache_home() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def _writable(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
+    """Return whether ``folder`` exists, or could be created, and files can be written to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -66,37 +68,47 @@ def _writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
-def _is_main() -> bool:
-    """Return whether this is no worker process, which would repeat what the main one says."""
+def _is_main_process() -> bool:
+    """Return whether this is the main process; workers would repeat its messages."""
     return current_process().name == "MainProcess"
 
 
-_modules: set[str] = set()
+_kernel_modules: set[str] = set()
 """The modules that define kernels."""
 
-_CONFIG: Any = numba.config  # whose stub knows no settings
-_unliteral: Any = types.unliteral  # which has no types
+_CONFIG: Any = numba.config  # numba's stub does not know its settings.
+_unliteral: Any = types.unliteral  # numba does not annotate this function.
 
 CACHE_FOLDER = cache_home() / "mapdata" / f"kernels-{source_hash(Path(__file__).parent)}"
-_CACHED = _writable(CACHE_FOLDER)
+_CACHED = _is_writable(CACHE_FOLDER)
 
 COMPILED = not _CONFIG.DISABLE_JIT
 """Whether kernels are compiled; with the environment variable NUMBA_DISABLE_JIT they are not."""
 
-_PATIENCE = 0.5
-"""Seconds of compiling after which a line says what is being compiled."""
+_SECONDS_BEFORE_MESSAGE = 0.5
+"""Seconds of compiling after which a message says what is being compiled."""
 
 
 class _CompileListener(event.Listener):
-    """Hears of kernels that the cache does not have, and of what numba compiles for them.
+    """Reports on stderr which kernels are being compiled, and speeds compiling up.
 
-    Says on stderr whose kernels are being compiled, once for each module: that of the kernel that
-    Python called. Meanwhile Python's collector of cyclic garbage is off: it would look through all
-    that numba creates again and again, which takes a tenth of the time.
+    numba calls this listener for every kernel that the cache does not have, and for every function
+    that it compiles for such a kernel. The message names the module of the kernel that Python
+    called, once for each module. Meanwhile Python's collector of cyclic garbage is off, because it
+    would look through all the objects of numba again and again, which takes a tenth of the time.
+
+    Attributes:
+        depth: number of functions that are being compiled, each for the one before it.
+        began: when the first of them began, as `time.monotonic` returns it.
+        module: module of the first of them.
+        seconds: time that compiling has taken so far, by module.
+        announced: modules for which the message has been written.
+        timer: writes the message after some time, unless it is cancelled.
+        collects_garbage: whether the garbage collector was on before.
     """
 
     def __init__(self) -> None:
-        """Nothing is compiled yet."""
+        """Begin with nothing compiled."""
         self.depth = 0
         self.began = 0.0
         self.module = ""
@@ -106,7 +118,7 @@ class _CompileListener(event.Listener):
         self.collects_garbage = True
 
     def on_start(self, started: event.Event) -> None:
-        """Hear of a kernel, of one that it calls, or of a function of numba's own."""
+        """Begin to measure, if ``started`` is about a kernel that Python called."""
         self.depth += 1
         if self.depth > 1:
             return
@@ -114,24 +126,25 @@ class _CompileListener(event.Listener):
         self.module = started.data["dispatcher"].py_func.__module__
         self.collects_garbage = gc.isenabled()
         gc.disable()
-        if self.module in _modules - self.announced and _CACHED and _is_main():
-            patience = _PATIENCE - self.seconds[self.module]
-            if patience <= 0:
+        if self.module in _kernel_modules - self.announced and _CACHED and _is_main_process():
+            delay = _SECONDS_BEFORE_MESSAGE - self.seconds[self.module]
+            if delay <= 0:
                 self.announce(self.module)
                 return
-            self.timer = Timer(patience, self.announce, (self.module,))
-            self.timer.daemon = True  # it must not keep a process from ending
+            self.timer = Timer(delay, self.announce, (self.module,))
+            self.timer.daemon = True  # It must not keep a process from ending.
             self.timer.start()
 
     def announce(self, module: str) -> None:
-        """Say what is being compiled."""
-        from tqdm.auto import tqdm  # whose bars the line must not break
+        """Write that kernels of ``module`` are being compiled."""
+        # tqdm's own function for this leaves its progress bars intact.
+        from tqdm.auto import tqdm
 
         self.announced.add(module)
         tqdm.write(f"compiling kernels for {module} (kept for later runs) ...", file=sys.stderr)
 
     def on_end(self, ended: event.Event) -> None:
-        """Hear that one is ready."""
+        """Add up the time and turn the garbage collector on, if the kernel is ready."""
         self.depth -= 1
         if self.depth > 0:
             return
@@ -145,7 +158,7 @@ class _CompileListener(event.Listener):
 
 if COMPILED:
     event.register("numba:compile", _CompileListener())  # type: ignore[no-untyped-call]
-if not _CACHED and _is_main():
+if not _CACHED and _is_main_process():
     warnings.warn(
         f"{CACHE_FOLDER} is not writable: kernels are compiled anew in every process; set "
         "NUMBA_CACHE_DIR to a folder that is "
@@ -158,53 +171,58 @@ def kernel(function: F) -> F:
     """Compile ``function`` with numba on its first call: no Python objects, no GIL, one thread.
 
     The static type is that of the plain function, so that callers are checked. Unless `COMPILED`,
-    it stays a plain function, for a debugger: slow, with equal results.
+    the function is not compiled, so that a debugger can step through it: it returns the same, but
+    slowly.
     """
     if not COMPILED:
-        # Integers wrap without a warning, as in compiled code.
+        # Integers overflow without a warning, as in compiled code.
         return np.errstate(all="ignore")(function)
     return _cached(function, "never")
 
 
 def inlined(function: F) -> F:
-    """Mark ``function`` as a part of kernels: its body replaces each call.
+    """Mark ``function`` as a part of kernels: its body replaces each call to it.
 
-    A real call with array arguments counts their references, which costs more than what a small
-    helper does.
+    A call with array arguments counts their references, which takes longer than the work of a small
+    helper.
     """
     return _cached(function, "always")
 
 
 def _ignore_constants(dispatcher: Any) -> None:
-    """Let kernels that call this one with constants share what is compiled for other numbers.
+    """Compile a kernel once for all integers, although other kernels call it with constants.
 
-    numba has a type for each constant, and would compile the kernel again for it.
+    numba has a type of its own for each constant, and would compile the kernel again for it.
     """
     get_call_template = dispatcher.get_call_template
 
     def get_template(arguments: Any, keywords: Any) -> Any:
-        plain = [_unliteral(argument) for argument in arguments]
-        return get_call_template(plain, {key: _unliteral(keywords[key]) for key in keywords})
+        argument_types = [_unliteral(argument) for argument in arguments]
+        keyword_types = {name: _unliteral(argument) for name, argument in keywords.items()}
+        return get_call_template(argument_types, keyword_types)
 
     dispatcher.get_call_template = get_template
 
 
 def _cached(function: F, inline: str) -> F:
-    """Return ``function`` as numba compiles it, into the cache folder."""
-    _modules.add(function.__module__)
-    # Nothing calls kernels from C, and the wrappers for that take time to compile. numba's stub
-    # does not know the option.
+    """Return ``function`` as a dispatcher of numba, which compiles it into the cache folder.
+
+    ``inline`` is numba's option: "always" or "never".
+    """
+    _kernel_modules.add(function.__module__)
+    # The wrappers that numba could compile for calls from C would take time, and nothing uses them.
+    # numba's stub does not know the option.
     dispatcher = numba.njit(  # type: ignore[call-overload]
         nogil=True, error_model="numpy", no_cfunc_wrapper=True, inline=inline
     )(function)
     if COMPILED:
         _ignore_constants(dispatcher)
     if _CACHED and COMPILED:
-        # numba reads its cache folder from a process-wide setting, when caching is enabled.
-        before = _CONFIG.CACHE_DIR
+        # numba reads its cache folder from a setting of the whole process, when caching is enabled.
+        previous_folder = _CONFIG.CACHE_DIR
         _CONFIG.CACHE_DIR = str(CACHE_FOLDER)
         try:
             dispatcher.enable_caching()
         finally:
-            _CONFIG.CACHE_DIR = before
+            _CONFIG.CACHE_DIR = previous_folder
     return cast(F, dispatcher)

@@ -1,12 +1,12 @@
-"""What the format allows: versions, sizes, splits, and the types of cells and sizes."""
+"""Limits of the format: versions, sizes and splits, and the types of cells and sizes."""
 
 from __future__ import annotations
 
 FORMAT_VERSIONS = (1, 2)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
 
-Version 2 says what version 1 cannot: maps of another generator than Algorithm 1, and sides over
-1,024. All else stays version 1.
+Version 2 is for datasets that version 1 cannot describe: maps of another generator than Algorithm
+1, and maps with sides over 1,024 cells. All other datasets are written in version 1.
 """
 
 MAX_SIDE = 4096
@@ -28,6 +28,10 @@ Size = tuple[int, int]
 """(rows, columns) of a map."""
 
 
-def least_version(map_size: Size) -> int:
-    """Return the least version of the format that can say a map size."""
-    return 1 if max(map_size) <= 1024 else 2
+_MAX_SIDE_OF_VERSION_1 = 1024
+
+
+def min_version(map_size: Size) -> int:
+    """Return the lowest version of the format that can describe maps of this size."""
+    rows, columns = map_size
+    return 1 if max(rows, columns) <= _MAX_SIDE_OF_VERSION_1 else 2

@@ -1,9 +1,9 @@
-"""Arrays in .npy and .npz files of others: headers are checked before any array is unpacked.
+"""Reading .npy and .npz files from unknown sources, with limits on what they unpack to.
 
 A .npz file is a zip archive of .npy files. The directory of an archive and the header of an array
-may claim anything, and a few kilobytes can unpack to many gigabytes. So sizes are compared with
-what the header says, sizes are limited, pickled objects are never opened, and the entries of an
-array can be read one at a time.
+may claim anything, and a few kilobytes can unpack to many gigabytes. So headers are checked before
+any array is unpacked: the size of an array is limited and must be the size that its header implies.
+Pickled objects are never opened, and the entries of an array can be read one at a time.
 
 Sources: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
 https://docs.python.org/3/library/zipfile.html.
@@ -47,16 +47,17 @@ class FormatError(ValueError):
     """A foreign file that cannot be used; one line names the file and what is wrong with it."""
 
     def __init__(self, message: str) -> None:
-        """Keep ``message`` on one line, whatever a library put into it."""
+        """Keep ``message``, which may quote the error of a library, on one line."""
         super().__init__(re.sub(r"\s*\n\s*", " ", message.strip()))
 
 
 @contextmanager
 def refusing(message: str) -> Iterator[None]:
-    """Turn whatever a library raises into a `FormatError` that says ``message`` and the cause.
+    """Turn any error of a library into a `FormatError` of ``message`` and the cause.
 
-    What zipfile, Pillow's decoders and numpy's parser of headers raise on damaged files is not
-    documented: zlib.error, struct.error, SyntaxError, EOFError and more.
+    All exceptions are caught, because the errors that zipfile, Pillow's decoders and numpy's parser
+    of headers raise on damaged files are not documented: zlib.error, struct.error, SyntaxError,
+    EOFError and more.
     """
     try:
         yield
@@ -71,7 +72,7 @@ class _Header(NamedTuple):
 
     Attributes:
         shape: of the array.
-        is_fortran: whether the first axis is the fastest in the file.
+        is_fortran: whether the array is stored in Fortran order, the first axis varying fastest.
         dtype: of the array.
         size: of the header itself, in bytes.
     """
@@ -83,12 +84,13 @@ class _Header(NamedTuple):
 
 
 def _read_header(file: IO[bytes]) -> _Header:
-    """Read a header at the start of ``file``, and perhaps some bytes behind it.
+    """Return the header at the start of ``file``, whose position is undefined afterwards.
 
     Raises:
-        Exception: whatever NumPy raises where it is damaged.
+        Exception: any error of NumPy if the header is damaged.
     """
-    # NumPy reads as many bytes as a header claims to have before it looks at their number.
+    # NumPy reads as many bytes as the header claims to have before it checks their number, so it
+    # gets a copy of limited length.
     start = io.BytesIO(file.read(_MAX_HEADER))
     is_first_version = read_magic(start) == (1, 0)
     parse = read_array_header_1_0 if is_first_version else read_array_header_2_0
@@ -101,10 +103,10 @@ class StoredArray:
     """An array of numbers in a file, of which only the header has been read.
 
     Attributes:
-        label: names the file, and the array in it, in errors.
+        label: name of the file, and of the array in it, for error messages.
         shape: of the array.
         dtype: of the array: bool, integers or floats of at most 8 bytes.
-        is_fortran: whether the first axis is the fastest in the file.
+        is_fortran: whether the array is stored in Fortran order, the first axis varying fastest.
         offset: bytes of the header before the numbers.
         path: the file.
         member: name of the array in an archive, None in an .npy file.
@@ -156,11 +158,13 @@ class StoredArray:
             yield from self.read()
             return
         with refusing(f"{self.label}: damaged"), self._opened() as file:
-            for _ in range(count if self.nbytes else 0):
+            if self.nbytes == 0:
+                return
+            for _ in range(count):
                 yield self._numbers(file, prod(shape)).reshape(shape)
 
     def check(self) -> None:
-        """Read all of it and keep nothing, so that damage shows before any of it is used.
+        """Read the whole array and keep nothing, to detect damage before any entry is used.
 
         Raises:
             FormatError: as `entries`.
@@ -170,7 +174,7 @@ class StoredArray:
 
     @contextmanager
     def _opened(self) -> Iterator[IO[bytes]]:
-        """Yield the file, at the first of the numbers."""
+        """Yield the opened file at the position of the first number."""
         if self.member is None:
             with open(self.path, "rb") as file:
                 file.seek(self.offset)
@@ -186,7 +190,7 @@ class StoredArray:
         buffer = numbers.view(np.uint8).data
         position = 0
         while position < len(buffer):
-            # zipfile unpacks no more than it is asked for
+            # zipfile unpacks only as many bytes as it is asked for, so memory stays small.
             piece = file.read(min(_MAX_READ, len(buffer) - position))
             if not piece:
                 raise FormatError(f"{self.label}: damaged (it ends early)")
@@ -196,7 +200,7 @@ class StoredArray:
 
 
 class Npz:
-    """An .npz archive, of which only the headers of the arrays have been read.
+    """An .npz archive whose arrays are unread, except for their headers.
 
     Attributes:
         path: the file.
@@ -227,7 +231,7 @@ class Npz:
                 )
             for member in members:
                 name = member.filename[:-4]
-                # zipfile cannot unpack the other ways of compression a part at a time
+                # zipfile unpacks data of other compression methods only as a whole.
                 if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise FormatError(
                         f"{path}: array {name!r} is compressed by method {member.compress_type}, "
@@ -251,11 +255,14 @@ class Npz:
                 )
 
     def arrays(self, *names: str) -> list[StoredArray]:
-        """Return the arrays of these names, unread; all that is read of an archive in one call.
+        """Return the arrays of these names, unread.
+
+        All arrays that are read from the archive must be named in one call, because the limit
+        ``max_bytes`` applies to the arrays of a call.
 
         Raises:
-            FormatError: one is missing, holds no numbers, or has another size than its header says;
-                together they are larger than ``max_bytes``.
+            FormatError: an array is missing, holds no numbers, or has another size than its header
+                says; the arrays together are larger than ``max_bytes``.
         """
         self.require(*names)
         arrays = [self._array(name) for name in names]
@@ -268,7 +275,7 @@ class Npz:
         return arrays
 
     def text(self, name: str, max_length: int = 2**16) -> str:
-        """Return a text that was saved as an array without axes.
+        """Return a text that was saved as an array of shape ().
 
         Raises:
             FormatError: there is none, or it is longer than ``max_length``.
@@ -276,23 +283,39 @@ class Npz:
         self.require(name)
         header = self._headers[name]
         label = self._label(name)
-        count = header.dtype.itemsize // 4
-        if header.dtype.kind != "U" or header.shape != () or count > max_length:
+        length = header.dtype.itemsize // 4  # NumPy stores a letter as a code of 4 bytes
+        if header.dtype.kind != "U" or header.shape != () or length > max_length:
             raise FormatError(
                 f"{label}: holds {header.dtype} of shape {header.shape}, expected a text of at "
                 f"most {max_length} letters"
             )
-        codes = np.dtype(np.uint32).newbyteorder(header.dtype.byteorder)
-        stored = StoredArray(label, (count,), codes, False, header.size, self.path, f"{name}.npy")
+        if length == 0:
+            return ""
+        codes = StoredArray(
+            label=label,
+            shape=(length,),
+            dtype=np.dtype(np.uint32).newbyteorder(header.dtype.byteorder),
+            is_fortran=False,
+            offset=header.size,
+            path=self.path,
+            member=f"{name}.npy",
+        )
         with refusing(f"{label}: damaged"):
-            return str(stored.read().view(header.dtype)[0]) if count else ""
+            return str(codes.read().view(header.dtype)[0])
 
     def _label(self, name: str) -> str:
+        """Return the name of the file and of one of its arrays, for error messages."""
         return f"{self.path}: array {name!r}"
 
     def _array(self, name: str) -> StoredArray:
-        header = self._headers[name]
-        return _stored(header, self._label(name), self._sizes[name], self.path, f"{name}.npy")
+        """Return one array, unread."""
+        return _checked_array(
+            header=self._headers[name],
+            label=self._label(name),
+            size=self._sizes[name],
+            path=self.path,
+            member=f"{name}.npy",
+        )
 
 
 def open_npy(path: Path) -> StoredArray:
@@ -306,19 +329,38 @@ def open_npy(path: Path) -> StoredArray:
     with refusing(f"{path}: not a sound .npy file"), open(path, "rb") as file:
         header = _read_header(file)
         size = file.seek(0, io.SEEK_END)
-    return _stored(header, str(path), size, path)
+    return _checked_array(header, label=str(path), size=size, path=path)
 
 
-def _stored(
+def _checked_array(
     header: _Header, label: str, size: int, path: Path, member: str | None = None
 ) -> StoredArray:
-    """Return the array of a file of ``size`` bytes, if its header fits."""
+    """Return an array, unread, after checking that its header allows that.
+
+    Args:
+        header: of the array.
+        label: name of the array for error messages.
+        size: of the header and the numbers together, in bytes.
+        path: the file.
+        member: name of the array in an archive, None in an .npy file.
+
+    Raises:
+        FormatError: it holds no numbers, or does not have the size that its header implies.
+    """
     dtype = header.dtype
     if dtype.hasobject:
         raise FormatError(f"{label}: holds pickled objects, expected numbers; they are not opened")
     if dtype.kind not in "biuf" or dtype.itemsize > 8:
         raise FormatError(f"{label}: holds {dtype}, expected numbers of at most 8 bytes")
-    array = StoredArray(label, header.shape, dtype, header.is_fortran, header.size, path, member)
+    array = StoredArray(
+        label=label,
+        shape=header.shape,
+        dtype=dtype,
+        is_fortran=header.is_fortran,
+        offset=header.size,
+        path=path,
+        member=member,
+    )
     if min(array.shape, default=0) < 0 or header.size + array.nbytes != size:
         raise FormatError(
             f"{label}: has {size} bytes, expected {header.size} for its header and those of "
@@ -328,13 +370,16 @@ def _stored(
 
 
 class _ShortReads(io.FileIO):
-    """A file that refuses long reads: zipfile reads the directory of an archive in one call."""
+    """A file that refuses long reads.
+
+    It limits the directory of an archive, which zipfile reads in one call however long it is.
+    """
 
     def read(self, size: int | None = -1) -> bytes:
-        """Read ``size`` bytes, or all that are left.
+        """Read ``size`` bytes, or up to the end of the file.
 
         Raises:
-            ValueError: that is more than ``_MAX_READ``.
+            ValueError: these are more than ``_MAX_READ`` bytes.
         """
         if size is None or size < 0:
             size = max(0, os.fstat(self.fileno()).st_size - self.tell())
@@ -345,5 +390,6 @@ class _ShortReads(io.FileIO):
 
 @contextmanager
 def _opened_archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Yield an opened zip archive whose directory has a limited size."""
     with _ShortReads(path) as file, zipfile.ZipFile(file) as archive:
         yield archive

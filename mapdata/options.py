@@ -1,6 +1,6 @@
-"""What the signature and the docstring of a function say of its parameters.
+"""The parameters of a function as options: type, default and help from signature and docstring.
 
-Flags of the command line and options of foreign formats are made of it.
+The command line makes its flags from them, and the foreign formats the options of their functions.
 """
 
 from __future__ import annotations
@@ -17,32 +17,40 @@ class Option(NamedTuple):
     """A parameter of a function.
 
     Attributes:
-        kind: its type; of a union, the first.
+        annotation: its type; without None where that is the alternative, as in ``int | None``.
         default: its default, ``Parameter.empty`` without one.
-        help: what the docstring says of it.
+        help: its description in the docstring, on one line.
     """
 
-    kind: Any
+    annotation: Any
     default: object
     help: str
 
 
 def options_of(
-    function: Callable[..., object], which: Any = Parameter.KEYWORD_ONLY
+    function: Callable[..., object], parameter_kind: Any = Parameter.KEYWORD_ONLY
 ) -> dict[str, Option]:
-    """Return the parameters of one kind by name, keyword-only ones by default.
+    """Return the parameters of a function by name, their help from its Google-style docstring.
 
-    Their help is what the ``Args`` of a Google-style docstring say.
+    Args:
+        function: any function with type hints.
+        parameter_kind: only parameters of this kind, as `inspect.Parameter.kind` has them.
     """
-    documented = (inspect.getdoc(function) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
-    texts = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", documented, re.MULTILINE))
+    docstring = inspect.getdoc(function) or ""
+    _, _, after_heading = docstring.partition("\nArgs:\n")
+    section, _, _ = after_heading.partition("\n\n")
+    # "    name: text", whose further lines are indented by eight spaces
+    descriptions = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE))
     hints = get_type_hints(function)
     options = {}
     for name, parameter in inspect.signature(function).parameters.items():
-        if parameter.kind is which:
-            hint = hints[name]
-            kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
-            options[name] = Option(kind, parameter.default, " ".join(texts.get(name, "").split()))
+        if parameter.kind is not parameter_kind:
+            continue
+        annotation = hints[name]
+        if NoneType in get_args(annotation):
+            annotation = get_args(annotation)[0]
+        words = descriptions.get(name, "").split()
+        options[name] = Option(annotation, parameter.default, " ".join(words))
     return options
 
 

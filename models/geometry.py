@@ -49,7 +49,8 @@ def heuristic(down: Tensor, right: Tensor, movement: Movement) -> Tensor:
 def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
     """Return which moves are legal from each cell, (B, moves, H, W) bool.
 
-    This is the rule of `mapdata.search.is_legal`, for all cells at once, on the device of the map.
+    This is the rule of `mapdata.search.lattice.is_legal`, for all cells at once, on the device of
+    the map.
 
     Args:
         occupied: (B, 1, H, W), 0 free and anything else occupied.

@@ -18,7 +18,8 @@ from typing import Literal
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
+from mapdata import PRESETS
+from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from mapdata.evaluation import classical, evaluate, to_text
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
@@ -61,10 +62,12 @@ def evaluate_command(
     Args:
         root: in place of --preset: datasets, of which the test split is taken; or a file, which is
             a MovingAI .scen, an .npz of planning-datasets, or one of --save
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77), or of planning-datasets' starts
-        maps: how many maps (default: 600; of a dataset, all), or at most how many problems of a
-            .scen, evenly spread over it (default: all)
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77, or the recipe's), or of the starts of
+            planning-datasets
+        maps: how many maps (default: 600, or the recipe's; of a dataset, all), or at most how many
+            problems of a .scen, evenly spread over it (default: all)
         until_hard: stop at the map with this many hard problems
         connectivity: moves
         corner_cutting: diagonal moves beside occupied cells too
@@ -78,9 +81,10 @@ def evaluate_command(
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
-    if not root and maps is None and until_hard is None:
+    is_preset = preset is None or preset in PRESETS
+    if not root and maps is None and until_hard is None and is_preset:
         maps = 600
-    problems = given_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
+    problems = load_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
     rows = classical(problems.movement)

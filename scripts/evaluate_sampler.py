@@ -16,7 +16,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapdata.cli import check_outputs, given_problems, run_parsed, write_table
+from mapdata import PRESETS, Movement
+from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from models.lego.comparison import SIZES, compare, contenders, plot_success, to_text
 from models.lego.cvae import CVAE
 from models.lego.sampler import Heatmap, Sampler
@@ -46,9 +47,10 @@ def evaluate_command(
 
     Args:
         root: datasets, in place of --preset and --seed
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77)
-        maps: how many maps (default: 1000; of a dataset, all)
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77, or the recipe's)
+        maps: how many maps (default: 1000, or the recipe's; of a dataset, all)
         sizes: numbers of vertices (default: 24 50 100)
         csv: write the table to a file
         json: write the table as a list of rows
@@ -59,9 +61,9 @@ def evaluate_command(
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
     rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
-    if not root and maps is None:
+    if not root and maps is None and (preset is None or preset in PRESETS):
         maps = 1000
-    problems = given_problems(root, preset, seed, maps)
+    problems = load_problems(root, preset, seed, maps, movement=Movement(8))
     table = compare(rows, problems, sorted(set(sizes or SIZES)))
     print(
         f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "

@@ -25,11 +25,12 @@ from mapdata import (
 from mapdata.describe import dataset_statistics
 from mapdata.evaluation import classical
 from mapdata.formats import Collection, ForeignMap
-from mapdata.shards import Recipe, Root, open_shard, read_manifest
+from mapdata.generators import Recipe
+from mapdata.shards import Root, open_shard, read_manifest
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What each of the public objects prints."""
     root = samples.build_small(tmp_path_factory.mktemp("reprs") / "maps")
     maps = generate(samples.SPEC, 5, range(40))
@@ -39,7 +40,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     module.setup("fit")
     ends = maps.seed_points[:, 0], maps.seed_points[:, 1]
     foreign = ForeignMap("eye", np.eye(20, dtype=np.uint8), seed_points=ends[0])
-    found = search_batch("astar", maps.occupancy, *ends)
+    paths = search_batch("astar", maps.occupancy, *ends)
     objects = {
         "maps": maps,
         "labels": labels,
@@ -55,22 +56,22 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "recipe": Recipe(samples.SPEC, 3),
         "shard": open_shard(sorted(Path(root).glob("*.h5"))[0]),
         "statistics": dataset_statistics(root, repeats=True),
-        "problems": ProblemSet.sample(MapSpec(), 77, maps=40),
-        "result": found,
+        "problems": ProblemSet.sample(MapSpec(), 77, maps=40, movement=Movement(8)),
+        "result": paths,
         "search result": astar(maps.occupancy[0], ends[0][0], ends[1][0]),
         "sampler": module.train_dataloader().sampler,
-        "plan": Plan(found.cells, 99),
+        "plan": Plan(paths.cells, 99),
         "foreign": foreign,
         "collection": Collection([foreign] * 1000),
         "planners": classical(),
         "maze": Maze(),
     }
-    return {name: repr(each) for name, each in objects.items()}
+    return {name: repr(instance) for name, instance in objects.items()}
 
 
-def test_no_array_and_no_address_is_printed(shown: dict[str, str]) -> None:
+def test_no_array_and_no_address_is_printed(printed: dict[str, str]) -> None:
     """One line each, short enough to read."""
-    for name, text in shown.items():
+    for name, text in printed.items():
         assert "array(" not in text, name
         assert "tensor(" not in text, name
         assert " object at 0x" not in text, name
@@ -78,12 +79,12 @@ def test_no_array_and_no_address_is_printed(shown: dict[str, str]) -> None:
         assert len(text) < 1500, name
 
 
-def test_sizes_seed_and_identity_are_printed(shown: dict[str, str]) -> None:
+def test_sizes_seed_and_identity_are_printed(printed: dict[str, str]) -> None:
     """What one looks for first."""
     manifest = "Manifest(60 maps, map_size=(20, 20), seed=5, identity="
     for name, parts in {
         "maps": ["Maps(movement=", "packed=uint64 (40, 20, 1), rooms=int64 (40,)"],
-        "labels": ["Labels(maps=Maps(", "astar=SearchLabels(moves=uint8 ("],
+        "labels": ["Labels(maps=Maps(", "astar=RouteLabels(moves=uint8 ("],
         "sample": ["Sample(map=uint8 (1, 20, 20), ", "problem=0"],
         "batch": ["Sample(map=uint8 (40, 1, 20, 20), ", "start=int64 (40, 2), goal="],
         "dataset": ["map_size=(20, 20)", "content_hash=["],
@@ -100,7 +101,7 @@ def test_sizes_seed_and_identity_are_printed(shown: dict[str, str]) -> None:
         "collection": ["Collection(1000 maps, None, 0 left out, 0 notes)"],
     }.items():
         for part in parts:
-            assert part in shown[name], name
+            assert part in printed[name], name
 
 
 def test_printing_a_data_module_builds_nothing(tmp_path: Path) -> None:

@@ -121,9 +121,9 @@ print(bounded(word, 0, 9))
     drawn = copy.run(program).stdout
     files = copy.cached()
     assert all(any(name in file for file in files) for name in (".block-", ".bounded-"))
-    again = copy.run(program)
-    assert again.stdout == drawn
-    assert again.stderr == ""
+    second_run = copy.run(program)
+    assert second_run.stdout == drawn
+    assert second_run.stderr == ""
     assert copy.cached() == files
 
 

@@ -66,12 +66,12 @@ def test_a_text_is_read(tmp_path: Path) -> None:
     archive = Npz(tmp_path / "a.npz")
     assert archive.text("about") == "{'höhe': 5}"
     assert archive.text("none") == ""
-    for name, says in (
+    for name, message in (
         ("about", "expected a text of at most 4 letters"),
         ("numbers", "holds int64 of shape"),
         ("title", "holds no array 'title', but about, none, numbers"),
     ):
-        with pytest.raises(FormatError, match=says):
+        with pytest.raises(FormatError, match=message):
             archive.text(name, max_length=4)
 
 
@@ -97,7 +97,7 @@ def long_header(size: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("write", "says"),
+    ("write", "message"),
     [
         (lambda path: npz(path, a=npy((4,), bytes(3))), "has 131 bytes, expected 128 for its"),
         (lambda path: npz(path, a=npy((4,), bytes(5))), "has 133 bytes, expected 128 for its"),
@@ -115,11 +115,11 @@ def long_header(size: int) -> bytes:
     ],
 )
 def test_archives_are_refused_before_they_are_unpacked(
-    write: Callable[[Path], Path], says: str, tmp_path: Path
+    write: Callable[[Path], Path], message: str, tmp_path: Path
 ) -> None:
     """By name, and within two megabytes."""
     path = write(tmp_path / "a.npz")
-    with within(2e6), pytest.raises(FormatError, match=says) as caught:
+    with within(2e6), pytest.raises(FormatError, match=message) as caught:
         Npz(path, 2**23).arrays("a")
     assert str(path) in str(caught.value)
 

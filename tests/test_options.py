@@ -31,7 +31,7 @@ def example(  # noqa: D417  (one is undocumented)
 
 
 def test_keyword_only_parameters_are_options() -> None:
-    """Of an optional type the other one, and help without line breaks."""
+    """The type of an optional parameter is that without None, and the help is on one line."""
     assert options_of(example) == {
         "size": Option(tuple[int, int], None, "(rows, columns) of what is shown."),
         "kind": Option(Literal["a", "b"], "a", "of letter: a or b"),
@@ -39,8 +39,8 @@ def test_keyword_only_parameters_are_options() -> None:
     }
 
 
-def test_the_others_are_asked_for() -> None:
-    """Positional parameters, without a default and with one."""
+def test_positional_parameters_are_options_on_request() -> None:
+    """Positional parameters with and without a default are returned if their kind is named."""
     assert options_of(example, Parameter.POSITIONAL_OR_KEYWORD) == {
         "first": Option(list[str], Parameter.empty, "names"),
         "second": Option(str, "two", "another"),

@@ -114,10 +114,13 @@ def test_every_coordinate_gives_other_words() -> None:
     """
     halves = [0, 1, 2**31, 2**32 - 1, 2**32, 2**63 - 1]
     small = [0, 1, 255]
-    places = list(itertools.product([*halves, 2**64 - 1], halves, [0, 1, WORD], range(5), small))
-    drawn = {block(*place) for place in places}
-    assert len(drawn) == len(places)
-    assert all(len({words[column] for words in drawn}) > 0.999 * len(places) for column in range(4))
+    seeds = [*halves, 2**64 - 1]
+    coordinates = list(itertools.product(seeds, halves, [0, 1, WORD], range(5), small))
+    blocks = {block(*coordinate) for coordinate in coordinates}
+    assert len(blocks) == len(coordinates)
+    for column in range(4):
+        distinct_words = {words[column] for words in blocks}
+        assert len(distinct_words) > 0.999 * len(coordinates)
 
 
 @pytest.mark.parametrize(
@@ -148,12 +151,12 @@ def test_bounded_draws_are_uniform() -> None:
         assert stats.chisquare(counts).pvalue > 1e-4
 
 
-@pytest.mark.parametrize("place", range(5), ids=["seed", "index", "epoch", "stream", "number"])
-def test_bytes_are_uniform_along_every_coordinate(place: int) -> None:
+@pytest.mark.parametrize("axis", range(5), ids=["seed", "index", "epoch", "stream", "number"])
+def test_bytes_are_uniform_along_every_coordinate(axis: int) -> None:
     """Counting one coordinate up gives uniform bytes, so that neighbouring maps, rooms and epochs
     look unrelated.
     """
-    coordinates = np.zeros((4096 if place != 3 else 256, 5), dtype=np.int64)
-    coordinates[:, place] = np.arange(len(coordinates))
+    coordinates = np.zeros((4096 if axis != 3 else 256, 5), dtype=np.int64)
+    coordinates[:, axis] = np.arange(len(coordinates))
     drawn = np.array([block(*map(int, row)) for row in coordinates], dtype="<u4")
     assert stats.chisquare(np.bincount(drawn.view(np.uint8).ravel(), minlength=256)).pvalue > 1e-4

@@ -1,13 +1,13 @@
-"""The command ``mapdata``, and what the scripts take over from it."""
+"""The command ``mapdata``, and the functions that the scripts share with it."""
 
 from mapdata.cli.app import build_main, main
 from mapdata.cli.common import run_parsed
-from mapdata.cli.problems import check_outputs, given_problems, write_table
+from mapdata.cli.problems import check_outputs, load_problems, write_table
 
 __all__ = [
     "build_main",
     "check_outputs",
-    "given_problems",
+    "load_problems",
     "main",
     "run_parsed",
     "write_table",

@@ -1,8 +1,8 @@
-"""The command ``mapdata``.
+"""The command ``mapdata`` and its verbs.
 
-Exit codes: 0 good, 1 the data are damaged or disagree, 2 usage or environment.
+Exit codes: 0 success, 1 damaged or disagreeing data, 2 wrong usage or a failing environment.
 
-What a verb needs is imported when it runs, so that ``mapdata --help`` answers at once.
+Modules that a verb needs are imported when it runs, so that ``mapdata --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -59,38 +59,35 @@ def build_command(
         preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default:
             paper); 'mapdata list' describes them
         map_size: rows and columns of a map, in place of the preset's
-        recipe: what 'mapdata info ROOT --recipe' prints, or a spec of your own: a file or JSON text
+        recipe: which maps: a preset's name, a file that holds what 'mapdata info ROOT --recipe'
+            prints, or such JSON text
         shard_size: maps a shard
         workers: threads (default: all cores)
         scheduler: build with Dask: tcp://HOST:PORT of a scheduler
         part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
     """
-    from mapdata.generators import MapGenerator
-    from mapdata.shards import Recipe, build
-    from mapdata.shards.cluster import executor_of
+    from mapdata.generators import MapGenerator, as_recipe
+    from mapdata.shards import build
+    from mapdata.shards.cluster import dask_executor
 
     for flag, value in (("--preset", preset), ("--map-size", map_size)):
         if value is not None and recipe is not None:
-            raise ValueError(f"{flag}: not allowed with --recipe, which says the spec")
+            raise ValueError(f"{flag}: not allowed with --recipe, which states the generator")
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if match is None or int(match[1]) >= int(match[2]):
         raise ValueError(f"--part: got {part!r}, expected K/N with K from 0 to N - 1, as in 0/4")
-    if recipe is None:
-        spec = MapGenerator.preset(preset or "paper")
-        wanted = Recipe(spec if map_size is None else replace(spec, map_size=map_size))
+    if recipe is not None:
+        to_build = as_recipe(recipe, maps=maps, seed=seed)
     else:
-        wanted = Recipe.load(recipe)
-    if maps is None:
-        maps = wanted.maps
-    if seed is None:
-        seed = wanted.seed
+        spec = MapGenerator.preset(preset or "paper")
+        if map_size is not None:
+            spec = replace(spec, map_size=map_size)
+        to_build = as_recipe(spec, maps=maps, seed=seed)
     began = time.perf_counter()
-    with nullcontext() if scheduler is None else executor_of(scheduler) as executor:
+    with nullcontext() if scheduler is None else dask_executor(scheduler) as executor:
         manifest = build(
             root,
-            wanted.spec,
-            maps=maps,
-            seed=seed,
+            to_build,
             shard_size=shard_size,
             workers=workers,
             executor=executor,
@@ -98,15 +95,7 @@ def build_command(
             progress=True,
         )
     print(summary(root, manifest, time.perf_counter() - began))
-    if (
-        wanted.content_hash is not None
-        and (maps, seed) == (wanted.maps, wanted.seed)
-        and manifest.complete
-    ):
-        if manifest.content_hash != wanted.content_hash:
-            raise DisagreeError(
-                f"content hash {manifest.content_hash}, the recipe says {wanted.content_hash}"
-            )
+    if to_build.content_hash is not None and manifest.complete:
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
 
@@ -127,19 +116,20 @@ def info_command(
     """
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
-    from mapdata.shards.root import folder_of, local_path
+    from mapdata.shards.locations import local_path, target_folder
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
-    found = Root.open(root)
+    dataset = Root.open(root)
     if card is None:
-        for place, manifest in zip(found.places, found.manifests, strict=True):
-            print(manifest.recipe() if recipe else summary(place, manifest))
+        for folder, manifest in zip(dataset.locations, dataset.manifests, strict=True):
+            print(manifest.recipe() if recipe else summary(folder, manifest))
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    path = folder_of(root[0]) / "README.md" if card is True else local_path(card)
-    # a README.md of others may be a link to anything
+    path = target_folder(root[0]) / "README.md" if card is True else local_path(card)
+    # A README.md in the dataset is replaced even if it is a link, which a stranger may have placed
+    # there. A file that the user names is written through links and pipes.
     write = write_file if card is True else write_output
     write(path, card_of(root, progress=True).encode())
     print(f"wrote {path}")
@@ -156,37 +146,41 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         root: folder or URL of the dataset; several are one after another
         repair: make damaged and missing shards again from the recipe
     """
-    from mapdata.shards.corruption import inspect, repair_found
-    from mapdata.shards.root import folder_of, places
+    from mapdata.shards.corruption import inspect, repair_faults
+    from mapdata.shards.locations import locations, target_folder
 
-    where = places(root)
+    datasets = locations(root)
     if repair:
-        for place in where:
-            folder_of(place)  # what can only be read is refused before any repair
-    total = unsound = 0
-    needs = ""
-    for place in where:
-        findings = inspect(place, progress=True)
-        for fault in findings.faults:
+        for dataset in datasets:
+            target_folder(dataset)  # refuses a URL before any dataset is repaired
+    fault_count = 0
+    unrepaired_count = 0
+    requirement = ""
+    for dataset in datasets:
+        findings = inspect(dataset, progress=True)
+        faults = findings.faults
+        for fault in faults:
             print(fault)
-        found = len(findings.faults)
-        left = repair_found(findings, progress=True) if repair and found else []
-        for fault in left:
-            print(f"not repaired: {fault}")
-        total += found
-        unsound += len(left) if repair else found
-        if not found:
-            print(f"{place}: all is well")
-        elif repair and not left:
-            print(f"{place}: {found} repaired")
+        unrepaired = list(faults)
+        if repair and faults:
+            unrepaired = repair_faults(findings, progress=True)
+            for fault in unrepaired:
+                print(f"not repaired: {fault}")
+        fault_count += len(faults)
+        unrepaired_count += len(unrepaired)
+        if not faults:
+            print(f"{dataset}: all is well")
+        elif not unrepaired:
+            print(f"{dataset}: {len(faults)} repaired")
         if findings.unchecked:
             print(f"note: {findings.unchecked}")
-            needs = " and its family is known (--import MODULE)"
-    if unsound and repair:
-        raise DisagreeError(f"{unsound} of {total} not repaired")
-    if unsound:
+            requirement = " and its family is known (--import MODULE)"
+    if unrepaired_count and repair:
+        raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
+    if unrepaired_count:
         raise DisagreeError(
-            f"{unsound} faults found; --repair makes shards again where there is a recipe{needs}"
+            f"{fault_count} faults found; --repair makes shards again where there is a recipe"
+            f"{requirement}"
         )
 
 
@@ -212,13 +206,13 @@ def show_command(
         paper_colours: free black and occupied white
         figure: what to draw
     """
-    from mapdata.plotting.figures import OF_ONE_MAP, WITH_GRID, plot_figure
-    from mapdata.shards.root import local_path
+    from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
+    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("map.png")
-    path = local_path(output)  # refused before the work
-    if index is not None and figure not in OF_ONE_MAP:
+    path = local_path(output)  # refuses a URL before the figure is drawn
+    if index is not None and figure not in SINGLE_MAP_FIGURES:
         raise ValueError(
             f"--index: does nothing with --figure {figure}, which shows the whole dataset"
         )
@@ -226,9 +220,12 @@ def show_command(
         raise ValueError(
             f"--paper-colours: does nothing with --figure {figure}, which shows no map"
         )
-    drawn = plot_figure(root, figure, index=index or 0, paper_colours=paper_colours, progress=True)
-    kind = path.suffix[1:] or "png"  # else matplotlib adds an ending to the name
-    drawn.savefig(path, format=kind, dpi=150, bbox_inches="tight")
+    picture = plot_figure(
+        root, figure, index=index or 0, paper_colours=paper_colours, progress=True
+    )
+    # Without a format, matplotlib would add an ending to a name that has none.
+    picture_format = path.suffix[1:] or "png"
+    picture.savefig(path, format=picture_format, dpi=150, bbox_inches="tight")
     print(f"wrote {output}")
 
 
@@ -246,11 +243,11 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
-    from mapdata.shards.root import local_path
+    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("report.html")
-    path = local_path(output)
+    path = local_path(output)  # refuses a URL before the report is made
     text = report(root, maps, progress=True).encode()
     write_output(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
@@ -268,14 +265,14 @@ def list_command() -> None:
 
     from mapdata.generators import PRESETS, MapGenerator
 
-    shared = {parameter.name for parameter in fields(MapGenerator)}
+    common_names = {parameter.name for parameter in fields(MapGenerator)}
     for name, spec in PRESETS.items():
         rows, columns = spec.map_size
-        changes = [
-            f"{parameter.name} {json.dumps(getattr(spec, parameter.name))}"
-            for parameter in fields(spec)
-            if parameter.name not in shared and getattr(spec, parameter.name) != parameter.default
-        ]
+        changes = []
+        for parameter in fields(spec):
+            setting = getattr(spec, parameter.name)
+            if parameter.name not in common_names and setting != parameter.default:
+                changes.append(f"{parameter.name} {json.dumps(setting)}")
         description = ", ".join([spec.description, *changes])
         print(f"{name:12}{f'{rows} x {columns}':12}{description}")
 
@@ -292,45 +289,51 @@ VERBS: dict[str, Command] = {
     "check-scen": convert.check_scen_command,
 }
 
-MORE_FLAGS = {"import": convert.add_import_flags, "export": convert.add_export_flags}
-"""What adds those that the formats bring."""
+FORMAT_FLAGS = {"import": convert.add_import_flags, "export": convert.add_export_flags}
+"""Functions that add the flags of foreign formats to a verb's parser."""
 
 WITHOUT_FAMILIES = ("import", "check-scen")
-"""Verbs that never meet a family of maps, and so have no flag ``--import``."""
+"""Verbs that use no family of maps, and so have no flag ``--import``."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its code."""
-    verb, *given = (sys.argv[1:] if arguments is None else arguments) or [""]
+    """Run the command line and exit with its code.
+
+    Args:
+        arguments: the verb and its arguments; by default those of the process.
+    """
+    if arguments is None:
+        arguments = sys.argv[1:]
+    verb, *verb_arguments = arguments or [""]
     if verb == "--version":
         print(f"mapdata {__version__}")
         return
     if verb in ("", "-h", "--help"):
-        run(show_verbs)
+        run(print_verbs)
         sys.exit(0 if verb else 2)
     if verb.startswith("-"):
-        how = "the verb comes first, as in mapdata verify data/maps"
-        sys.exit(complain(f"{verb}: {how} (mapdata --help says more)", 2))
+        advice = "the verb comes first, as in mapdata verify data/maps"
+        sys.exit(complain(f"{verb}: {advice} (mapdata --help says more)", 2))
     if verb not in VERBS:
         from mapdata.checks import did_you_mean
 
         hint = did_you_mean(verb, VERBS) or f"; known are {', '.join(VERBS)}"
         sys.exit(complain(f"unknown verb {verb!r}{hint} (mapdata --help says more)", 2))
-    run(VERBS[verb], **vars(verb_parser(verb).parse_args(given)))
+    run(VERBS[verb], **vars(verb_parser(verb).parse_args(verb_arguments)))
 
 
 def verb_parser(verb: str) -> Parser:
     """Return the parser of a verb's arguments."""
     parser = parser_of(VERBS[verb], f"mapdata {verb}")
-    if verb in MORE_FLAGS:
-        MORE_FLAGS[verb](parser)
+    if verb in FORMAT_FLAGS:
+        FORMAT_FLAGS[verb](parser)
     if verb not in WITHOUT_FAMILIES:
         add_import_flag(parser)
     return parser
 
 
-def show_verbs() -> None:
-    """Print what ``mapdata`` and ``mapdata --help`` show: the verbs, a line each."""
+def print_verbs() -> None:
+    """Print the help of ``mapdata`` itself: the verbs, a line each."""
     verbs = "\n".join(
         f"  {name:12}{(verb.__doc__ or '').splitlines()[0]}" for name, verb in VERBS.items()
     )
@@ -343,5 +346,5 @@ def show_verbs() -> None:
 
 
 def build_main(arguments: list[str] | None = None) -> None:
-    """Run ``mapdata build`` with a default root: what ``scripts/build_shards.py`` is."""
+    """Run ``mapdata build`` with a default root, as ``scripts/build_shards.py`` does."""
     run_parsed(build_command, arguments, root="data/maps")

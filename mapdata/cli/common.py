@@ -1,4 +1,4 @@
-"""What all command lines share: the parser, exit codes, and the summary of a dataset."""
+"""Functions for all command lines: the parser, exit codes, and the summary of a dataset."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mapdata.shards import Manifest
 
 Command = Callable[..., None]
-"""What a command line calls: its signature and docstring are the flags and the help."""
+"""A function that a command line calls: flags and help come from its signature and docstring."""
 
 
 class DisagreeError(Exception):
@@ -37,28 +37,29 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     rows, columns = manifest.map_size
     shards = counted(len(manifest.shards), "shard")
     unfinished = "" if manifest.complete else f" (of {manifest.maps:,}: not finished)"
-    drawn = manifest.total("drawn")  # none where maps have no rooms: mazes, imports
-    shown = min(7, max(done - 1, 0))
-    lines = {
-        "maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}",
-        **({} if manifest.spec is not None else _of_import(root, manifest)),
-        "rate": "" if seconds is None else f"{seconds:.1f} s, {done / seconds:,.0f} maps/s",
-        "size": f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map",
-        "drawn passages": f"{drawn / segments:.1%}" if drawn else "",
-        "reachable segments": f"{manifest.total('reachable') / segments:.1%}",
-        "fully connected maps": f"{manifest.total('all_connected') / max(done, 1):.1%}",
-        "identity": manifest.identity or "none (imported)",
-        "content hash": manifest.content_hash,
-        "look": f"mapdata show {shlex.quote(root)} --index {shown} -o map.png",
-    }
+    lines = {"maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}"}
+    if manifest.spec is None:
+        lines |= _import_summary(root, manifest)
+    if seconds is not None:
+        lines["rate"] = f"{seconds:.1f} s, {done / seconds:,.0f} maps/s"
+    lines["size"] = f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map"
+    drawn = manifest.total("drawn")
+    if drawn:  # mazes and imported maps have no passages
+        lines["drawn passages"] = f"{drawn / segments:.1%}"
+    lines["reachable segments"] = f"{manifest.total('reachable') / segments:.1%}"
+    lines["fully connected maps"] = f"{manifest.total('all_connected') / max(done, 1):.1%}"
+    lines["identity"] = manifest.identity or "none (imported)"
+    lines["content hash"] = manifest.content_hash
+    example = min(7, max(done - 1, 0))
+    lines["look"] = f"mapdata show {shlex.quote(root)} --index {example} -o map.png"
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
-def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
-    """Return the lines of `summary` that say what no recipe of imported maps says."""
+def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
+    """Return the lines of `summary` that only imported maps need, since they have no recipe."""
     from mapdata.describe.dataset_card import movement_text
     from mapdata.limits import SPLITS
-    from mapdata.shards.root import read_provenance
+    from mapdata.shards.dataset_files import read_provenance
 
     counts = {
         split: sum(entry.counts[split]["maps"] for entry in manifest.shards) for split in SPLITS
@@ -67,45 +68,48 @@ def _of_import(root: str, manifest: Manifest) -> dict[str, str]:
         "splits": ", ".join(f"{split} {count:,}" for split, count in counts.items()),
         "movement": movement_text(manifest.movement),
     }
-    with suppress(OSError, ValueError, TypeError, KeyError):  # older, missing or damaged
-        values = read_provenance(root)
-        lines["free cells"] = f"{values['free']:.1%}"
-        distinct = values["distinct"]
+    # The file of provenance may be missing, damaged or of an older version, without some entries.
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        provenance = read_provenance(root)
+        lines["free cells"] = f"{provenance['free']:.1%}"
+        distinct = provenance["distinct"]
         if manifest.done > 1:
             by_split = ", ".join(f"{split} {distinct[split]:,}" for split in SPLITS)
-            symmetric = values["distinct_up_to_symmetry"]["all"]
+            symmetric = provenance["distinct_up_to_symmetry"]["all"]
             lines["distinct maps"] = (
                 f"{distinct['all']:,} of {manifest.done:,} ({symmetric:,} up to symmetry): "
                 f"{by_split}"
             )
-        source = f"{values['source']}, format {values['format']}"
+        source = f"{provenance['source']}, format {provenance['format']}"
         lines["source"] = "".join(letter if letter.isprintable() else "?" for letter in source)
     return lines
 
 
-def run(command: Command, *, modules: Sequence[str] = (), **values: object) -> None:
+def run(command: Command, *, modules: Sequence[str] = (), **arguments: object) -> None:
     """Import ``modules``, call ``command`` and exit with 0, 1, 2 or, after Ctrl-C, 130.
 
-    What a user can put right is one clear line instead of a traceback.
+    An error that a user can correct is printed as one line instead of a traceback.
     """
     try:
         with stoppable(), warnings.catch_warnings():
             warnings.showwarning = _print_warning
-            # When all tries have failed, the error says how many there were.
+            # No warning for each failed attempt: the final error says how many there were.
             warnings.filterwarnings("ignore", r".*\. Trying again in ")
             for module in modules:
                 import_named(module)
-            command(**values)
-            print(end="", flush=True)  # so that a reader that is gone is noticed here, not at exit
+            command(**arguments)
+            # The output is flushed here, so that a closed pipe is noticed now and not at exit.
+            print(end="", flush=True)
     except BrokenPipeError:  # as in: mapdata info ROOT | head -1
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to print
-        sys.exit(141)  # as a shell says it
+        # Python prints the remaining output at exit; it must go nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)  # 128 + SIGPIPE, the code that a shell reports
     except KeyboardInterrupt:  # in a process without `exit_on_interrupt`
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
             leave()
         sys.exit(complain(STOPPED, EXIT_CODE))
     except (DisagreeError, ValueError, OSError) as error:
-        from mapdata.shards import ShardError  # late: the list of verbs needs nothing of it
+        from mapdata.shards import ShardError  # slow to import, and only needed here
 
         sys.exit(complain(error, 1 if isinstance(error, (DisagreeError, ShardError)) else 2))
 
@@ -114,21 +118,21 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuse an unknown flag by naming the nearest, before anything else is missed."""
+        """Parse the arguments; an unknown flag is refused first, with a similar flag as a hint."""
         from mapdata.checks import did_you_mean
 
-        given = sys.argv[1:] if args is None else args
-        for text in given:
-            flag = text.partition("=")[0]
-            if flag == "--":  # what follows are names, whatever they begin with
+        arguments = sys.argv[1:] if args is None else args
+        for argument in arguments:
+            flag = argument.partition("=")[0]
+            if flag == "--":  # all arguments after it are names, even with dashes
                 break
             if flag.startswith("--") and flag not in self._option_string_actions:
                 hint = did_you_mean(flag, self._option_string_actions)
                 self.error(f"unknown flag {flag}{hint}")
-        return super().parse_known_args(given, namespace)
+        return super().parse_known_args(arguments, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse what is not one of the choices by naming the nearest, too."""
+        """Check that a value is one of the choices; the error names a similar choice as a hint."""
         from mapdata.checks import did_you_mean
 
         try:
@@ -138,15 +142,19 @@ class Parser(argparse.ArgumentParser):
             raise
 
     def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
+        """Print an error as one line and exit with code 2."""
         sys.exit(complain(f"{message} ({self.prog} --help says more)", 2))
 
 
 def parser_of(command: Command, prog: str | None = None, **defaults: object) -> Parser:
-    """Return the parser of a function, made of its signature and its docstring.
+    """Return a parser for the arguments of a function, from its signature and docstring.
 
-    Parameters without a default are positional, keyword-only ones are flags. ``defaults`` are those
-    of positional ones that may be left out.
+    Positional parameters become positional arguments, and keyword-only parameters become flags.
+
+    Args:
+        command: the function.
+        prog: name of the program in help and errors; by default that of the process.
+        **defaults: default values, by name, of positional parameters; the user may omit these.
     """
     import inspect
 
@@ -162,7 +170,7 @@ def parser_of(command: Command, prog: str | None = None, **defaults: object) -> 
         allow_abbrev=False,
     )
     for name, option in options_of(command, inspect.Parameter.POSITIONAL_OR_KEYWORD).items():
-        nargs = "+" if get_origin(option.kind) is list else None
+        nargs = "+" if get_origin(option.annotation) is list else None
         if name in defaults:
             nargs = "*" if nargs else "?"
         parser.add_argument(
@@ -181,32 +189,46 @@ def parser_of(command: Command, prog: str | None = None, **defaults: object) -> 
 def add_flag(
     parser: argparse._ActionsContainer, name: str, option: Option, default: object
 ) -> None:
-    """Add the flag of a keyword-only parameter."""
-    short = ["-o"] if name == "output" else []
-    flag = f"--{name.replace('_', '-')}"
-    kind = option.kind
-    origin = get_origin(kind)
-    metavar = {int: "N", float: "X"}.get(kind, name.rpartition(".")[2].upper())
-    how: dict[str, Any] = {"type": whole_number if kind is int else kind, "metavar": metavar}
-    if kind is bool:
-        how = {"action": "store_true"}
-    elif kind == Literal[True]:  # or a text: its value may be left out
-        how = {"nargs": "?", "const": True, "metavar": metavar}
+    """Add the flag of a keyword-only parameter.
+
+    Args:
+        parser: of the command, or a group of its flags.
+        name: of the parameter.
+        option: its type, default and help.
+        default: what the parser returns without the flag.
+    """
+    flags = [f"--{name.replace('_', '-')}"]
+    if name == "output":
+        flags.insert(0, "-o")
+    annotation = option.annotation
+    origin = get_origin(annotation)
+    upper_name = name.rpartition(".")[2].upper()
+    settings: dict[str, Any]
+    if annotation is bool:
+        settings = {"action": "store_true"}
+    elif annotation is int:
+        settings = {"type": whole_number, "metavar": "N"}
+    elif annotation is float:
+        settings = {"type": float, "metavar": "X"}
+    elif annotation == Literal[True]:  # of Literal[True] | str: the text may be omitted
+        settings = {"nargs": "?", "const": True, "metavar": upper_name}
     elif origin is list:
-        how = {"nargs": "+", "type": whole_number, "metavar": "N"}
+        settings = {"nargs": "+", "type": whole_number, "metavar": "N"}
     elif origin is Literal:
-        choices = get_args(kind)
-        how = {"type": type(choices[0]), "choices": choices}
+        choices = get_args(annotation)
+        settings = {"type": type(choices[0]), "choices": choices}
     elif origin is tuple:
-        how = {"type": _size, "metavar": "HxW"}
+        settings = {"type": _map_size, "metavar": "HxW"}
+    else:
+        settings = {"type": annotation, "metavar": upper_name}
     text = option.help.removesuffix(".").replace("%", "%%")
     if option.default is not None and option.default is not False:
         text += f" (default: {option.default})"
-    parser.add_argument(*short, flag, dest=name, default=default, help=text, **how)
+    parser.add_argument(*flags, dest=name, default=default, help=text, **settings)
 
 
 def add_import_flag(parser: argparse.ArgumentParser) -> None:
-    """Add ``--import MODULE``, which may be given several times; `run` takes it as ``modules``."""
+    """Add the flag ``--import MODULE``, which may be repeated and becomes ``modules`` of `run`."""
     parser.add_argument(
         "--import",
         dest="modules",
@@ -222,7 +244,7 @@ def import_named(name: str) -> None:
     """Import a module, which may lie in the working folder.
 
     Raises:
-        ValueError: there is none of this name, or running it failed; on one line.
+        ValueError: there is no module of this name, or it raised an error.
     """
     import importlib
 
@@ -237,18 +259,20 @@ def import_named(name: str) -> None:
     try:
         importlib.import_module(name)
     except ModuleNotFoundError as error:
-        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+        # The missing module may also be another one, which the module imports.
+        is_named_module = error.name is not None and f"{name}.".startswith(f"{error.name}.")
+        if not is_named_module:
             raise ValueError(f"--import: {name}: {type(error).__name__}: {error}") from error
         raise ValueError(
             f"--import: there is no module {name!r}, neither in the working folder {folder} nor "
             "among the installed packages"
         ) from error
-    except (Exception, SystemExit) as error:  # whatever the code of others raises
+    except (Exception, SystemExit) as error:  # the code of a user may raise anything
         raise ValueError(f"--import: {name}: {type(error).__name__}: {error}") from error
 
 
 def path_name(text: str) -> str:
-    """Return the name of a file or folder; an empty one, the working folder, is refused."""
+    """Return the name of a file or folder; an empty name, the working folder, is refused."""
     if not text:
         raise argparse.ArgumentTypeError("got an empty name")
     return text
@@ -262,14 +286,17 @@ def whole_number(text: str) -> int:
         pass
     match = re.fullmatch(r"(\d{1,19})(?:\.(\d{1,19}))?[eE]\+?(\d{1,2})", text)
     if match is not None:
-        whole, fraction, exponent = match[1], (match[2] or "").rstrip("0"), int(match[3])
-        if len(fraction) <= exponent:
-            return int(whole + fraction.ljust(exponent, "0"))
+        # Digits are shifted as text, since a float holds large numbers only approximately.
+        digits = match[1]
+        decimals = (match[2] or "").rstrip("0")
+        exponent = int(match[3])
+        if len(decimals) <= exponent:
+            return int(digits + decimals.ljust(exponent, "0"))
     raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number such as 10000 or 1e4")
 
 
 def unused_name(name: str) -> str:
-    """Return a name of a file that does not exist: ``map.png``, else ``map-2.png`` and so on."""
+    """Return ``map.png``, or ``map-2.png`` if that exists, and so on: the name of no file."""
     stem, ending = os.path.splitext(name)
     number = 2
     while os.path.lexists(name):
@@ -278,7 +305,8 @@ def unused_name(name: str) -> str:
     return name
 
 
-def _size(text: str) -> tuple[int, int]:
+def _map_size(text: str) -> tuple[int, int]:
+    """Return the rows and columns of a text such as 64x64."""
     match = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected ROWSxCOLUMNS as in 64x64")
@@ -286,7 +314,13 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def run_parsed(command: Command, arguments: list[str] | None = None, **defaults: object) -> None:
-    """Be the command line of a script: `run` a function with the arguments that it was given."""
+    """Run a function as the command line of a script.
+
+    Args:
+        command: the function.
+        arguments: of the command line; by default those of the process.
+        **defaults: default values of positional parameters, as in `parser_of`.
+    """
     parser = parser_of(command, None, **defaults)
     add_import_flag(parser)
     run(command, **vars(parser.parse_args(arguments)))
@@ -300,7 +334,7 @@ def _print_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning as one line, without the line of Python that it comes from."""
+    """Print a warning as one line, without the source line that issued it."""
     complain(f"warning: {message}", 0)
 
 

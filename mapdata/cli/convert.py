@@ -16,8 +16,8 @@ from mapdata.cli.common import DisagreeError, add_flag, summary
 if TYPE_CHECKING:
     from mapdata.movement import Movement
 
-_OF_IMPORTS = ("seed_points", "seed", "tile", "resolution", "shard_size", "drop_leaks")
-"""Parameters of `import_maps` that are flags, whatever the format."""
+_IMPORT_OPTIONS = ("seed_points", "seed", "tile", "resolution", "shard_size", "drop_leaks")
+"""The options of `import_maps` that are flags of all formats."""
 
 
 def import_command(
@@ -48,50 +48,59 @@ def import_command(
     """
     from mapdata.checks import check_count
     from mapdata.formats import Limits, import_maps, read_any, recognise
-    from mapdata.formats.registry import functions
+    from mapdata.formats.registry import functions_by_format
     from mapdata.options import options_of
 
     movement = _movement(connectivity, corner_cutting, diagonal_cost)
     check_count("--max-pixels", max_pixels)
-    name = options.pop("format") or recognise(src)
-    of_import = {key: options.pop(key) for key in _OF_IMPORTS}
-    of_format = _own_options(name, options)
-    for key in options_of(functions("read")[name]).keys() & of_import:
-        of_format[key] = of_import[key]
-    found = read_any(src, name, Limits(pixels=max_pixels, progress=True), **of_format)
-    made = []
+    format_name = options.pop("format") or recognise(src)
+    import_options = {name: options.pop(name) for name in _IMPORT_OPTIONS}
+    format_options = _unprefixed_options(format_name, options)
+    # Options such as --resolution and --seed-points also go to a format that knows them.
+    for name in options_of(functions_by_format("read")[format_name]):
+        if name in import_options:
+            format_options[name] = import_options[name]
+    limits = Limits(pixels=max_pixels, progress=True)
+    collection = read_any(src, format_name, limits, **format_options)
+    datasets = []
     try:
-        made = import_maps(root, found, movement=movement, progress=True, **of_import)
+        datasets = import_maps(root, collection, movement=movement, progress=True, **import_options)
     finally:
-        if made or len(found.left_out) > 1:  # the error tells of a single one
-            for what, why in found.left_out:
-                print(f"left out: {what}: {' '.join(why.split())}", file=sys.stderr)
-    for note in dict.fromkeys(found.notes):
+        # If the only map was left out, the error itself says why.
+        if datasets or len(collection.left_out) > 1:
+            for name, reason in collection.left_out:
+                print(f"left out: {name}: {' '.join(reason.split())}", file=sys.stderr)
+    for note in dict.fromkeys(collection.notes):
         print(f"note: {note}")
-    for one in made:
-        print(summary(str(one.root), one.manifest))
-        if one.checked:
-            print(f"labels compared with the source: {one.checked:,} maps")
-        for column, count in sorted(one.disagreements.items()):
+    for dataset in datasets:
+        print(summary(str(dataset.root), dataset.manifest))
+        if dataset.checked:
+            print(f"labels compared with the source: {dataset.checked:,} maps")
+        for column, count in sorted(dataset.disagreements.items()):
             print(f"  {column}: {count:,} disagree")
 
 
-def _own_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a format, without its name in theirs.
+def _unprefixed_options(format_name: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a format without the prefix ``<format>.`` of their flags.
 
     Raises:
-        ValueError: one is of another format.
+        ValueError: an option of another format.
     """
-    for key in options:
-        if not key.startswith(f"{name}."):
-            raise ValueError(f"--{key}: does nothing for format {name}")
-    return {key.removeprefix(f"{name}."): value for key, value in options.items()}
+    prefix = f"{format_name}."
+    for name in options:
+        if not name.startswith(prefix):
+            raise ValueError(f"--{name}: does nothing for format {format_name}")
+    return {name.removeprefix(prefix): value for name, value in options.items()}
 
 
 def _movement(
     connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None
 ) -> Movement | None:
-    """Return the movement that the flags say, None if they say nothing."""
+    """Return the movement that the flags describe; None without ``--connectivity``.
+
+    Raises:
+        ValueError: flags of diagonal moves without ``--connectivity``, or that do not fit to it.
+    """
     from mapdata.movement import Movement
 
     if connectivity is None:
@@ -117,8 +126,9 @@ def export_command(root: list[str], dst: str, **options: Any) -> None:
     """
     from mapdata.formats import export
 
-    name = options.pop("format")
-    for note in export(root, dst, name, progress=True, **_own_options(name, options)):
+    format_name = options.pop("format")
+    format_options = _unprefixed_options(format_name, options)
+    for note in export(root, dst, format_name, progress=True, **format_options):
         print(f"note: {note}")
     print(f"wrote {dst}")
 
@@ -139,14 +149,14 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     from mapdata.formats import FormatError, Limits
     from mapdata.formats.movingai import check_scen
 
-    missed = 0
+    disagreements = 0
     total = 0
-    unread = []
+    unreadable = []
     for name in file:
         try:
             report = check_scen(name, maps, Limits(progress=True))
-        except (ValueError, OSError) as error:  # such as a name that is too long
-            unread.append(str(error))
+        except (ValueError, OSError) as error:  # an OSError, if the name is too long
+            unreadable.append(str(error))
             continue
         if report.has_lengths:
             print(f"{name}: {report.agreed:,} of {report.total:,} optimal lengths agree")
@@ -159,36 +169,37 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
             print(line)
         if len(report.disagreements) > 20:
             print(f"{name}: and {len(report.disagreements) - 20} more")
-        missed += len(report.disagreements)
+        disagreements += len(report.disagreements)
         total += report.total
-    if missed:
-        raise DisagreeError("; ".join([f"{missed} of {total} optimal lengths disagree", *unread]))
-    if unread:
-        raise FormatError("; ".join(unread))
+    if disagreements:
+        message = f"{disagreements} of {total} optimal lengths disagree"
+        raise DisagreeError("; ".join([message, *unreadable]))
+    if unreadable:
+        raise FormatError("; ".join(unreadable))
 
 
 # --- flags --------------------------------------------------------------------------------------
 
 
 def add_import_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of ``mapdata import`` that the formats and `import_maps` bring."""
+    """Add the flags of ``mapdata import`` for the options of `import_maps` and of all formats."""
     from mapdata.formats.importing import import_maps
-    from mapdata.formats.registry import functions
+    from mapdata.formats.registry import functions_by_format
     from mapdata.options import options_of
 
-    formats = functions("read")
+    formats = functions_by_format("read")
     parser.add_argument("--format", choices=formats, help="default: recognised by the files")
     options = options_of(import_maps)
-    for name in _OF_IMPORTS:
+    for name in _IMPORT_OPTIONS:
         add_flag(parser, name, options[name], options[name].default)
     _add_format_options(parser, formats)
 
 
 def add_export_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of ``mapdata export`` that the formats bring."""
-    from mapdata.formats.registry import functions
+    """Add the flags of ``mapdata export`` for the options of all formats."""
+    from mapdata.formats.registry import functions_by_format
 
-    formats = functions("write")
+    formats = functions_by_format("write")
     parser.add_argument("--format", choices=formats, required=True, help="what to write")
     _add_format_options(parser, formats)
 
@@ -196,17 +207,24 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
 def _add_format_options(
     parser: argparse.ArgumentParser, formats: dict[str, Callable[..., Any]]
 ) -> None:
-    """Add the options of what reads, or writes, each format, in a group under its name.
+    """Add the options of each format as flags, in a group under its name.
 
-    Those that are not given are absent from what the parser returns.
+    The parser returns only the options that are set.
+
+    Args:
+        parser: of the verb.
+        formats: the function that reads or writes each format, by the format's name.
     """
     from mapdata.options import options_of, summary_line
 
-    for name, function in formats.items():
+    for format_name, function in formats.items():
         options = {
-            key: option for key, option in options_of(function).items() if key not in _OF_IMPORTS
+            name: option
+            for name, option in options_of(function).items()
+            if name not in _IMPORT_OPTIONS
         }
         if options:
-            group = parser.add_argument_group(name, summary_line(function).replace("``", ""))
-            for key, option in options.items():
-                add_flag(group, f"{name}.{key}", option, argparse.SUPPRESS)
+            description = summary_line(function).replace("``", "")
+            group = parser.add_argument_group(format_name, description)
+            for name, option in options.items():
+                add_flag(group, f"{format_name}.{name}", option, argparse.SUPPRESS)

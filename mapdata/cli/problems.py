@@ -1,4 +1,4 @@
-"""What scripts that compare planners or samplers share: problems and tables."""
+"""Problems and tables for the scripts that compare planners or samplers."""
 
 from __future__ import annotations
 
@@ -13,48 +13,61 @@ if TYPE_CHECKING:
     from mapdata.problems import ProblemSet
 
 
-def given_problems(
+def load_problems(
     root: list[str],
-    preset: str | None,
+    recipe: str | None,
     seed: int | None,
     maps: int | None,
-    **how: Any,
+    **sampling_options: Any,
 ) -> ProblemSet:
-    """Return one problem a map, of new maps or of the test split of a dataset, or those of a file.
+    """Return the problems that a script compares planners on, one for each map unless from a file.
 
-    Of a .scen, ``maps`` is the number of problems, all without; of another file all are taken.
+    Args:
+        root: empty for new maps; datasets, whose test split is taken; or a file of problems.
+        recipe: of new maps: a preset's name, a recipe file or its JSON text; default "dungeon".
+        seed: of new maps and their problems; for a preset the default is 77. For a file of
+            planning-datasets, the seed of the starts.
+        maps: number of maps; for a .scen the maximal number of its problems, by default all.
+        **sampling_options: those of `ProblemSet.sample` and `ProblemSet.read`, such as
+            ``movement``.
 
     Raises:
-        ValueError: what would do nothing beside a root or a file; what `ProblemSet.sample`,
+        ValueError: options that would do nothing with a root or a file; what `ProblemSet.sample`,
             `ProblemSet.read` and `read_problems` refuse.
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     from mapdata.formats import Limits, read_problems
-    from mapdata.generators import MapGenerator
+    from mapdata.generators import PRESETS
     from mapdata.problems import ProblemSet
 
     if not root:
-        return ProblemSet.sample(
-            MapGenerator.preset(preset or "dungeon"), 77 if seed is None else seed, maps, **how
-        )
+        recipe = recipe or "dungeon"
+        if seed is None and recipe in PRESETS:
+            seed = 77
+        return ProblemSet.sample(recipe, seed, maps, **sampling_options)
     is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npz", ".scen")
-    if preset is not None or (seed is not None and not is_file):
+    if recipe is not None or (seed is not None and not is_file):
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
     if not is_file:
-        return ProblemSet.read(root, maps, **how)
-    given = {"count": maps, "seed": seed, "until_hard": how.get("until_hard")}
-    options = {name: value for name, value in given.items() if value is not None}
-    problems = read_problems(root[0], Limits(progress=True), **options)
-    if how.get("movement") not in (None, Movement(8), problems.movement):
+        return ProblemSet.read(root, maps, **sampling_options)
+    # A file that does not know one of these options refuses it, so only those in use are passed.
+    file_options = {"count": maps, "seed": seed, "until_hard": sampling_options.get("until_hard")}
+    options_in_use = {name: option for name, option in file_options.items() if option is not None}
+    problems = read_problems(root[0], Limits(progress=True), **options_in_use)
+    # The flags' default, 8-connected, does not mean that the user asked for this movement.
+    if sampling_options.get("movement") not in (None, Movement(8), problems.movement):
         raise ValueError(f"{root[0]}: its problems are for {problems.movement}")
     return problems
 
 
 def check_outputs(*files: str | None) -> None:
-    """Refuse a file that could not be written after the work.
+    """Check, before the work begins, that the folders of output files exist.
+
+    Args:
+        files: names of files; None for a file that is not to be written.
 
     Raises:
-        ValueError: its folder does not exist.
+        ValueError: a folder does not exist.
     """
     for file in files:
         if file is not None and not Path(file).parent.is_dir():
@@ -62,7 +75,7 @@ def check_outputs(*files: str | None) -> None:
 
 
 def write_table(table: pd.DataFrame, csv: str | None, json: str | None) -> None:
-    """Write a table to the files that were asked for."""
+    """Write a table as a CSV file, a JSON file or both; None for a file that is not wanted."""
     if csv is not None:
         table.to_csv(csv, index=False)
     if json is not None:

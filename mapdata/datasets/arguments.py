@@ -20,11 +20,10 @@ from mapdata.checks import (
 )
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.sample import MAPS_AND_MASKS, Sample
-from mapdata.movement import Movement
+from mapdata.movement import Movement, check_movement
 from mapdata.problems.sources import Source, plain_text
 from mapdata.search.api import SEARCHES
-from mapdata.search.footprint import least_squared
-from mapdata.search.lattice import rule_of
+from mapdata.search.footprint import min_squared_clearance
 
 FieldFunction = Callable[[Sample], Any]
 
@@ -55,9 +54,9 @@ class Serving:
         keep("fields", tuple(self.fields))
         check_choice("search", self.search, SEARCHES)
         if self.movement is not None:
-            rule_of(self.movement)  # refuses what is no movement
+            check_movement(self.movement)
         check_flag("augment", self.augment)
-        least_squared(self.radius)  # refuses what is no radius
+        min_squared_clearance(self.radius)  # raises an error for a bad radius
         keep("radius", check_number("radius", self.radius))
         keep("sampling_seed", check_seed(self.sampling_seed, "sampling_seed"))
         if self.max_length is not None:

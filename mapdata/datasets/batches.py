@@ -23,14 +23,15 @@ from mapdata.jit import COMPILED, Int, kernel
 from mapdata.limits import MAX_ROOMS, SPLITS
 from mapdata.movement import STEPS, Movement
 from mapdata.problems.sources import Random, Route, Source
-from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.kernels import scratch
+from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.kernels import new_scratch
 from mapdata.search.labels import connected_components, pairs_of
-from mapdata.search.lattice import BFS, UNIT, Rule, cells_of, lattice_of, load
-from mapdata.shards.arrays import Shard, bits_of
+from mapdata.search.lattice import BFS, UNIT, MoveRule, cells_of, lattice_of, load
+from mapdata.shards.arrays import Shard, bits_per_move
 from mapdata.shards.errors import ShardError
+from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import Entry, Manifest
-from mapdata.shards.root import Places, Root
+from mapdata.shards.root import Root
 
 ARRAYS = (
     "maps",
@@ -256,7 +257,7 @@ def read_rooms(
 
 @kernel
 def connected_problems(
-    table: Ints, shard: Int, problems: Int32s, size: tuple[Int, Int], least: Int, rule: Rule
+    table: Ints, shard: Int, problems: Int32s, size: tuple[Int, Int], least: Int, rule: MoveRule
 ) -> Flags:
     """Return whether a path connects the two rooms of each problem of a shard, (P,) bool.
 
@@ -276,7 +277,7 @@ def connected_problems(
     stored = _cells(table[shard, _SEEDS])
     grids = np.empty((1, size[0], size[1]), np.uint8)
     lattice = lattice_of(size, rule)
-    buffers = scratch(BFS, lattice)
+    scratch = new_scratch(BFS, lattice)
     components = np.empty(0, np.int64)
     connected = np.empty(len(problems), np.bool_)
     labelled_map: Int = -1
@@ -286,9 +287,9 @@ def connected_problems(
             labelled_map = number
             unpack_map(packed, number * octets, grids[0])
             inflate_all(grids, least)
-            load(grids[0], buffers.came)
+            load(grids[0], scratch.came_from)
             cells = cells_of(stored[offsets[number] : offsets[number + 1]], lattice)
-            components = connected_components(cells, lattice, buffers)
+            components = connected_components(cells, lattice, scratch)
         first = components[problems[p, 1]]
         connected[p] = first >= 0 and first == components[problems[p, 2]]
     return connected
@@ -302,12 +303,12 @@ class BatchReader:
         map_size: of all its maps.
         movement: of the stored labels.
         most_seed_points: R, the largest number of seed points that a map can have.
-        least: clearance of the cells that are served as free, as `least_squared` gives it.
+        least: clearance of the cells that are served as free, as `min_squared_clearance` gives it.
     """
 
     def __init__(
         self,
-        root: Places,
+        root: Locations,
         split: str | None,
         problems: Source,
         radius: float,
@@ -331,7 +332,7 @@ class BatchReader:
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size
         self.movement = self.root.movement
-        self.most_seed_points = max(manifest.most_seed_points for manifest in self.manifests)
+        self.most_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
         if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
             raise ShardError(
                 f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected "
@@ -339,7 +340,7 @@ class BatchReader:
             )
         self._split = split
         # only with a radius must all roots have one resolution
-        self.least = least_squared(radius, self.root.resolution) if radius else 0
+        self.least = min_squared_clearance(radius, self.root.resolution) if radius else 0
         self._cuts_corners = (movement or self.movement).corner_cutting
         self._problems = problems
         self._labels_decide = True
@@ -396,7 +397,7 @@ class BatchReader:
         except (FileNotFoundError, ShardError):
             # It may have been replaced since the manifest was read, as by a larger one when the
             # dataset grew.
-            now = Root.open(self.root.places[place])
+            now = Root.open(self.root.locations[place])
             successor = _successor(self.manifests[place], now.manifests[0], entry)
             if successor is None:
                 raise
@@ -474,7 +475,7 @@ class BatchReader:
         Raises:
             ShardError: a stored path leaves the map or does not end at its goal.
         """
-        bits = bits_of(self.movement)
+        bits = bits_per_move(self.movement)
         column = ARRAYS.index(f"{search}_offsets")
         paths = np.empty((3, len(shards)), np.int64)
         find_paths(self._addresses, shards, maps, rooms, column, paths)
@@ -494,7 +495,7 @@ class BatchReader:
         )
         if bad >= 0:
             place, _, entry = self.shards[shards[bad]]
-            path = f"{self.root.places[place]}/{entry.name}"
+            path = f"{self.root.locations[place]}/{entry.name}"
             number = entry.start + maps[bad]
             raise ShardError(f"{path}: a stored path of map {number} is damaged")
         return Paths(cells[: offsets[-1]], offsets, paths[2])

@@ -20,15 +20,14 @@ from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.datasets.transforms import check_transform
-from mapdata.generators.generator import identity
+from mapdata.generators.generator import MapGenerator, identity
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
+from mapdata.shards.locations import is_url, locations
 from mapdata.shards.manifest import MANIFEST, read_manifest
-from mapdata.shards.recipe import Recipe
-from mapdata.shards.remote import is_url
-from mapdata.shards.root import places
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule
@@ -68,8 +67,8 @@ class MapDataModule(_Base):
     Args:
         root: folder or URL of a dataset, or several; None with ``build`` makes maps online, without
             any disk.
-        build: what to build when ``root`` is missing or incomplete: a preset's name, a recipe file,
-            its JSON text, or what that says as a dict or another mapping.
+        build: which maps to build when ``root`` is missing or incomplete: a preset's name, a
+            recipe file, its JSON text or mapping, a `MapGenerator` or a `Recipe`.
         batch_size: samples a batch (a rank).
         num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of
         torch's DataLoader.
@@ -87,7 +86,7 @@ class MapDataModule(_Base):
         self,
         root: str | Path | Sequence[str] | None = "data/maps",
         *,
-        build: str | Mapping[str, Any] | None = None,
+        build: RecipeLike | None = None,
         batch_size: int = 256,
         num_workers: int = 0,
         pin_memory: bool = False,
@@ -107,7 +106,7 @@ class MapDataModule(_Base):
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
-        roots = () if root is None else places(root)
+        roots = () if root is None else locations(root)
         if not roots and build is None:
             raise ValueError(
                 "root: got None, expected a dataset; or say with build= which maps to make online"
@@ -115,7 +114,7 @@ class MapDataModule(_Base):
         if build is not None and (len(roots) > 1 or any(map(is_url, roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
         self.roots = roots
-        self.build = plain_values(build)
+        self.build = _plain_recipe(build)
         self.batch_size = check_count("batch_size", batch_size)
         self.loading: dict[str, Any] = {
             "num_workers": num_workers,
@@ -159,19 +158,9 @@ class MapDataModule(_Base):
         """
         if self.build is None or not self.roots:
             return
-        recipe = Recipe.load(self.build)
         root = Path(self.roots[0])
         shard_size = read_manifest(root).shard_size if (root / MANIFEST).exists() else 1000
-        built = build(
-            root,
-            recipe.spec,
-            maps=recipe.maps,
-            seed=recipe.seed,
-            shard_size=shard_size,
-            progress=True,
-        ).content_hash
-        if recipe.content_hash not in (None, built):
-            raise ValueError(f"build: content hash {built}, the recipe says {recipe.content_hash}")
+        build(root, self.build, shard_size=shard_size, progress=True)
 
     def setup(self, stage: str | None = None) -> None:
         """Open the datasets of ``stage``; a second call does nothing.
@@ -222,7 +211,7 @@ class MapDataModule(_Base):
         if self.roots:
             return MapDataset(self.roots, split, **arguments)
         assert self.build is not None  # there are roots or a recipe
-        recipe = Recipe.load(self.build)
+        recipe = as_recipe(self.build)
         length = max(round(recipe.maps * recipe.spec.splits[SPLITS.index(split)]), 1)
         return OnlineMapDataset(recipe.spec, recipe.seed, length, split, **arguments)
 
@@ -261,6 +250,13 @@ class MapDataModule(_Base):
             return batch
         dtype: Any = self.trainer.lightning_module.dtype if self.trainer else torch.float32
         return cast(batch, dtype)
+
+
+def _plain_recipe(recipe: RecipeLike | None) -> Any:
+    """Return a recipe as text or plain values, which checkpoints can hold; files are not read."""
+    if isinstance(recipe, MapGenerator | Recipe):
+        recipe = as_recipe(recipe).to_dict()
+    return str(recipe) if isinstance(recipe, Path) else plain_values(recipe)
 
 
 def _movement(values: Any) -> Any:

@@ -26,8 +26,8 @@ from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
-from mapdata.search.lattice import rule_of
-from mapdata.shards.root import Places
+from mapdata.search.lattice import move_rule
+from mapdata.shards.locations import Locations
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -239,7 +239,7 @@ class ProblemDataset(Dataset[Sample], ABC):
             indices,
             (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
             *problems.conditions,
-            rule_of(self.movement),
+            move_rule(self.movement),
         )
         # Conditions may need the paths, which A* finds; what was found is not searched again.
         is_found = len(found[0]) and self.serving.search == "astar"
@@ -313,7 +313,7 @@ class MapDataset(ProblemDataset):
 
     def __init__(
         self,
-        root: Places,
+        root: Locations,
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
@@ -335,7 +335,7 @@ class MapDataset(ProblemDataset):
         super().__init__(split, serving, dtype, transform)
         reader = BatchReader(root, split, source, radius, movement)
         self.reader = reader
-        self.roots = reader.root.places
+        self.roots = reader.root.locations
         self._content = [manifest.content_hash for manifest in reader.manifests]
         self._most_seed_points = reader.most_seed_points
         self.movement = movement or reader.movement

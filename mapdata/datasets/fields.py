@@ -27,7 +27,7 @@ from mapdata.datasets.sample import rows_of_path
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES, solve_batch
 from mapdata.search.footprint import clearances
-from mapdata.search.lattice import UNIT, rule_of
+from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 
 
@@ -101,7 +101,7 @@ class Batch:
             return self.find_paths()
         search = SEARCHES[self.search]
         # where the robot has no room on the start or the goal, there is no path
-        found = solve_batch(search, self.grids, self.starts, self.goals, self.movement, most=1)
+        found = solve_batch(search, self.grids, self.starts, self.goals, self.movement, True)
         return Paths(found.cells, found.offsets, found.iterations)
 
     @cached_property
@@ -125,7 +125,7 @@ class Batch:
             dtype = np.uint8 if name.startswith("optimal") else np.float32
             arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
         fields = GoalFields(*arrays)
-        fill_goal_fields(self.grids, self.starts, self.goals, rule_of(self.movement), fields)
+        fill_goal_fields(self.grids, self.starts, self.goals, move_rule(self.movement), fields)
         return fields
 
 
@@ -260,7 +260,7 @@ def path_probability(batch: Batch) -> Float32s:
     """
     cells, offsets, _ = batch.paths
     return path_probabilities(
-        batch.grids, batch.starts, batch.goals, cells, offsets, rule_of(batch.movement)
+        batch.grids, batch.starts, batch.goals, cells, offsets, move_rule(batch.movement)
     )
 
 
@@ -329,5 +329,5 @@ def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Moveme
 
     -1 no connection, -2 where a seed point is (-1, -1). "bfs" counts moves.
     """
-    diagonals, step = rule_of(movement)
+    diagonals, step = move_rule(movement)
     return fill_room_matrices(grids, seed_points, (diagonals, UNIT if search == "bfs" else step))

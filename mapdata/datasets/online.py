@@ -9,19 +9,19 @@ import numpy as np
 import torch
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.checks import check_count, check_seed
+from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
 from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform, arguments_of
 from mapdata.datasets.fields import Paths
-from mapdata.generators.generator import MapGenerator, check_spec, generate
 from mapdata.generators.maps import Maps
+from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.generators.splits import maps_of_split
 from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.search.api import SEARCHES
-from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import rule_of
+from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.lattice import move_rule
 
 
 class OnlineMapDataset(ProblemDataset):
@@ -29,14 +29,16 @@ class OnlineMapDataset(ProblemDataset):
 
     They are the maps that shards would hold.
 
-    Sample i is of the i-th map of (spec, seed), or of the i-th one that belongs to ``split``. Route
+    Sample i is of the i-th map of the recipe, or of the i-th one that belongs to ``split``. Route
     and pairs problems are one segment or pair of the map, drawn anew each epoch. A map without any
     problem of the kind is replaced by one from beyond ``length``.
 
     Args:
-        spec: the distribution of maps.
-        seed: their seed.
-        length: how many problems.
+        recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
+            `MapGenerator` or a `Recipe`.
+        seed: 64-bit seed of the maps; the recipe's by default, 0 for a preset or generator.
+        length: number of problems; the recipe's number of maps by default, 10,000 for a preset or
+            generator.
         split: as in `MapDataset`, like all further arguments.
 
     Raises:
@@ -45,9 +47,9 @@ class OnlineMapDataset(ProblemDataset):
 
     def __init__(
         self,
-        spec: MapGenerator,
-        seed: int = 0,
-        length: int = 10_000,
+        recipe: RecipeLike,
+        seed: int | None = None,
+        length: int | None = None,
         split: str | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         *,
@@ -67,14 +69,16 @@ class OnlineMapDataset(ProblemDataset):
             fields, source, search, movement, augment, sampling_seed, max_length, radius
         )
         super().__init__(split, serving, dtype, transform)
-        check_spec(spec)
-        self.spec = spec
-        self.seed = check_seed(seed)
-        self.length = check_count("length", length)
-        self.movement = movement or spec.movement
-        self.map_size = spec.map_size
-        self._least = least_squared(radius, spec.resolution)
-        self._numbers = None if split is None else maps_of_split(spec, seed, split, 2 * self.length)
+        recipe = as_recipe(recipe, seed=seed)
+        self.spec = recipe.spec
+        self.seed = recipe.seed
+        self.length = recipe.maps if length is None else check_count("length", length)
+        self.movement = movement or self.spec.movement
+        self.map_size = self.spec.map_size
+        self._least = min_squared_clearance(radius, self.spec.resolution)
+        self._numbers = (
+            None if split is None else maps_of_split(self.spec, self.seed, split, 2 * self.length)
+        )
 
     def __len__(self) -> int:
         """Return the number of problems."""
@@ -122,8 +126,9 @@ class OnlineMapDataset(ProblemDataset):
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
-            (isinstance(problems, Route), problems.unsolvable),
+            isinstance(problems, Route),
+            problems.unsolvable,
             SEARCHES[self.serving.search],
-            rule_of(self.movement),
+            move_rule(self.movement),
         )
         return grids, ends, Paths(*found)

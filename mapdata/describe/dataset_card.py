@@ -1,4 +1,4 @@
-"""The dataset card: what a dataset holds, how to build it again, what to know before using it.
+"""The dataset card: the content of a dataset, how to build it again, and its statistics.
 
 The card is a list of sections, which become Markdown here and HTML in `mapdata.plotting`.
 """
@@ -21,13 +21,15 @@ from mapdata.generators.generator import PRESETS, MapGenerator, UnknownFamily
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.lattice import HARD
-from mapdata.shards.manifest import COUNTS, PROVENANCE, Manifest
-from mapdata.shards.root import Places, read_provenance
+from mapdata.shards.dataset_files import read_provenance
+from mapdata.shards.locations import Locations
+from mapdata.shards.manifest import PROVENANCE, SPLIT_COUNTS, Manifest
 
-_SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
-"""Size categories of the Hugging Face Hub, parted by 10**3, 10**4, ... 10**7 rows."""
+_SIZE_CATEGORIES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
+"""Size categories of the Hugging Face Hub; their bounds are 10**3, 10**4, ... 10**7 rows."""
 
-_SOURCES_SHOWN = 10
+_MAX_SOURCES = 10
+"""How many sources of an imported dataset the card lists, at most."""
 
 CITATION = """@misc{floresaquino2021gridmap,
   title         = {{2D} Grid Map Generation for Deep-Learning-based Navigation Approaches},
@@ -42,9 +44,14 @@ CITATION = """@misc{floresaquino2021gridmap,
 
 
 class Section(NamedTuple):
-    """A part of the card: a heading, a paragraph, a table and a block of code, all plain text.
+    """A part of the card, in plain text. All attributes but the title may be empty.
 
-    All but the heading may be empty. The first row of the table names its columns.
+    Attributes:
+        title: heading.
+        text: paragraph.
+        table: rows of cells; the first row is the header.
+        code: block of code.
+        language: language of the code, for highlighting.
     """
 
     title: str
@@ -55,7 +62,7 @@ class Section(NamedTuple):
 
 
 def card(
-    root: Places,
+    root: Locations,
     *,
     files: Mapping[str, str] | None = None,
     extra: Sequence[Section] = (),
@@ -66,24 +73,29 @@ def card(
     Args:
         root: folder or URL of the dataset, or several.
         files: for a copy that ``datasets.load_dataset`` reads, a file pattern for each split.
-        extra: sections to put behind the facts, such as what the columns of that copy mean.
+        extra: sections that follow the facts, such as the meaning of the columns of that copy.
         progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
-    of = dataset_statistics(root, repeats=True, progress=progress)
-    first, facts, *others = sections(of, copied=files is not None)
-    parts = [_markdown(section, 2) for section in (facts, *extra, *others)]
-    return "\n".join([_front_matter(of, files), _markdown(first, 1), *parts])
+    statistics = dataset_statistics(root, repeats=True, progress=progress)
+    introduction, facts, *other_sections = sections(statistics, copied=files is not None)
+    parts = [_front_matter(statistics, files), _markdown(introduction, level=1)]
+    parts += [_markdown(section, level=2) for section in (facts, *extra, *other_sections)]
+    return "\n".join(parts)
 
 
-def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str:
-    """Return the YAML block that the Hub reads; the licence is left to the publisher."""
-    size = _SIZES[np.digitize(len(of), 10 ** np.arange(3, 8))]
-    lines: dict[str, object] = {
-        "pretty_name": title(of),
+def _front_matter(statistics: DatasetStatistics, files: Mapping[str, str] | None) -> str:
+    """Return the YAML block that the Hub reads; the publisher adds the licence.
+
+    ``files`` is that of `card`.
+    """
+    bounds = 10 ** np.arange(3, 8)
+    size = _SIZE_CATEGORIES[np.digitize(len(statistics), bounds)]
+    properties: dict[str, object] = {
+        "pretty_name": title(statistics),
         "task_categories": ["robotics"],
         "tags": ["path-planning", "occupancy-grid", "motion-planning", "mapdata"],
         "size_categories": [size],
@@ -91,72 +103,80 @@ def _front_matter(of: DatasetStatistics, files: Mapping[str, str] | None) -> str
     }
     if files is not None:
         data_files = [{"split": split, "path": path} for split, path in files.items()]
-        lines["configs"] = [{"config_name": "default", "data_files": data_files}]
-    # values are written as JSON, which is YAML too: no text from a file can end its quotes
-    texts = [f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in lines.items()]
-    return "---\n" + "".join(texts) + "---\n"
+        properties["configs"] = [{"config_name": "default", "data_files": data_files}]
+    # JSON is also YAML, and escapes whatever a name from a file contains.
+    lines = [
+        f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in properties.items()
+    ]
+    return "---\n" + "".join(lines) + "---\n"
 
 
-def title(of: DatasetStatistics) -> str:
-    """Return the name of the dataset: its folders, the number of maps and their size."""
-    rows, columns = of.root.map_size
-    return f"{' + '.join(_names(of))}: {len(of):,} grid maps of {rows} x {columns} cells"
+def title(statistics: DatasetStatistics) -> str:
+    """Return the title of the card: names of the folders, number of maps and their size."""
+    rows, columns = statistics.root.map_size
+    names = " + ".join(_folder_names(statistics))
+    return f"{names}: {len(statistics):,} grid maps of {rows} x {columns} cells"
 
 
-def sections(of: DatasetStatistics, *, copied: bool = False) -> list[Section]:
+def sections(statistics: DatasetStatistics, *, copied: bool = False) -> list[Section]:
     """Return the sections of a dataset's card.
 
     Args:
-        of: what `dataset_statistics` returns with ``repeats=True``.
-        copied: it is the card of a copy in another format, not of the shards.
+        statistics: of the dataset, from `dataset_statistics` with ``repeats=True``.
+        copied: whether the card is for a copy in another format rather than for the shards.
     """
-    found = [Section(title(of), _introduction(of)), _facts(of, copied)]
-    for name, place, manifest in zip(_names(of), of.root.places, of.root.manifests, strict=True):
+    root = statistics.root
+    names = _folder_names(statistics)
+    provenance = []
+    for name, location, manifest in zip(names, root.locations, root.manifests, strict=True):
         if manifest.spec is None:
-            found.append(_origin(place, of.rooms_known))
+            provenance.append(_import_section(location, statistics.rooms_known))
         else:
-            found.append(_rebuild(name, manifest, manifest.spec))
+            provenance.append(_rebuild_section(name, manifest, manifest.spec))
     return [
-        *found,
-        _splits(of),
-        _shares(of),
-        _distributions(of),
-        _duplicates(of),
-        _use(of, copied),
-        Section("Citation", _whom_to_cite(of), code=CITATION, language="bibtex"),
+        Section(title(statistics), _introduction(statistics)),
+        _facts_section(statistics, copied),
+        *provenance,
+        _splits_section(statistics),
+        _shares_section(statistics),
+        _distributions_section(statistics),
+        _duplicates_section(statistics),
+        _usage_section(statistics, copied),
+        Section("Citation", _citation_request(statistics), code=CITATION, language="bibtex"),
     ]
 
 
-def _introduction(of: DatasetStatistics) -> str:
-    what = f"{of.noun}s"
+def _introduction(statistics: DatasetStatistics) -> str:
+    """Return the paragraph under the title."""
+    points = f"{statistics.noun}s"
     sources = [
         f"{manifest.spec.description}, made" if manifest.spec else "imported maps, labelled"
-        for manifest in of.root.manifests
+        for manifest in statistics.root.manifests
     ]
-    made = "; ".join(dict.fromkeys(sources))  # places often have one source: once is enough
+    distinct_sources = "; ".join(dict.fromkeys(sources))
     text = (
-        f"Occupancy grids with shortest paths by BFS and A* between consecutive {what} and the "
-        f"distances between all {what}: {made} by mapdata {__version__}."
+        f"Occupancy grids with shortest paths by BFS and A* between consecutive {points} and the "
+        f"distances between all {points}: {distinct_sources} by mapdata {__version__}."
     )
-    if len(of) < of.root.maps:
-        text += f" Not finished: {of.root.maps:,} maps were asked for."
+    if len(statistics) < statistics.root.maps:
+        text += f" Not finished: {statistics.root.maps:,} maps were asked for."
     return text
 
 
-def _facts(of: DatasetStatistics, copied: bool) -> Section:
-    """Return what each dataset is, a column each; facts that no dataset has are left out."""
-    names = _names(of)
-    facts = [_facts_of(manifest, copied) for manifest in of.root.manifests]
+def _facts_section(statistics: DatasetStatistics, copied: bool) -> Section:
+    """Return a table of facts with a column for each folder; empty rows are left out."""
+    names = _folder_names(statistics)
+    facts_by_folder = [_manifest_facts(manifest, copied) for manifest in statistics.root.manifests]
     rows = [("", *names) if len(names) > 1 else ("", "")]
-    for name in facts[0]:
-        values = [each[name] for each in facts]
-        if any(values):
-            rows.append((name, *values))
+    for fact in facts_by_folder[0]:
+        cells = [facts[fact] for facts in facts_by_folder]
+        if any(cells):
+            rows.append((fact, *cells))
     return Section("What it is", table=rows)
 
 
-def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
-    """Return what one dataset is, in words; empty where it has no such thing."""
+def _manifest_facts(manifest: Manifest, copied: bool) -> dict[str, str]:
+    """Return the facts about the dataset of one manifest by name; an unknown fact is empty."""
     rows, columns = manifest.map_size
     facts = {
         "maps": f"{manifest.done:,} in {counted(len(manifest.shards), 'shard')}",
@@ -170,14 +190,26 @@ def _facts_of(manifest: Manifest, copied: bool) -> dict[str, str]:
         facts["size on disk"] = f"{size / 1e6:,.2f} MB"
         facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
     return facts | {
-        "preset": next((name for name, spec in PRESETS.items() if spec == manifest.spec), ""),
+        "preset": _preset_name(manifest.spec),
         "seed": "" if manifest.seed is None else str(manifest.seed),
         "identity": manifest.identity or "none: imported maps are what their content hash says",
         "content hash": manifest.content_hash,
     }
 
 
-def _rebuild(name: str, manifest: Manifest, spec: MapGenerator) -> Section:
+def _preset_name(generator: MapGenerator | None) -> str:
+    """Return the name of the preset that equals a generator; an empty text if there is none."""
+    for name, preset in PRESETS.items():
+        if preset == generator:
+            return name
+    return ""
+
+
+def _rebuild_section(name: str, manifest: Manifest, spec: MapGenerator) -> Section:
+    """Return the commands that build a dataset again in a folder ``name``.
+
+    ``spec`` is the generator of the manifest.
+    """
     module = type(spec).__module__
     text = (
         "Map i is a pure function of the spec, the seed and i, so these lines make the same maps "
@@ -195,11 +227,16 @@ def _rebuild(name: str, manifest: Manifest, spec: MapGenerator) -> Section:
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 
 
-def _origin(place: str, rooms_known: bool) -> Section:
-    """Say where imported maps came from, as far as the import wrote it down."""
+def _import_section(location: str, rooms_known: bool) -> Section:
+    """Return where imported maps came from, as far as the import recorded it.
+
+    Args:
+        location: folder or URL of the dataset.
+        rooms_known: whether the maps came with rooms; otherwise the import drew seed points.
+    """
     try:
-        values = read_provenance(place)
-        sources = [str(source) for source in values.get("sources", ())]
+        provenance = read_provenance(location)
+        sources = [str(source) for source in provenance.get("sources", ())]
     except (OSError, ValueError, TypeError):
         return Section(
             "Where it comes from",
@@ -207,22 +244,23 @@ def _origin(place: str, rooms_known: bool) -> Section:
         )
     text = f"Imported from {counted(len(sources), 'source')}, all named in {PROVENANCE}. "
     if not rooms_known:
-        count = values.get("seeds", "?")
-        seed = values.get("seed", "?")
+        count = provenance.get("seeds", "?")
+        seed = provenance.get("seed", "?")
         text += f"Up to {count} seed points a map were drawn with seed {seed}. "
     text += (
         "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
     )
     rows = [("map", "source")]
-    rows += [(str(k), source) for k, source in enumerate(sources[:_SOURCES_SHOWN])]
+    rows += [(str(k), source) for k, source in enumerate(sources[:_MAX_SOURCES])]
     return Section("Where it comes from", text, table=rows)
 
 
-def _splits(of: DatasetStatistics) -> Section:
-    entries = [entry for _, _, entry in of.root.shards]
+def _splits_section(statistics: DatasetStatistics) -> Section:
+    """Return the numbers of maps and problems of each split."""
+    entries = [shard.entry for shard in statistics.root.shards]
     rows = [["split", "maps", "route problems", "without a path", "pairs", "pairs without a path"]]
     for split in SPLITS:
-        counts = [sum(entry.counts[split][name] for entry in entries) for name in COUNTS]
+        counts = [sum(entry.counts[split][name] for entry in entries) for name in SPLIT_COUNTS]
         rows.append([split, *(f"{count:,}" for count in counts)])
     text = (
         "Each map belongs to one split and keeps it when the dataset grows. A route problem is a "
@@ -232,57 +270,74 @@ def _splits(of: DatasetStatistics) -> Section:
     return Section("Splits", text, table=rows)
 
 
-def _shares(of: DatasetStatistics) -> Section:
-    found = of.lengths > 0
-    is_hard = of.hardness >= HARD
+def _shares_section(statistics: DatasetStatistics) -> Section:
+    """Return the shares of maps and segments that are drawn, reachable, connected and hard."""
+    map_count = len(statistics)
+    segment_count = len(statistics.lengths)
+    reachable_count = (statistics.lengths > 0).sum()
+    hard_count = (statistics.hardness >= HARD).sum()
+    connected_count = statistics.all_connected.sum()
     rows = [("share", "of", "")]
-    if of.rooms_known:
-        drawn = sum(manifest.total("drawn") for manifest in of.root.manifests)
-        rows.append(("drawn passages", "pairs of consecutive rooms", _share(drawn, len(found))))
-    hard = f"hard segments (hardness >= {HARD:g})"
+    if statistics.rooms_known:
+        drawn_count = sum(manifest.total("drawn") for manifest in statistics.root.manifests)
+        share = _share_text(drawn_count, segment_count)
+        rows.append(("drawn passages", "pairs of consecutive rooms", share))
     rows += [
-        ("reachable segments", "segments", _share(found.sum(), len(found))),
-        ("fully connected maps", "maps", _share(of.all_connected.sum(), len(of))),
-        (hard, "reachable segments", _share(is_hard.sum(), found.sum())),
+        ("reachable segments", "segments", _share_text(reachable_count, segment_count)),
+        ("fully connected maps", "maps", _share_text(connected_count, map_count)),
+        (
+            f"hard segments (hardness >= {HARD:g})",
+            "reachable segments",
+            _share_text(hard_count, reachable_count),
+        ),
     ]
     text = (
         "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight "
         "at the goal is best."
     )
-    if of.rooms_known:
+    if statistics.rooms_known:
         text += " Rooms can reach each other without a passage, where they overlap."
     return Section("Shares", text, table=rows)
 
 
-def _distributions(of: DatasetStatistics) -> Section:
-    values = {
-        **of.distributions(),
-        "iterations of a segment, BFS": of.iterations["bfs"],
-        "iterations of a segment, A*": of.iterations["astar"],
+def _distributions_section(statistics: DatasetStatistics) -> Section:
+    """Return mean, extremes and quantiles of the properties of maps and segments."""
+    samples = {
+        **statistics.distributions(),
+        "iterations of a segment, BFS": statistics.iterations["bfs"],
+        "iterations of a segment, A*": statistics.iterations["astar"],
     }
     rows = [["", "mean", "least", "5 %", "25 %", "median", "75 %", "95 %", "most"]]
-    for name, column in values.items():
-        if len(column):
-            marks = np.quantile(column, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
-            shown = (column.mean(), *marks)
-            rows.append([name, *(f"{value:.4g}" for value in shown)])
+    for name, sample in samples.items():
+        if len(sample):
+            quantiles = np.quantile(sample, (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)).tolist()
+            numbers = (sample.mean(), *quantiles)
+            rows.append([name, *(f"{number:.4g}" for number in numbers)])
     text = "Segments without a path are left out, except for iterations."
     return Section("Distributions", text, rows)
 
 
-def _duplicates(of: DatasetStatistics) -> Section:
-    exact, symmetric = of.repeats
-    same = f"the same up to {of.symmetries} symmetries"
-    rows = [("maps that are there already", "exactly the same", same)]
-    for name in SPLITS:
-        rows.append((f"inside {name}", f"{exact.inside[name]:,}", f"{symmetric.inside[name]:,}"))
-    for a, b in exact.across:
-        counts = (f"{exact.across[a, b]:,}", f"{symmetric.across[a, b]:,}")
-        rows.append((f"of {b}, also in {a}", *counts))
-    return Section("Duplicates", _verdict(exact, symmetric), table=rows)
+def _duplicates_section(statistics: DatasetStatistics) -> Section:
+    """Return the numbers of maps that equal another map, exactly and up to symmetries."""
+    exact, symmetric = statistics.repeats
+    symmetric_title = f"the same up to {statistics.symmetries} symmetries"
+    rows = [("maps that are there already", "exactly the same", symmetric_title)]
+    for split in SPLITS:
+        rows.append((f"inside {split}", f"{exact.inside[split]:,}", f"{symmetric.inside[split]:,}"))
+    for pair in exact.across:
+        first_split, second_split = pair
+        rows.append(
+            (
+                f"of {second_split}, also in {first_split}",
+                f"{exact.across[pair]:,}",
+                f"{symmetric.across[pair]:,}",
+            )
+        )
+    return Section("Duplicates", _leak_text(exact, symmetric), table=rows)
 
 
-def _verdict(exact: Repeats, symmetric: Repeats) -> str:
+def _leak_text(exact: Repeats, symmetric: Repeats) -> str:
+    """Return whether maps are in several splits, in words."""
     if any(exact.across.values()):
         return (
             "Some maps are in more than one split: results on val and test are not independent of "
@@ -296,8 +351,9 @@ def _verdict(exact: Repeats, symmetric: Repeats) -> str:
     return "No map is in two splits, not even turned or mirrored."
 
 
-def _use(of: DatasetStatistics, copied: bool) -> Section:
-    names = _names(of)
+def _usage_section(statistics: DatasetStatistics, copied: bool) -> Section:
+    """Return the code that loads the dataset, or its copy."""
+    names = _folder_names(statistics)
     root = repr(names[0] if len(names) == 1 else names)
     if copied:
         code = f'from datasets import load_dataset\n\ntrain = load_dataset({root}, split="train")'
@@ -311,15 +367,16 @@ def _use(of: DatasetStatistics, copied: bool) -> Section:
     return Section("Use it", code=code, language="python")
 
 
-def _whom_to_cite(of: DatasetStatistics) -> str:
-    imported = f"Cite the source of the maps. {MapGenerator.citation}"
-    specs = [manifest.spec for manifest in of.root.manifests]
-    texts = [imported if spec is None else spec.citation for spec in specs]
-    return " ".join(dict.fromkeys(texts))  # each once
+def _citation_request(statistics: DatasetStatistics) -> str:
+    """Return which work users of the maps are asked to cite; equal requests are written once."""
+    import_request = f"Cite the source of the maps. {MapGenerator.citation}"
+    specs = [manifest.spec for manifest in statistics.root.manifests]
+    requests = [import_request if spec is None else spec.citation for spec in specs]
+    return " ".join(dict.fromkeys(requests))
 
 
 def movement_text(movement: Movement) -> str:
-    """Return the movement rule in words."""
+    """Return the rule of movement in words."""
     if movement.connectivity == 4:
         return "4-connected: north, east, south, west, each at cost 1"
     cost = "1" if movement.diagonal_cost == 1 else "sqrt 2"
@@ -327,41 +384,45 @@ def movement_text(movement: Movement) -> str:
     return f"8-connected: straight steps at cost 1, diagonal steps at cost {cost}, {rule}"
 
 
-def _names(of: DatasetStatistics) -> list[str]:
+def _folder_names(statistics: DatasetStatistics) -> list[str]:
     """Return the names of the dataset's folders in printable characters."""
     names = []
-    for place in of.root.places:
-        name = os.path.basename(os.path.abspath(place))
+    for location in statistics.root.locations:
+        name = os.path.basename(os.path.abspath(location))
         printable = "".join(letter if letter.isprintable() else "?" for letter in name)
         names.append(printable or "maps")
     return names
 
 
-def counted(number: int, what: str) -> str:
-    """Return a number of things in words, as "1 shard" or "2,000 shards"."""
-    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 shard" or "2,000 shards"."""
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
 
 
-def _share(part: int, whole: int) -> str:
+def _share_text(part: int, whole: int) -> str:
+    """Return the share that ``part`` is of ``whole``, in percent and as numbers."""
     return f"{part / max(whole, 1):.1%} ({part:,} of {whole:,})"
 
 
 def _markdown(section: Section, level: int) -> str:
+    """Return a section as Markdown with a heading of this level."""
     parts = [f"{'#' * level} {_escaped(section.title)}"]
     if section.text:
         parts.append(_escaped(section.text))
     if section.table:
-        head, *rows = [f"| {' | '.join(map(_escaped, row))} |" for row in section.table]
-        parts.append("\n".join([head, "|" + "---|" * len(section.table[0]), *rows]))
+        lines = [f"| {' | '.join(map(_escaped, row))} |" for row in section.table]
+        column_count = len(section.table[0])
+        lines.insert(1, "|" + "---|" * column_count)
+        parts.append("\n".join(lines))
     if section.code:
-        # a fence is longer than any run of backticks inside, so that the code cannot end it
-        runs = [len(run) for run in re.findall("`+", section.code)]
-        fence = "`" * max(3, 1 + max(runs, default=0))
+        # The fence is longer than any run of backticks in the code, which would end the block.
+        max_run = max((len(run) for run in re.findall("`+", section.code)), default=0)
+        fence = "`" * max(3, max_run + 1)
         parts.append(f"{fence}{section.language}\n{section.code}\n{fence}")
     return "\n\n".join(parts) + "\n"
 
 
 def _escaped(text: str) -> str:
-    """Return ``text`` so that Markdown and HTML show it as it is, on one line."""
+    """Return ``text`` on one line, with the special characters of Markdown and HTML escaped."""
     line = escape(" ".join(text.split()), quote=False)
     return re.sub(r"([\\`*_\[\]|#])", r"\\\1", line)

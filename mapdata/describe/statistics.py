@@ -1,4 +1,4 @@
-"""Statistics of a dataset: one pass over its shards for the card, the report and the figures."""
+"""Statistics of a dataset, computed in one pass over its shards."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
-from mapdata.shards.root import Places, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 _CELLS_AT_ONCE = 2**22
-"""Cells that are unpacked at once, to a byte each: memory stays flat for shards of any size."""
+"""Cells that are unpacked to bytes at a time, so that memory does not grow with the shard size."""
 
-_DIGEST = 16
-"""Bytes of the hash of a map: among 10**9 different maps two collide with probability 1e-21."""
+_DIGEST_BYTES = 16
+"""Size of the hash of a map: among 10**9 different maps, two collide with probability 1e-21."""
 
-_DIGESTS = f"S{_DIGEST}"
-"""The dtype of hashes: numpy compares each as a whole."""
+_DIGEST_DTYPE = f"S{_DIGEST_BYTES}"
+"""The dtype of hashes, which numpy compares as texts."""
 
-_BINS = 30
-"""Bins of a histogram; one more where whole numbers are in the middle of theirs."""
+_MAX_BINS = 30
+"""Bins of a histogram; whole numbers, which are centred in their bins, may need one more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """How often a map occurs again, under one notion of "the same".
+    """Numbers of maps that equal another map.
 
     Attributes:
-        inside: per split, the maps that equal an earlier map of that split.
-        across: per pair of splits (a, b), the maps of b that equal a map of a.
+        inside: for each split, the number of maps that equal an earlier map of that split.
+        across: for each pair of splits (a, b), the number of maps of b that equal a map of a.
     """
 
     inside: dict[str, int]
@@ -46,23 +47,23 @@ class Repeats:
 
 @dataclass(frozen=True, eq=False)
 class DatasetStatistics:
-    """What N maps with S route segments are like.
+    """Statistics of N maps with S route segments.
 
     Attributes:
         root: the dataset.
         index: (N,) int64, number of each map.
-        rooms: (N,) int64, rooms, or seed points where rooms are not known.
+        rooms: (N,) int64, number of rooms, or of seed points if the rooms are not known.
         free: (N,) float64, share of free cells.
         split: (N,) uint8, 0 train, 1 val, 2 test.
         all_connected: (N,) bool, paths exist between all rooms.
-        redundant: (N,) bool, `all_connected` though a passage was not drawn.
+        redundant: (N,) bool, `all_connected` although a passage was not drawn.
         hardest: (N,) float64, largest hardness of the map's segments; 0 where none has a path.
         lengths: (S,) int64, cells of the A* path of each segment, 0 without a path.
         hardness: (S,) float64, optimal cost over heuristic, -1 without a path.
         iterations: of "bfs" and "astar", (S,) int64.
-        rooms_known: the maps have rooms and passages, not only seed points.
-        digests: (N,) and (N,) bytes of length 16: hash of the map, and the least hash of its
-            symmetric images; None if they were not asked for.
+        rooms_known: whether the maps have rooms and passages, not only seed points.
+        digests: two arrays (N,) of 16 bytes: the hash of each map, and the smallest of the hashes
+            of its symmetric images; None without ``repeats=True``.
     """
 
     root: Root
@@ -88,46 +89,51 @@ class DatasetStatistics:
 
     @property
     def noun(self) -> str:
-        """What a seed point is on these maps, in words."""
+        """What the seed points of these maps are called: "room" or "seed point"."""
         return "room" if self.rooms_known else "seed point"
 
     @property
     def symmetries(self) -> int:
-        """How many symmetries a map of this size has."""
+        """Number of symmetries of a map of this size, the identity included."""
         rows, columns = self.root.map_size
         return 8 if rows == columns else 4
 
     @cached_property
     def repeats(self) -> tuple[Repeats, Repeats]:
-        """Repeated maps: exactly the same, and the same up to the symmetries.
+        """Numbers of repeated maps: exactly equal ones, and those that are equal up to symmetry.
 
         Raises:
-            ValueError: the statistics were made without ``repeats=True``.
+            ValueError: the statistics were computed without ``repeats=True``.
         """
         if self.digests is None:
             raise ValueError("repeats: not counted; use dataset_statistics(root, repeats=True)")
-        exact, symmetric = (count_repeats(digests, self.split) for digests in self.digests)
+        exact_digests, symmetric_digests = self.digests
+        exact = count_repeats(exact_digests, self.split)
+        symmetric = count_repeats(symmetric_digests, self.split)
         return exact, symmetric
 
     def distributions(self) -> dict[str, Floats]:
-        """Return the values of each distribution that is shown; segments are those with a path."""
-        found = self.lengths > 0
+        """Return the samples of the distributions in card, report and figures, by title.
+
+        Segments without a path are left out.
+        """
+        has_path = self.lengths > 0
         return {
             f"{self.noun}s a map": self.rooms.astype(np.float64),
             "free share of a map": self.free,
-            "path length of a segment, cells": self.lengths[found].astype(np.float64),
-            "hardness of a segment": self.hardness[found],
+            "path length of a segment, cells": self.lengths[has_path].astype(np.float64),
+            "hardness of a segment": self.hardness[has_path],
         }
 
 
 def dataset_statistics(
-    root: Places, *, repeats: bool = False, progress: bool = False
+    root: Locations, *, repeats: bool = False, progress: bool = False
 ) -> DatasetStatistics:
-    """Look at all finished maps of a dataset once.
+    """Return the statistics of all finished maps of a dataset.
 
     Args:
         root: folder or URL of the dataset, or several.
-        repeats: hash all maps, too, so that `DatasetStatistics.repeats` can be counted.
+        repeats: also hash all maps, which `DatasetStatistics.repeats` needs.
         progress: show a progress bar.
 
     Raises:
@@ -135,119 +141,155 @@ def dataset_statistics(
         ShardError: a shard is missing or damaged.
     """
     opened = Root.open(root)
-    # the columns of a dataset without maps have their types too
-    nothing = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
-    batches = chain([nothing], opened.labels(progress=progress))
-    parts = [_columns(labels, repeats) for labels in batches]
-    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    rooms_known = bool(table.pop("rooms_known").any())
-    digests = (table.pop("exact"), table.pop("symmetric"))
-    iterations = {search: table.pop(search) for search in SEARCHES}
+    # The arrays of no maps come first, so that an empty dataset has arrays of the right types.
+    no_maps = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
+    batches = chain([no_maps], opened.labels(progress=progress))
+    columns_of_shards = [_shard_columns(labels, repeats) for labels in batches]
+    columns = {
+        name: np.concatenate([shard_columns[name] for shard_columns in columns_of_shards])
+        for name in columns_of_shards[0]
+    }
     return DatasetStatistics(
         root=opened,
-        iterations=iterations,
-        rooms_known=rooms_known,
-        digests=digests if repeats else None,
-        **table,
+        index=columns["index"],
+        rooms=columns["rooms"],
+        free=columns["free"],
+        split=columns["split"],
+        all_connected=columns["all_connected"],
+        redundant=columns["redundant"],
+        hardest=columns["hardest"],
+        lengths=columns["lengths"],
+        hardness=columns["hardness"],
+        iterations={search: columns[search] for search in SEARCHES},
+        rooms_known=bool(columns["rooms_known"].any()),
+        digests=(columns["exact"], columns["symmetric"]) if repeats else None,
     )
 
 
 def bin_edges(values: Floats) -> Floats:
     """Return the edges (k + 1,) of a histogram of ``values`` with up to 31 bins.
 
-    Whole numbers have bins of one or more whole numbers, each number in the middle of its own.
+    If all values are whole numbers, a bin holds one whole number, or several if there are many.
+    The edges are halfway between whole numbers.
 
     >>> bin_edges(np.array([2.0, 3.0, 3.0]))
     array([1.5, 2.5, 3.5])
     """
-    if len(values) and (values == np.rint(values)).all():
-        low = values.min()
-        high = values.max()
-        width = max(1, math.ceil((high - low + 1) / _BINS))
-        return np.arange(low, high + width + 0.5, width) - 0.5
-    return np.histogram_bin_edges(values, _BINS)
+    are_whole = len(values) > 0 and (values == np.rint(values)).all()
+    if not are_whole:
+        return np.histogram_bin_edges(values, _MAX_BINS)
+    low = values.min()
+    high = values.max()
+    width = max(1, math.ceil((high - low + 1) / _MAX_BINS))
+    return np.arange(low, high + width + 0.5, width) - 0.5
 
 
-def _columns(labels: Labels, hashes: bool) -> dict[str, Array]:
-    """Return what a shard adds to each array of a `DatasetStatistics`."""
+def _shard_columns(labels: Labels, hash_maps: bool) -> dict[str, Array]:
+    """Return the part of a shard in each array of a `DatasetStatistics`, by name.
+
+    The arrays of hashes, "exact" and "symmetric", are empty without ``hash_maps``.
+    """
     maps = labels.maps
     passages = maps.rooms - 1
-    # arrays are padded to the most rooms of the shard: which rows are passages
-    used = np.arange(maps.directions.shape[1]) < passages[:, None]
-    starts = maps.seed_points[:, :-1][used]
-    goals = maps.seed_points[:, 1:][used]
+    # The rows of a map are padded to the largest number of rooms of the shard.
+    is_passage = np.arange(maps.directions.shape[1]) < passages[:, None]
+    starts = maps.seed_points[:, :-1][is_passage]
+    goals = maps.seed_points[:, 1:][is_passage]
     straight, diagonal = labels.astar.costs[maps.segment_pairs].T
     costs = straight + diagonal * maps.movement.diagonal_cost
-    hard = hardness(costs, starts, goals, maps.movement)
-    hardest = np.zeros(len(maps))
-    owners = np.repeat(np.arange(len(maps)), passages)
-    np.maximum.at(hardest, owners, hard)
+    segment_hardness = hardness(costs, starts, goals, maps.movement)
+    max_hardness = np.zeros(len(maps))
+    map_of_segment = np.repeat(np.arange(len(maps)), passages)
+    np.maximum.at(max_hardness, map_of_segment, segment_hardness)
     rooms_known = (maps.sizes >= 0).any() or (maps.passage_width >= 0).any()
-    skipped = (~maps.connected & used).any(axis=1)
+    lacks_passage = (~maps.connected & is_passage).any(axis=1)
     return {
         "index": maps.index,
         "rooms": maps.rooms,
         "split": maps.split,
         "all_connected": labels.all_connected,
-        "redundant": labels.all_connected & skipped & rooms_known,
-        "hardest": hardest,
+        "redundant": labels.all_connected & lacks_passage & rooms_known,
+        "hardest": max_hardness,
         "lengths": np.where(labels.reachable, np.diff(labels.astar.offsets) + 1, 0),
-        "hardness": hard,
+        "hardness": segment_hardness,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
         "rooms_known": np.array([rooms_known]),
-        **_grid_columns(maps, hashes),
+        **_grid_columns(maps, hash_maps),
     }
 
 
-def _grid_columns(maps: Maps, hashes: bool) -> dict[str, Array]:
-    """Return the free share of each map and its two digests; those only with ``hashes``."""
+def _grid_columns(maps: Maps, hash_maps: bool) -> dict[str, Array]:
+    """Return the free share and, with ``hash_maps``, the two digests of each map."""
     count, rows, _ = maps.packed.shape
-    step = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
+    maps_at_once = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
     free = []
-    exact = []
-    symmetric = []
-    for packed in np.split(maps.packed, range(step, count, step)):
+    exact_digests = []
+    symmetric_digests = []
+    for packed in np.split(maps.packed, range(maps_at_once, count, maps_at_once)):
         grids = unpacked(packed, maps.columns)
         free.append(1 - grids.mean(axis=(1, 2)))
-        if hashes:
-            own, least = digests_of(grids)
-            exact += own
-            symmetric += least
+        if hash_maps:
+            exact, symmetric = digests_of(grids)
+            exact_digests += exact
+            symmetric_digests += symmetric
     return {
         "free": np.concatenate(free),
-        "exact": np.array(exact, _DIGESTS),
-        "symmetric": np.array(symmetric, _DIGESTS),
+        "exact": np.array(exact_digests, _DIGEST_DTYPE),
+        "symmetric": np.array(symmetric_digests, _DIGEST_DTYPE),
     }
 
 
 def digests_of(grids: Bytes) -> tuple[list[bytes], list[bytes]]:
-    """Return two digests of each of (N, H, W) grids: its own, and the least of its symmetries."""
-    digests = [_digests(image) for image in _images(grids)]
-    return digests[0], list(map(min, zip(*digests, strict=True)))
+    """Return two hashes of each of N grids, (N, H, W).
+
+    Returns:
+        The hash of each grid, and the smallest of the hashes of its symmetric images, which is
+        equal for grids that are equal up to symmetry.
+    """
+    digests_of_images = [_hash_grids(image) for image in _symmetric_images(grids)]
+    exact = digests_of_images[0]
+    symmetric = [min(digests) for digests in zip(*digests_of_images, strict=True)]
+    return exact, symmetric
 
 
-def _images(grids: Bytes) -> list[Bytes]:
-    """Return the symmetric images of (N, H, W) grids, the grids first: 8 of square ones, else 4."""
-    bases = [grids]
-    if grids.shape[1] == grids.shape[2]:
-        bases.append(grids.swapaxes(1, 2))
-    return [np.flip(base, axes) for base in bases for axes in ((), 1, 2, (1, 2))]
+def _symmetric_images(grids: Bytes) -> list[Bytes]:
+    """Return the images of grids, (N, H, W), under all symmetries, beginning with the identity.
+
+    Square grids have 8 symmetries, and others have 4.
+    """
+    orientations = [grids]
+    rows, columns = grids.shape[1:]
+    if rows == columns:
+        orientations.append(grids.swapaxes(1, 2))
+    images = []
+    for oriented in orientations:
+        images += [oriented, np.flip(oriented, 1), np.flip(oriented, 2), np.flip(oriented, (1, 2))]
+    return images
 
 
-def _digests(grids: Bytes) -> list[bytes]:
-    """Return a hash of each grid, (N, H, W)."""
+def _hash_grids(grids: Bytes) -> list[bytes]:
+    """Return a hash of each of N grids, (N, H, W)."""
     packed = np.packbits(grids, axis=2)
-    return [hashlib.blake2b(row.tobytes(), digest_size=_DIGEST).digest() for row in packed]
+    return [hashlib.blake2b(grid.tobytes(), digest_size=_DIGEST_BYTES).digest() for grid in packed]
 
 
 def count_repeats(digests: Array, split: Bytes) -> Repeats:
-    """Count equal digests, (N,), inside each split and between each two."""
-    # equal digests get equal numbers, which compare faster
-    _, kinds = np.unique(digests, return_inverse=True)
-    kinds_of = {name: kinds[split == code] for code, name in enumerate(SPLITS)}
-    inside = {name: len(own) - len(np.unique(own)) for name, own in kinds_of.items()}
-    across = {
-        (a, b): int(np.isin(kinds_of[b], kinds_of[a]).sum()) for a, b in combinations(SPLITS, 2)
+    """Return the numbers of maps that equal another map inside a split and across splits.
+
+    Args:
+        digests: (N,) hashes of the maps.
+        split: (N,) split of each map as a code, 0 to 2.
+    """
+    # Equal digests get the same number, since numbers compare faster.
+    _, numbers = np.unique(digests, return_inverse=True)
+    numbers_by_split = {name: numbers[split == code] for code, name in enumerate(SPLITS)}
+    inside = {
+        name: len(split_numbers) - len(np.unique(split_numbers))
+        for name, split_numbers in numbers_by_split.items()
     }
+    across = {}
+    for first, second in combinations(SPLITS, 2):
+        is_repeated = np.isin(numbers_by_split[second], numbers_by_split[first])
+        across[first, second] = int(is_repeated.sum())
     return Repeats(inside, across)

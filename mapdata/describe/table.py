@@ -1,4 +1,4 @@
-"""One row per map: all items of the paper, for tables, the paper's CSV and the Hugging Face Hub."""
+"""Tables with a row per map, which holds all items of the paper's dataset."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from mapdata.shards.arrays import Shard, decode
 
 
 def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
-    """Return the items of map ``k`` of a batch as plain Python values.
+    """Return the items of map ``k`` of a batch as plain Python values, by name.
 
-    The names are short for those of the lists in sections 3 and 4 of arXiv 2110.13242; ``bfs`` or
-    ``astar`` stands before what a search found. A path is the whole route, the cell where two
-    segments meet once, and its iterations are those of all segments.
+    The names are short forms of those in sections 3 and 4 of arXiv 2110.13242; items of a search
+    begin with ``bfs`` or ``astar``. A path is the whole route. The cell where two segments meet is
+    in it once, and its iterations are those of all segments.
 
-    Not the paper's are ``split``, ``rooms``, ``reachable`` and ``all_connected``;
-    ``segment_iterations``, one number per segment; and ``path_gaps``, for each segment without a
-    path the number of cells before it. There the line jumps, and ``np.split(row_path, path_gaps)``
-    gives the pieces that can be walked.
+    Some items are not in the paper: ``split``, ``rooms``, ``reachable`` and ``all_connected``;
+    ``segment_iterations``, a number per segment; and ``path_gaps``, for each segment without a path
+    the number of cells before it. The path is interrupted there, and
+    ``np.split(row_path, path_gaps)`` returns its connected parts.
 
     Args:
-        labels: of the batch.
-        k: which of its maps.
+        labels: labelled maps of the batch.
+        k: index of the map in the batch.
         resolution: metres per cell.
     """
     maps = labels.maps
     rooms = int(maps.rooms[k])
     passages = rooms - 1
-    # all arrays are padded to the most rooms of the batch
+    # The rows of a map are padded to the largest number of rooms of the batch.
     seed_rows, seed_columns = maps.seed_points[k, :rooms].T.tolist()
     size_rows, size_columns = maps.sizes[k, :rooms].T.tolist()
-    first, last = maps.segment_offsets[k : k + 2]
+    first_segment, end_segment = maps.segment_offsets[k : k + 2]
     row = {
         "item": int(maps.index[k]),
         "label": f"map{maps.index[k]}",
@@ -50,17 +50,17 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
         "size_columns": size_columns,
         "direction_for_passages": maps.directions[k, :passages].reshape(-1).tolist(),
         "connected": maps.connected[k, :passages].tolist(),
-        "reachable": labels.reachable[first:last].tolist(),
+        "reachable": labels.reachable[first_segment:end_segment].tolist(),
         "all_connected": bool(labels.all_connected[k]),
     }
     for search in SEARCHES:
         route = labels.route(search, k)
         iterations = labels.iterations(search, k)
-        rows, columns = joined(route).T.tolist()
+        rows, columns = join_segments(route).T.tolist()
         row |= {
             f"{search}_row_path": rows,
             f"{search}_column_path": columns,
-            f"{search}_path_gaps": gaps(route),
+            f"{search}_path_gaps": path_gaps(route),
             f"{search}_iterations": int(iterations.sum()),
             f"{search}_segment_iterations": iterations.tolist(),
             f"{search}_connection_matrix": labels.matrix(search, k).tolist(),
@@ -68,30 +68,37 @@ def map_row(labels: Labels, k: int, resolution: float) -> dict[str, Any]:
     return row
 
 
-def map_rows(shard: Shard, split: str | None, maps: int, first: int) -> list[dict[str, Any]]:
-    """Return the rows of a shard's first ``maps``, with spaces in the column names.
+def map_rows(
+    shard: Shard, split: str | None, max_maps: int, first_index: int
+) -> list[dict[str, Any]]:
+    """Return the rows of the first maps of a shard, with spaces in the names of the columns.
 
-    Of one split, or all with None. The root's first map has the number ``first``.
+    Args:
+        shard: the shard.
+        split: only maps of this split; None for all splits.
+        max_maps: how many maps of the shard, of any split, are looked at.
+        first_index: number that is added to the map numbers of the shard.
     """
     labels = decode(shard)
-    labels.maps.index[:] += first
+    labels.maps.index[:] += first_index
     rows = []
-    for k, code in enumerate(labels.maps.split[:maps].tolist()):
-        if split in (None, SPLITS[code]):
+    for k, code in enumerate(labels.maps.split[:max_maps].tolist()):
+        if split is None or split == SPLITS[code]:
             row = map_row(labels, k, shard.header.resolution)
-            rows.append({name.replace("_", " "): value for name, value in row.items()})
+            rows.append({name.replace("_", " "): item for name, item in row.items()})
     return rows
 
 
-def joined(route: list[Ints]) -> Ints:
-    """Return the segments of a route, each (k, 2), as one path without repeated joints."""
+def join_segments(route: list[Ints]) -> Ints:
+    """Return the segments of a route, (k, 2) each, as one path; shared ends are not repeated."""
     cells = np.concatenate([np.empty((0, 2), np.int64), *route])
-    kept = np.ones(len(cells), np.bool_)
-    # no segment stays on a cell, so a cell that repeats the one before it is a joint
-    kept[1:] = (cells[1:] != cells[:-1]).any(axis=1)
-    return cells[kept]
+    is_kept = np.ones(len(cells), np.bool_)
+    # Segments never repeat a cell, so two equal cells in a row are the end of a segment and the
+    # start of the next one.
+    is_kept[1:] = (cells[1:] != cells[:-1]).any(axis=1)
+    return cells[is_kept]
 
 
-def gaps(route: list[Ints]) -> list[int]:
-    """Return, for each segment without a path, how many cells of the `joined` line precede it."""
-    return [len(joined(route[:q])) for q, segment in enumerate(route) if len(segment) == 0]
+def path_gaps(route: list[Ints]) -> list[int]:
+    """Return, for each segment without a path, the number of cells before it in the joined path."""
+    return [len(join_segments(route[:q])) for q, segment in enumerate(route) if len(segment) == 0]

@@ -1,4 +1,4 @@
-"""The classical planners, as rows to compare a new one with."""
+"""The classical planners, to compare a new planner with."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mapdata.movement import NEURAL_ASTAR, STEPS, Movement
 from mapdata.search.api import BatchResult, astar, search_batch, solve_batch
 
 MAX_ESTIMATE = 2**20
-"""Largest ``weight * (H + W)`` of `BestFirst`: f fits into 64 bits."""
+"""Maximal ``weight * (H + W)`` of `BestFirst`, so that f fits into 64 bits."""
 
 
 def classical(movement: Movement = Movement(8)) -> list[Planner]:
     """Return the planners that every comparison should show, for one movement.
 
-    "limit" expands only the cells of an optimal path: no planner that walks from start to goal can
-    do with less. Where one moves as Neural A* does, the A* that it is compared with is there, too.
+    "limit" expands only the cells of an optimal path. No planner that searches from start to goal
+    can do with fewer. If the movement is that of Neural A*, the A* of its repository is added.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
@@ -34,7 +34,7 @@ def classical(movement: Movement = Movement(8)) -> list[Planner]:
         BestFirst("Dijkstra", movement, weight=0),
         Search("A*", movement, "astar"),
         *(BestFirst(f"weighted A* ({w})", movement, weight=w) for w in (1.1, 1.25, 1.5, 2, 3)),
-        BestFirst("greedy best-first", movement, weight=1, counts_way=False),
+        BestFirst("greedy best-first", movement, weight=1, uses_path_cost=False),
         Limit("limit", movement),
     ]
     if movement == NEURAL_ASTAR:
@@ -43,7 +43,7 @@ def classical(movement: Movement = Movement(8)) -> list[Planner]:
 
 
 class Batched:
-    """A planner with `plan_batch`, which solves one problem as a batch of one."""
+    """Base class of planners with `plan_batch`: it solves a single problem as a batch of one."""
 
     def plan(self: BatchPlanner, grid: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Plan:
         """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
@@ -72,16 +72,17 @@ class Limit(Batched):
 
     def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
-        found = search_batch("astar", grids, starts, goals, self.movement)
-        return _plans(found._replace(iterations=np.diff(found.offsets)))
+        paths = search_batch("astar", grids, starts, goals, self.movement)
+        cells_per_path = np.diff(paths.offsets)
+        return _plans(paths._replace(iterations=cells_per_path))
 
 
 @dataclass(frozen=True)
 class VanillaAstar:
-    """The A* whose expansions Neural A* counts as 1; it moves as ``NEURAL_ASTAR`` says.
+    """The A* that Neural A* is compared with in its paper; its movement is ``NEURAL_ASTAR``.
 
-    It expands the cell of the least g + h, where h is the Chebyshev distance and a thousandth of
-    the Euclidean one; among equals the first in reading order.
+    It expands the cell with the smallest g + h, where h is the Chebyshev distance plus a thousandth
+    of the Euclidean distance; among equal cells the first in reading order.
 
     Source: VanillaAstar of https://github.com/omron-sinicx/neural-astar, in floats of 64 bits.
     """
@@ -90,22 +91,22 @@ class VanillaAstar:
 
     def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
         """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
-        free = set(map(tuple, np.argwhere(np.asarray(grid) == 0).tolist()))
-        way = {start: 0}
+        free_cells = set(map(tuple, np.argwhere(np.asarray(grid) == 0).tolist()))
+        cost_from_start = {start: 0}
         expanded = set[Cell]()
         heap = [(0.0, start)]
         while heap and goal not in expanded:
             _, cell = heapq.heappop(heap)
             expanded.add(cell)
-            for row, column in STEPS.tolist():
-                to = (cell[0] + row, cell[1] + column)
-                g = way[cell] + 1
-                if to in free and g < way.get(to, math.inf):
-                    way[to] = g
-                    down = abs(to[0] - goal[0])
-                    right = abs(to[1] - goal[1])
-                    f = g + max(down, right) + 0.001 * math.hypot(down, right)
-                    heapq.heappush(heap, (f, to))
+            for row_step, column_step in STEPS.tolist():
+                neighbour = (cell[0] + row_step, cell[1] + column_step)
+                g = cost_from_start[cell] + 1
+                if neighbour in free_cells and g < cost_from_start.get(neighbour, math.inf):
+                    cost_from_start[neighbour] = g
+                    rows = abs(neighbour[0] - goal[0])
+                    columns = abs(neighbour[1] - goal[1])
+                    f = g + max(rows, columns) + 0.001 * math.hypot(rows, columns)
+                    heapq.heappush(heap, (f, neighbour))
         return Plan(astar(grid, start, goal, NEURAL_ASTAR).path, len(expanded))
 
 
@@ -113,27 +114,34 @@ class VanillaAstar:
 class BestFirst(Batched):
     """Best-first search by f = g + weight * h, or f = weight * h alone.
 
-    The order is that of mapdata's A* (docs/format.md) with another f: least f, among equal f the
-    most recently pushed. A cell is pushed again for a smaller g, and expanded once; a smaller g
-    that is found later still gives it another parent, and so the path is shorter.
+    The order is that of mapdata's A* (docs/format.md) with another f: the smallest f first, and
+    among equal f the most recently pushed cell. A cell is pushed again when a smaller g is found,
+    but expanded once. A smaller g that is found after its expansion still changes the cell's
+    parent, which makes the path shorter.
 
-    The cost is at most ``max(weight, 1)`` times the optimal one (Pohl 1970; without re-expansion:
-    Likhachev et al. 2003), unless the way so far does not count.
+    The cost is at most ``max(weight, 1)`` times the optimal cost (Pohl 1970; without re-expansion:
+    Likhachev et al. 2003). There is no such bound without g.
 
     Attributes:
         name: its name in the table.
-        movement: how one moves; h is Manhattan, octile or Chebyshev as it says.
-        weight: 0 is Dijkstra's search, 1 is A*, more is weighted A*; from 0.
-        counts_way: False leaves g, the cost of the way so far, out: greedy best-first search.
+        movement: the allowed moves, which decide whether h is the Manhattan, octile or Chebyshev
+            distance.
+        weight: at least 0; 0 is Dijkstra's search, 1 is A*, above 1 is weighted A*.
+        uses_path_cost: whether g, the cost from the start, is part of f; False is greedy
+            best-first search.
     """
 
     name: str
     movement: Movement
     weight: float
-    counts_way: bool = True
+    uses_path_cost: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse a weight that is no weight."""
+        """Check the weight.
+
+        Raises:
+            ValueError: it is negative, infinite or NaN.
+        """
         if not 0 <= self.weight < math.inf:
             raise ValueError(f"weight: got {self.weight}, expected a number from 0")
 
@@ -142,17 +150,18 @@ class BestFirst(Batched):
 
         Raises:
             ValueError: what `search_batch` refuses; a grid so large that with this weight f does
-                not fit into 64 bits (1024 x 1024 cells with a weight of 512 do).
+                not fit into 64 bits (it does for 1024 x 1024 cells with a weight of 512).
         """
-        if self.weight * sum(np.shape(grids)[1:]) > MAX_ESTIMATE:
+        rows_and_columns = np.shape(grids)[1:]
+        if self.weight * sum(rows_and_columns) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")
-        weights = (int(self.counts_way), float(self.weight))
-        return _plans(solve_batch(weights, grids, starts, goals, self.movement))
+        weights_of_g_and_h = (int(self.uses_path_cost), float(self.weight))
+        return _plans(solve_batch(weights_of_g_and_h, grids, starts, goals, self.movement))
 
 
-def _plans(found: BatchResult) -> list[Plan]:
-    """Return what a batch of searches found, a plan for each."""
+def _plans(paths: BatchResult) -> list[Plan]:
+    """Return the paths of a batch of searches, each as a plan."""
     return [
-        Plan(found.cells[found.offsets[k] : found.offsets[k + 1]], count)
-        for k, count in enumerate(found.iterations.tolist())
+        Plan(paths.cells[paths.offsets[k] : paths.offsets[k + 1]], expansions)
+        for k, expansions in enumerate(paths.iterations.tolist())
     ]

@@ -1,7 +1,7 @@
-"""Foreign formats, one file each: `read_any` and `import_maps` bring maps in, `export` writes them.
+"""Foreign formats: `read_any` and `import_maps` read maps, and `export` writes them.
 
-docs/formats.md describes each format. A new one is a file with a `Format` and its name in the list
-below; the command line takes its options from the keyword-only parameters of its functions.
+docs/formats.md describes the formats. Each is a module with a `Format`, listed below. The command
+line takes the options of a format from the keyword-only parameters of its functions.
 """
 
 from mapdata.formats import (
@@ -29,7 +29,8 @@ from mapdata.formats.registry import (
 )
 from mapdata.npy import FormatError
 
-# images first: of formats that know a file, the last one has it, and these know some images better
+# The order matters: if several formats recognise a file, it belongs to the last of them. The format
+# images comes first, since the others know better what some pictures and arrays mean.
 for _module in (images, paper, movingai, ros, planning, transpath, maze_hard, huggingface):
     register(_module.FORMAT)
 

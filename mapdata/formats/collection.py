@@ -1,4 +1,4 @@
-"""What a format reads: a `Collection` of maps from elsewhere, before they become a dataset."""
+"""`Collection`: maps that were read from a foreign format, before they become a dataset."""
 
 from __future__ import annotations
 
@@ -15,29 +15,31 @@ from mapdata.search.labels import Labels
 
 
 def _no_pairs() -> Ints:
+    """Return an empty array of pairs, (0, 2) int64."""
     return np.empty((0, 2), np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class ForeignMap:
-    """One grid as a format gives it.
+    """A grid that a format has read.
 
     Its cells are kept as bits, since an import holds all its maps in memory.
 
     Attributes:
-        name: where it came from, for reports.
-        cells: (H, W) of 0 free and 1 occupied, or bool; afterwards it is `grid`.
+        name: names the source of the map in reports.
+        cells: (H, W) of 0 free and 1 occupied, or bool; only an argument, read it as ``grid``.
         split: 0 train, 1 val, 2 test; None to draw it.
         resolution: metres per cell; None if the source does not say.
-        number: its number in the source's own count; kept when the numbers of all maps are 0 to N -
-            1.
-        seed_points: (k, 2) int64, seed points that the source has; the others are drawn.
-        rooms_known: ``seed_points`` are all there are: none is drawn.
-        sizes: (k, 2) int64, rows and columns of the rooms, -1 unknown; empty: all are.
-        directions: (k - 1, 2) int64, the legs of the passages, -1 none or unknown; empty: all are.
+        number: the map's number in the source; the dataset keeps the numbers if those of all maps
+            are 0 to N - 1.
+        seed_points: (k, 2) int64, the seed points that the source has.
+        rooms_known: whether ``seed_points`` are complete; if not, an import draws more.
+        sizes: (k, 2) int64, rows and columns of the rooms, -1 unknown; empty if all are unknown.
+        directions: (k - 1, 2) int64, the legs of the passages, -1 none or unknown; empty if all are
+            unknown.
         passage_width: in cells, -1 unknown.
-        check: called with the labels and the number of this map in them; returns the names of what
-            the source says otherwise.
+        check: called with the labels and the number of this map in them; returns the names of the
+            labels for which the source has other values. None if the source has no labels.
         shape: (H, W).
     """
 
@@ -64,18 +66,19 @@ class ForeignMap:
         Raises:
             ValueError: cells that are not two-dimensional or hold another value; no such split.
         """
-        given = np.asarray(cells)
-        if given.ndim != 2 or not ((given == 0) | (given == 1)).all():
+        cells = np.asarray(cells)
+        if cells.ndim != 2 or not ((cells == 0) | (cells == 1)).all():
             raise ValueError(
-                f"cells: {self.name}: got {np.unique(given)[:3]} in shape {given.shape}, "
+                f"cells: {self.name}: got {np.unique(cells)[:3]} in shape {cells.shape}, "
                 "expected 0 and 1 in shape (H, W)"
             )
         if self.split not in (None, 0, 1, 2):
             raise ValueError(f"split: {self.name}: got {self.split!r}, expected 0, 1, 2 or None")
-        grid = np.ascontiguousarray(given, np.uint8)
-        # the way to set attributes of a frozen dataclass
+        # Bits of a transposed array would unpack to a transposed array, but kernels need grids in
+        # row-major order.
+        grid = np.ascontiguousarray(cells, np.uint8)
+        # A frozen dataclass can set its own attributes in this way only.
         object.__setattr__(self, "shape", grid.shape)
-        # contiguous, which kernels need: packed, a transposed grid would stay one
         object.__setattr__(self, "_bits", np.packbits(grid, axis=1))
 
     @property
@@ -86,15 +89,15 @@ class ForeignMap:
 
 @dataclass
 class Collection:
-    """What a format read.
+    """The maps that a format has read from a file or folder.
 
     Attributes:
         maps: the grids, in order.
         movement: the rule of the format, None if it has none.
-        left_out: (name, why) of each file or map that could not be used.
-        notes: what the user should know of how it was read.
-        format: name of the format; None if the maps were made otherwise.
-        source: the file or folder that was read; None without ``format``.
+        left_out: (name, reason) of each file or map that could not be used.
+        notes: messages for the user on how the files were read.
+        format: name of the format; None if the maps are not from a file.
+        source: the file or folder that was read; None if ``format`` is None.
     """
 
     maps: list[ForeignMap] = field(default_factory=list)
@@ -112,7 +115,7 @@ class Collection:
 
     @contextmanager
     def leaving_out(self, name: object) -> Iterator[None]:
-        """Add ``name`` to ``left_out`` with the message of a `ValueError` or `OSError`."""
+        """Catch a `ValueError` or `OSError`, and add ``name`` and its message to ``left_out``."""
         try:
             yield
         except (ValueError, OSError) as error:

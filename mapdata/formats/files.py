@@ -1,4 +1,4 @@
-"""What all formats share: limits, files and folders, and what stands for free and occupied."""
+"""Files, folders and arrays of foreign formats: limits, reading, and conversion to grids."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,13 +21,13 @@ from mapdata.shards.workers import bar
 
 @dataclass(frozen=True)
 class Limits:
-    """How an importer reads: its limits, which are checked before anything is unpacked.
+    """The limits of an import, which are checked before anything is unpacked.
 
     Attributes:
         pixels: pixels of one image, cells of one map.
-        unpacked: bytes of one file; of an archive, of all arrays that are read of it, once
-            unpacked. An .npy file may be larger: it is read a map at a time.
-        files: files looked at in a folder.
+        unpacked: bytes of one file. In an archive the limit holds for the unpacked bytes of all
+            arrays that are read. An .npy file may be larger, since it is read a map at a time.
+        files: files in a folder and its subfolders.
         maps: maps in one file.
         progress: show a progress bar while many files, or a long one, are read.
     """
@@ -40,13 +40,19 @@ class Limits:
 
 
 LIMITS = Limits()
+"""The limits by default."""
 
 
 def check_file(path: Path, limits: Limits) -> None:
-    """Refuse to read what is no plain file, or larger than ``limits.unpacked``."""
+    """Check that ``path`` is a plain file of at most ``limits.unpacked`` bytes.
+
+    Raises:
+        FormatError: it is not.
+    """
+    if not path.exists():
+        raise FormatError(f"{path}: no such file")
     if not path.is_file():
-        what = "not a plain file" if path.exists() else "no such file"
-        raise FormatError(f"{path}: {what}")
+        raise FormatError(f"{path}: not a plain file")
     size = path.stat().st_size
     if size > limits.unpacked:
         raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
@@ -69,49 +75,59 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     Raises:
         FormatError: as `read_bytes`; or it is no text.
     """
-    data = read_bytes(path, limits)
-    if b"\0" in data[:4096]:
+    content = read_bytes(path, limits)
+    if b"\0" in content[:4096]:
         raise FormatError(f"{path}: not a text file")
     try:
-        text = data.decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("latin-1")
+        text = content.decode("latin-1")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def walk(folder: Path, endings: tuple[str, ...], limits: Limits, found: Collection) -> list[Path]:
+def files_below(
+    folder: Path, endings: tuple[str, ...], limits: Limits, collection: Collection
+) -> list[Path]:
     """Return the files below ``folder`` with one of these endings, map2 before map10.
 
-    Endings are in lower case. Hidden names and links to folders are passed over; links to files
-    outside ``folder`` are added to what ``found`` leaves out, with the reason.
+    Hidden files, hidden folders and links to folders are skipped.
+
+    Args:
+        folder: searched with all its subfolders.
+        endings: in lower case.
+        limits: of the number of files.
+        collection: links to files outside ``folder`` are added to its ``left_out``.
 
     Raises:
         FormatError: more than ``limits.files`` files.
     """
     paths = []
-    seen = 0
-    inside = folder.resolve()
-    for here, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]  # os.walk goes by it
-        seen += len(names)
-        if seen > limits.files:
+    file_count = 0
+    real_folder = folder.resolve()
+    for parent, subfolders, names in os.walk(folder):
+        # os.walk descends into the folders that are left in this list.
+        subfolders[:] = [name for name in subfolders if not name.startswith(".")]
+        file_count += len(names)
+        if file_count > limits.files:
             raise FormatError(f"{folder}: holds more than {limits.files} files")
         for name in names:
-            path = Path(here, name)
+            path = Path(parent, name)
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
-            if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(inside):
-                found.left_out.append((str(path), "a link to outside the folder"))
+            if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(real_folder):
+                collection.left_out.append((str(path), "a link to outside the folder"))
             else:
                 paths.append(path)
-    return sorted(paths, key=lambda path: natural(str(path)))
+    return sorted(paths, key=lambda path: natural_key(str(path)))
 
 
-def natural(text: str) -> list[Any]:
+def natural_key(text: str) -> list[Any]:
     """Return a key that sorts numbers inside names by their value."""
-    # text and numbers in turn, the text perhaps empty; more digits than 18 are several numbers
-    parts = re.split(r"([0-9]{1,18})", text)
-    parts[1::2] = map(int, parts[1::2])
+    # Text and numbers take turns; the text may be empty, so that keys are comparable. At most 18
+    # digits are a number, so that a long row of digits takes no time to convert.
+    parts: list[Any] = re.split(r"([0-9]{1,18})", text)
+    for position in range(1, len(parts), 2):
+        parts[position] = int(parts[position])
     return parts
 
 
@@ -125,68 +141,83 @@ SPLIT_NAMES = {
     "test": 2,
     "testing": 2,
 }
-"""Names of folders that say a split, as codes."""
+"""Codes of the splits by the names of folders that hold them."""
 
 
-def split_of(path: Path, source: Path) -> int | None:
-    """Return the split that the folders between ``source`` and ``path`` say, or None.
+def split_from_folders(path: Path, source: Path) -> int | None:
+    """Return the code of the split after which a folder between ``source`` and ``path`` is named.
 
-    A ``source`` that is a file stands for its folder.
+    The outermost such folder counts; None if there is none. If ``source`` is a file, its folder is
+    meant.
     """
     folder = source if source.is_dir() else source.parent
     if not path.is_relative_to(folder):
         return None
-    for part in path.relative_to(folder).parts[:-1]:
-        if part.lower() in SPLIT_NAMES:
-            return SPLIT_NAMES[part.lower()]
+    for name in path.relative_to(folder).parts[:-1]:
+        if name.lower() in SPLIT_NAMES:
+            return SPLIT_NAMES[name.lower()]
     return None
 
 
-def map_files(target: Path, root: Root, progress: bool) -> Iterator[tuple[Path, Bytes, Ints]]:
-    """Yield each map of a dataset: where to write it, its grid and its seed points, (n, 2).
+class MapToWrite(NamedTuple):
+    """A map of a dataset that is exported to files of its own.
 
-    It is written as ``<split>/map<i>``, behind which an ending comes; the folder is made.
+    Attributes:
+        stem: path without an ending, ``<target>/<split>/map<i>``.
+        grid: (H, W) uint8, 0 free and 1 occupied.
+        seed_points: (n, 2) int64.
     """
+
+    stem: Path
+    grid: Bytes
+    seed_points: Ints
+
+
+def maps_to_write(target: Path, root: Root, progress: bool) -> Iterator[MapToWrite]:
+    """Yield all maps of a dataset; the folder of each is created."""
     for labels in root.labels(progress=progress):
         maps = labels.maps
         for k, grid in enumerate(maps.occupancy):
             folder = target / SPLITS[maps.split[k]]
             folder.mkdir(parents=True, exist_ok=True)
-            yield folder / f"map{maps.index[k]}", grid, maps.seed_points[k, : maps.rooms[k]]
+            seed_points = maps.seed_points[k, : maps.rooms[k]]
+            yield MapToWrite(folder / f"map{maps.index[k]}", grid, seed_points)
 
 
-def occupancy(values: Array, what: str, threshold: float | None = None) -> Bytes:
-    """Return an array of 0 and 1, bool, or probabilities in [0, 1] as uint8.
+def to_occupancy(values: Array, label: str, threshold: float | None = None) -> Bytes:
+    """Return an array of 0 and 1, bool, or probabilities in [0, 1] as uint8 of 0 and 1.
 
     Args:
         values: any shape.
-        what: named in errors.
-        threshold: probabilities above it are 1; None takes only 0 and 1.
+        label: names the array in errors.
+        threshold: probabilities above it become 1; None accepts only 0 and 1.
 
     Raises:
         FormatError: NaN, or another value.
     """
     low = values.min(initial=0)
     high = values.max(initial=0)
-    if not 0 <= low <= high <= 1:  # and not "low < 0 or high > 1", which lets NaN pass
-        raise FormatError(f"{what}: holds values from {low} to {high}, expected 0 to 1")
+    # With NaN every comparison is false, so this form of the test refuses it.
+    is_in_range = 0 <= low <= high <= 1
+    if not is_in_range:
+        raise FormatError(f"{label}: holds values from {low} to {high}, expected 0 to 1")
     if values.dtype.kind in "biu":
-        return values.astype(np.uint8, copy=False)  # a stack may be as large as the limits allow
+        return values.astype(np.uint8, copy=False)  # no copy: an array may be very large
     occupied = values > (0.5 if threshold is None else threshold)
     if threshold is None and not np.array_equal(occupied, values):
-        raise FormatError(f"{what}: holds values between 0 and 1, expected only 0 and 1")
+        raise FormatError(f"{label}: holds values between 0 and 1, expected only 0 and 1")
     return occupied.view(np.uint8)
 
 
 def check_grids(array: StoredArray, limits: Limits, threshold: float | None = None) -> None:
-    """Look at all of an array before any of its grids is used: a damaged file gives no map.
+    """Check a whole array before any of its grids is used, so that a damaged file gives no map.
 
-    A grid at a time is in memory.
+    Only one grid at a time is in memory.
 
     Args:
         array: (H, W), (N, H, W) or (N, 1, H, W).
         limits: of the cells of a grid and of the number of grids.
-        threshold: as of `occupancy`.
+        threshold: that of `to_occupancy`.
 
     Raises:
         FormatError: another shape, more than the limits allow, bad numbers, or damage.
@@ -205,51 +236,56 @@ def check_grids(array: StoredArray, limits: Limits, threshold: float | None = No
         )
     if count > limits.maps:
         raise FormatError(f"{array.label}: has {count} maps, expected at most {limits.maps}")
-    for _ in grids_of(array, threshold):
-        pass
+    for _ in read_grids(array, threshold):
+        pass  # reading a grid checks it
 
 
-def grids_of(array: StoredArray, threshold: float | None = None) -> Iterator[Bytes]:
-    """Yield the grids of an array, (H, W) uint8 each, of a shape that `check_grids` accepts.
+def read_grids(array: StoredArray, threshold: float | None = None) -> Iterator[Bytes]:
+    """Yield the grids of an array, (H, W) uint8, reading one at a time.
 
     Args:
-        array: read anew, a grid at a time.
-        threshold: as of `occupancy`.
+        array: of a shape that `check_grids` accepts.
+        threshold: that of `to_occupancy`.
 
     Raises:
-        FormatError: as `occupancy` and `StoredArray.read`.
+        FormatError: bad numbers, or a damaged file.
     """
     if len(array.shape) == 2:
-        yield occupancy(array.read(), array.label, threshold)
+        yield to_occupancy(array.read(), array.label, threshold)
         return
     for number, entry in enumerate(array.entries()):
-        grid = occupancy(entry, f"{array.label}: map {number}", threshold)
+        grid = to_occupancy(entry, f"{array.label}: map {number}", threshold)
         yield grid.reshape(grid.shape[-2:])
 
 
-def several(name: str, numbers: list[int]) -> str:
-    """Return the name under which some maps of a file are left out for the same reason.
+def joint_name(name: str, numbers: list[int]) -> str:
+    """Return a name for several maps of a file that are left out for the same reason.
 
-    >>> several("a.npz: train", [3, 5, 8])
+    >>> joint_name("a.npz: train", [3, 5, 8])
     'a.npz: train 3 and 2 others'
     """
-    others = len(numbers) - 1
-    return f"{name} {numbers[0]}" + (f" and {others} other{'s' * (others > 1)}" if others else "")
+    first, *later = numbers
+    if not later:
+        return f"{name} {first}"
+    noun = "other" if len(later) == 1 else "others"
+    return f"{name} {first} and {len(later)} {noun}"
 
 
-def files_of(
-    source: Path, endings: tuple[str, ...], limits: Limits, found: Collection
+def files_with_endings(
+    source: Path, endings: tuple[str, ...], limits: Limits, collection: Collection
 ) -> Iterator[Path]:
     """Yield ``source`` if it is a file, else the files below it with one of these endings.
 
-    What `walk` leaves out is added to ``found``.
+    Files that `files_below` refuses are added to what ``collection`` leaves out.
 
     Raises:
-        FormatError: there is neither, or as `walk`.
+        FormatError: no such file or folder, or more than ``limits.files`` files.
     """
     if not source.exists():
         raise FormatError(f"{source}: no such file or folder")
-    paths = walk(source, endings, limits, found) if source.is_dir() else [source]
+    paths = [source]
+    if source.is_dir():
+        paths = files_below(source, endings, limits, collection)
     with bar(limits.progress and len(paths) > 1, len(paths), unit=" files") as advance:
         for path in paths:
             yield path

@@ -48,20 +48,20 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     except ImportError:
         raise ValueError("format huggingface needs pyarrow: pip install pyarrow") from None
     (target / "data").mkdir(parents=True)
-    shards = len(root.shards)
-    written = set()
+    shard_count = len(root.shards)
+    splits_with_maps = set()
     for number, labels in enumerate(root.labels(progress=progress)):
         for code, split in enumerate(_SPLITS):
             indices = np.flatnonzero(labels.maps.split == code).tolist()
             rows = [_row(labels, k, root.resolution) for k in indices]
             if rows:
-                name = f"{split}-{number:05d}-of-{shards:05d}.parquet"
+                name = f"{split}-{number:05d}-of-{shard_count:05d}.parquet"
                 table = pa.Table.from_pylist(rows, _schema(rows[0]))
                 parquet.write_table(table, target / "data" / name, compression="zstd")
-                written.add(split)
-    # load_dataset refuses a pattern without files
-    files = {split: f"data/{split}-*.parquet" for split in _SPLITS if split in written}
-    text = card(root.places, files=files, extra=[_COLUMNS])
+                splits_with_maps.add(split)
+    # Splits without maps are not listed, since load_dataset refuses a pattern that matches no file.
+    files = {split: f"data/{split}-*.parquet" for split in _SPLITS if split in splits_with_maps}
+    text = card(root.locations, files=files, extra=[_COLUMNS])
     (target / "README.md").write_text(text, encoding="utf-8", newline="\n")
     return []
 
@@ -87,20 +87,20 @@ def _schema(names: Iterable[str]) -> pa.Schema:
     for search in SEARCHES:
         types[f"{search}_iterations"] = pa.int64()
         types[f"{search}_connection_matrix"] = pa.list_(pa.list_(pa.float32()))
-    # all others are lists of integers
+    # The columns without an entry above are lists of integers.
     columns = [(name, types.get(name, pa.list_(pa.int32()))) for name in names]
-    # what the type of a column does not say: its bytes are a picture
+    # Tells the library datasets that the bytes in this column are a picture.
     features = {"image": {"_type": "Image"}}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
     return pa.schema(columns, metadata=metadata)
 
 
 def _row(labels: Labels, k: int, resolution: float) -> dict[str, object]:
-    """Return the row of map ``k``, its picture as the bytes of a PNG that shows free white."""
+    """Return the row of map ``k``, with its picture as the bytes of a PNG, free cells white."""
     grid = labels.maps.occupancy[k]
     row = map_row(labels, k, resolution)
     picture = BytesIO()
-    Image.fromarray(grid == 0).save(picture, "PNG")  # of bool, 1 bit a pixel
+    Image.fromarray(grid == 0).save(picture, "PNG")  # bool gives 1 bit a pixel
     image = {"bytes": picture.getvalue(), "path": f"{row['label']}.png"}
     return {"image": image, "map": grid.tolist(), **row}
 

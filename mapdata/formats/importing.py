@@ -27,11 +27,12 @@ from mapdata.limits import MAX_ROOMS, MAX_SIDE, Size
 from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import label
-from mapdata.search.lattice import rule_of
-from mapdata.shards.builder import headers
-from mapdata.shards.files import StrPath, make_folder, write_file
+from mapdata.search.lattice import move_rule
+from mapdata.shards.builder import planned_headers
+from mapdata.shards.files import StrPath, file_hash, make_folder, write_file
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
+from mapdata.shards.locations import target_folder
 from mapdata.shards.manifest import (
     MANIFEST,
     PROVENANCE,
@@ -42,24 +43,23 @@ from mapdata.shards.manifest import (
     read_manifest,
 )
 from mapdata.shards.merging import check_names, locked, merge_locked
-from mapdata.shards.root import file_hash, folder_of
-from mapdata.shards.workers import Advance, bar, threads
+from mapdata.shards.workers import Advance, bar, thread_pool
 
 RESOLUTION = 0.1
 """Metres per cell where the source does not say."""
 
-_CELLS_A_SHARD = MAX_SIDE**2
-"""Most cells of a shard where its size is not given, so that large maps fit in memory."""
+_MAX_CELLS_PER_SHARD = MAX_SIDE**2
+"""Bounds the default size of a shard, so that large maps fit in memory."""
 
 Group = tuple[Size, float]
-"""Size and resolution: all that maps of one dataset must share."""
+"""Size in cells and resolution in metres per cell, which all maps of a dataset share."""
 
 
 class Draws(NamedTuple):
-    """What is drawn for maps whose source does not say it.
+    """How seed points are drawn for maps whose source has too few.
 
     Attributes:
-        seed_points: seed points of a map.
+        seed_points: number of seed points of a map.
         seed: 64-bit seed.
     """
 
@@ -69,13 +69,13 @@ class Draws(NamedTuple):
 
 @dataclass(frozen=True)
 class Imported:
-    """One dataset that an import made.
+    """A dataset that an import has written.
 
     Attributes:
         root: its folder.
         manifest: its manifest.
-        checked: how many maps came with labels, which were compared with ours.
-        disagreements: by label, how many of those maps say otherwise.
+        checked: number of maps whose source has labels, which were compared with ours.
+        disagreements: number of those maps that disagree, by the name of the label.
     """
 
     root: Path
@@ -100,31 +100,31 @@ def import_maps(
 ) -> list[Imported]:
     """Make a dataset of the grids of ``source`` under ``root``.
 
-    When the grids differ in size or resolution, each kind becomes a dataset below ``root``
-    (``root/64x64``, ...). What cannot be used is added to ``source.left_out``.
+    When the grids differ in size or resolution, those of each size and resolution become a dataset
+    below ``root`` (``root/64x64``, ...). Maps that cannot be used are added to ``source.left_out``.
 
     Args:
-        root: folder, made if missing; empty, or made by the same import before (then only what is
-            missing is made).
-        source: what a format read.
-        seed_points: how many each map has, drawn without repetition in its largest free component;
-            less where that has fewer cells.
+        root: folder, created if missing; empty, or written by the same import before (then only
+            missing shards are written).
+        source: the maps that a format has read.
+        seed_points: number of seed points of each map, drawn without repetition in its largest free
+            component; all cells of that component if it has fewer.
         seed: 64-bit seed of these draws and of the splits.
         movement: how the stored paths move; default the rule of the format, else 4-connected.
         resolution: metres per cell, whatever the source says; default the source's, else 0.1. A
             robot's map (ros) is resampled to it by the command; from Python `read_any` does it.
         splits: fractions of train, val and test, for maps whose split the source does not say.
-        tile: cut every grid into tiles of (rows, columns) from the upper left; what is left at the
-            edges is dropped.
+        tile: cut every grid into tiles of (rows, columns) from the upper left; the remainder at
+            the edges is dropped.
         shard_size: maps per shard; default 1000, less for large maps.
-        drop_leaks: leave out maps that stand in a later split too, turned or not.
+        drop_leaks: leave out maps that stand in a later split too, mirrored or turned or not.
         progress: show a progress bar.
 
     Raises:
         ValueError: bad arguments, no usable map, or a root that holds something else.
         OSError: the disk is full or may not be written to.
     """
-    root = folder_of(root)
+    root = target_folder(root)
     check_seed(seed)
     thresholds = split_thresholds(tuple(splits))
     check_seed_points("seed_points", seed_points)
@@ -135,98 +135,121 @@ def import_maps(
     movement = movement or source.movement or Movement()
     groups: dict[Group, list[ForeignMap]] = {}
     with bar(progress, len(source.maps), unit=" maps checked") as advance:
-        for one in _tiles(source, tile):
-            with source.leaving_out(one.name):
-                _check_usable(one, movement)
-                metres = resolution or one.resolution or RESOLUTION
+        for foreign_map in _tiles(source, tile):
+            with source.leaving_out(foreign_map.name):
+                _check_usable(foreign_map, movement)
+                metres = resolution or foreign_map.resolution or RESOLUTION
                 metres = check_resolution("resolution", metres)
-                groups.setdefault((one.shape, metres), []).append(one)
+                groups.setdefault((foreign_map.shape, metres), []).append(foreign_map)
             advance(1)
     if not groups:
-        reasons = [f": {name}: {why}" for name, why in source.left_out[:1]]
-        raise ValueError("no map to import" + "".join(reasons))
-    folders = _folders(root, list(groups))
+        message = "no map to import"
+        if source.left_out:
+            name, reason = source.left_out[0]
+            message += f": {name}: {reason}"
+        raise ValueError(message)
+    folders = _dataset_folders(root, list(groups))
     draws = Draws(seed_points, seed)
-    made = []
-    with bar(progress, sum(map(len, groups.values()))) as advance, threads(1) as pool:
-        for (size, metres), found in groups.items():
-            ordered = _ordered(found, source)
-            codes = draw_splits(np.uint64(seed), np.arange(len(ordered)), thresholds)
-            for k, one in enumerate(ordered):
-                if one.split is not None:
-                    codes[k] = one.split
-            # All keep their splits: were they drawn anew, other copies might be parted.
-            separated = separate(ordered, codes, drop_leaks, source.notes)
-            maps = [ordered[k] for k in separated.kept]
-            advance(len(ordered) - len(maps))
-            origin = _origin(source, maps, separated, draws)
-            wanted = Manifest(
+    datasets = []
+    with bar(progress, sum(map(len, groups.values()))) as advance, thread_pool(1) as pool:
+        for group, group_maps in groups.items():
+            size, metres = group
+            numbered = _numbered(group_maps, source)
+            split_codes = draw_splits(np.uint64(seed), np.arange(len(numbered)), thresholds)
+            for k, foreign_map in enumerate(numbered):
+                if foreign_map.split is not None:
+                    split_codes[k] = foreign_map.split
+            # Maps keep their splits when copies are dropped. If the splits were drawn again for
+            # the remaining maps, other copies might end up in different splits.
+            separated = separate(numbered, split_codes, drop_leaks, source.notes)
+            kept_maps = [numbered[k] for k in separated.kept]
+            advance(len(numbered) - len(kept_maps))
+            origin = _origin(source, kept_maps, separated, draws)
+            plan = Manifest(
                 spec=None,
                 seed=None,
-                maps=len(maps),
-                shard_size=shard_size or min(1000, _CELLS_A_SHARD // prod(size)),
+                maps=len(kept_maps),
+                shard_size=shard_size or min(1000, _MAX_CELLS_PER_SHARD // prod(size)),
                 map_size=size,
                 movement=movement,
                 resolution=metres,
             )
-            folder = folders[size, metres]
+            folder = folders[group]
             make_folder(folder)
-            # two imports of other maps would take each other's shards away
+            # Two imports of different maps at once would replace each other's shards.
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                splits_kept = codes[separated.kept]
-                made.append(_write(folder, wanted, maps, splits_kept, draws, origin, advance, pool))
-    return made
+                dataset = _write(
+                    folder,
+                    plan,
+                    maps=kept_maps,
+                    splits=split_codes[separated.kept],
+                    draws=draws,
+                    origin=origin,
+                    advance=advance,
+                    pool=pool,
+                )
+            datasets.append(dataset)
+    return datasets
 
 
 def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
-    """Yield the maps, or their tiles if they are to be cut."""
+    """Yield the maps of ``source``, cut into tiles of (rows, columns) unless ``tile`` is None.
+
+    Maps that are smaller than a tile are added to ``source.left_out``.
+    """
     if tile is None:
         yield from source.maps
         return
     rows, columns = check_sides("tile", tile)
-    for one in source.maps:
-        grid = one.grid
-        height, width = one.shape
+    for foreign_map in source.maps:
+        grid = foreign_map.grid
+        height, width = foreign_map.shape
         if height < rows or width < columns:
-            why = f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"
-            source.left_out.append((one.name, why))
-        for row in range(0, height - rows + 1, rows):
-            for column in range(0, width - columns + 1, columns):
-                name = f"{one.name} rows {row}.. columns {column}.."
-                part = grid[row : row + rows, column : column + columns]
-                yield ForeignMap(name, part, one.split, one.resolution)
+            reason = f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"
+            source.left_out.append((foreign_map.name, reason))
+        for top in range(0, height - rows + 1, rows):
+            for left in range(0, width - columns + 1, columns):
+                yield ForeignMap(
+                    f"{foreign_map.name} rows {top}.. columns {left}..",
+                    grid[top : top + rows, left : left + columns],
+                    foreign_map.split,
+                    foreign_map.resolution,
+                )
 
 
-def _check_usable(one: ForeignMap, movement: Movement) -> None:
-    """Refuse a map that cannot be in a dataset.
+def _check_usable(foreign_map: ForeignMap, movement: Movement) -> None:
+    """Check that a map can be part of a dataset.
 
     Raises:
-        ValueError: the message says why.
+        ValueError: it cannot; the message says why.
     """
-    grid = one.grid
-    rows, columns = one.shape
-    if not 1 <= min(one.shape) <= max(one.shape) <= MAX_SIDE:
+    grid = foreign_map.grid
+    rows, columns = foreign_map.shape
+    if not 1 <= min(rows, columns) <= max(rows, columns) <= MAX_SIDE:
         raise ValueError(
             f"{rows} x {columns} cells, expected 1 to {MAX_SIDE} rows and columns; --tile cuts it"
         )
-    for cell in one.seed_points:
-        why = why_not_free(grid, cell)
-        if why:
-            raise ValueError(f"seed point {why}")
-    rooms = len(one.seed_points)
-    if rooms > MAX_ROOMS or (one.rooms_known and rooms < 1):
+    for cell in foreign_map.seed_points:
+        reason = why_not_free(grid, cell)
+        if reason:
+            raise ValueError(f"seed point {reason}")
+    rooms = len(foreign_map.seed_points)
+    if rooms > MAX_ROOMS or (foreign_map.rooms_known and rooms < 1):
         raise ValueError(f"{rooms} rooms, expected 1 to {MAX_ROOMS}")
-    if not one.rooms_known and len(largest_component(grid, rule_of(movement)[0])) < 2:
-        raise ValueError(f"has no two connected free cells ({(grid == 0).sum()} free in all)")
+    if not foreign_map.rooms_known:
+        diagonals, _ = move_rule(movement)
+        if len(largest_component(grid, diagonals)) < 2:
+            free_cells = np.count_nonzero(grid == 0)
+            raise ValueError(f"has no two connected free cells ({free_cells} free in all)")
 
 
-def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
-    """Return the folder of each dataset.
+def _dataset_folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
+    """Return the folder of each group's dataset: ``root``, or folders below it for several groups.
 
     Raises:
-        ValueError: something else stands where they are to be written.
+        ValueError: a folder holds files that are not of a dataset.
     """
     folders = dict.fromkeys(groups, root)
     if len(groups) > 1:
@@ -236,18 +259,25 @@ def _folders(root: Path, groups: Sequence[Group]) -> dict[Group, Path]:
             if sizes[size] > 1:
                 name += f"-{metres:g}m"
             folders[size, metres] = root / name
-        check_names(root, {folder.name for folder in folders.values()}.__contains__)
+        folder_names = {folder.name for folder in folders.values()}
+        check_names(root, folder_names.__contains__)
     for folder in folders.values():
         check_names(folder)
     return folders
 
 
-def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
-    """Return the maps in the order of their numbers if those are 0 to N - 1, else as they came."""
-    numbers = [one.number for one in maps if one.number is not None]
-    if sorted(numbers) == list(range(len(maps))):
-        return sorted(maps, key=lambda one: one.number or 0)
-    if numbers:
+def _numbered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
+    """Return the maps in the order in which the dataset numbers them.
+
+    That is the order of the source's own numbers if those are 0 to N - 1. If they are not, the
+    order stays, and ``source`` gets a note.
+    """
+    map_by_number = {
+        foreign_map.number: foreign_map for foreign_map in maps if foreign_map.number is not None
+    }
+    if map_by_number.keys() == set(range(len(maps))):
+        return [map_by_number[number] for number in range(len(maps))]
+    if map_by_number:
         source.notes.append("maps are numbered anew: the source's own numbers are not 0 to N - 1")
     return maps
 
@@ -255,7 +285,7 @@ def _ordered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
 def _origin(
     source: Collection, maps: list[ForeignMap], separated: Separated, draws: Draws
 ) -> dict[str, Any]:
-    """Return what ``import.json`` says of a dataset: what the shards do not say."""
+    """Return the content of ``import.json``: facts of a dataset that its shards do not hold."""
     cells = len(maps) * prod(maps[0].shape)
     occupied = sum(int(np.count_nonzero(foreign_map.grid)) for foreign_map in maps)
     origin: dict[str, Any] = {
@@ -273,7 +303,8 @@ def _origin(
 
 def _write(
     folder: Path,
-    wanted: Manifest,
+    plan: Manifest,
+    *,
     maps: list[ForeignMap],
     splits: Bytes,
     draws: Draws,
@@ -281,71 +312,98 @@ def _write(
     advance: Advance,
     pool: Executor,
 ) -> Imported:
-    """Write one dataset, shard by shard, while nobody else does; keep the shards that are there."""
-    other = ValueError(f"root: {folder} holds another dataset, expected an empty folder")
-    if (folder / MANIFEST).exists() and replace(read_manifest(folder), shards=()) != wanted:
-        raise other
-    # The plan comes first: who goes on with an import that was stopped knows it by this.
-    manifest = merge_locked(folder, wanted)
-    have = {entry.name: entry for entry in manifest.shards}
+    """Write a dataset shard by shard; shards that are there already and undamaged are kept.
+
+    The caller holds the lock of ``folder``.
+
+    Args:
+        folder: of the dataset.
+        plan: its manifest, without shards.
+        maps: in the order of their numbers.
+        splits: (N,) their splits.
+        draws: how missing seed points are drawn.
+        origin: content of ``import.json``.
+        advance: called with the number of maps that were written.
+        pool: labels the maps.
+
+    Raises:
+        ValueError: ``folder`` holds another dataset.
+    """
+    another_dataset = ValueError(f"root: {folder} holds another dataset, expected an empty folder")
+    if (folder / MANIFEST).exists() and replace(read_manifest(folder), shards=()) != plan:
+        raise another_dataset
+    # The plan is written before the first shard, so that an import that was stopped can be
+    # recognised and completed.
+    manifest = merge_locked(folder, plan)
+    old_entries = {entry.name: entry for entry in manifest.shards}
     checked = 0
     disagreements: Counter[str] = Counter()
-    for header in headers(wanted):
-        span = slice(*header.limits)
-        batch = maps[span]
-        # in a thread, so that Ctrl-C need not wait for it
-        labels = pool.submit(label, to_maps(batch, splits[span], header, draws)).result()
-        for k, one in enumerate(batch):
-            if one.check is not None:
+    for header in planned_headers(plan):
+        shard_maps = maps[header.start : header.stop]
+        shard_splits = splits[header.start : header.stop]
+        unlabelled = to_maps(shard_maps, shard_splits, header, draws)
+        # A kernel in the main thread could not be interrupted, so Ctrl-C would wait for its end.
+        labels = pool.submit(label, unlabelled).result()
+        for k, foreign_map in enumerate(shard_maps):
+            if foreign_map.check is not None:
                 checked += 1
-                disagreements.update(one.check(labels, k))
-        image, content = shard_image(labels, header)
-        entry = entry_of(header, content, labels, image)
+                disagreements.update(foreign_map.check(labels, k))
+        image, content_hash = shard_image(labels, header)
+        entry = entry_of(header, content_hash, labels, image)
         path = path_in(folder, entry.name)
-        old = have.get(entry.name)
-        if old is not None and old.content_hash != content:
-            raise other
-        if old is None or not path.exists() or file_hash(path) != old.sha256:
+        old_entry = old_entries.get(entry.name)
+        if old_entry is not None and old_entry.content_hash != content_hash:
+            raise another_dataset
+        is_sound = old_entry is not None and path.exists() and file_hash(path) == old_entry.sha256
+        if not is_sound:
             write_file(path, image)
-            # of two entries for the same maps, the later one counts
-            manifest = merge_locked(folder, replace(wanted, shards=(*manifest.shards, entry)))
-        advance(len(batch))
+            # If two entries are for the same maps, the later one counts.
+            manifest = merge_locked(folder, replace(plan, shards=(*manifest.shards, entry)))
+        advance(len(shard_maps))
     write_file(folder / PROVENANCE, provenance_text(origin).encode())
     return Imported(folder, manifest, checked, dict(disagreements))
 
 
-def to_maps(batch: Sequence[ForeignMap], splits: Bytes, header: Header, draws: Draws) -> Maps:
+def to_maps(
+    foreign_maps: Sequence[ForeignMap], splits: Bytes, header: Header, draws: Draws
+) -> Maps:
     """Return foreign maps of one size as `Maps`; draw the seed points that they lack.
 
     Args:
-        batch: the maps ``header.start`` to ``header.stop`` - 1.
+        foreign_maps: the maps ``header.start`` to ``header.stop`` - 1 of the dataset.
         splits: (N,) their splits.
         header: their numbers, size and movement.
         draws: how many seed points, and how they are drawn.
     """
-    points = [_seed_points(one, header, draws, header.start + k) for k, one in enumerate(batch)]
-    most = max(2, *map(len, points))
-    indices = np.arange(*header.limits)
-    maps = Maps.empty(header.movement, header.map_size, indices, most)
+    indices = np.arange(header.start, header.stop)
+    seed_points = [
+        _seed_points(foreign_map, header, draws, index)
+        for foreign_map, index in zip(foreign_maps, indices.tolist(), strict=True)
+    ]
+    max_rooms = max(2, *map(len, seed_points))
+    maps = Maps.empty(header.movement, header.map_size, indices, max_rooms)
     maps.split[:] = splits
-    maps.packed[:] = pack(np.stack([one.grid for one in batch]))
-    for k, (one, cells) in enumerate(zip(batch, points, strict=True)):
+    maps.packed[:] = pack(np.stack([foreign_map.grid for foreign_map in foreign_maps]))
+    for k, (foreign_map, cells) in enumerate(zip(foreign_maps, seed_points, strict=True)):
         maps.rooms[k] = len(cells)
-        maps.passage_width[k] = one.passage_width
+        maps.passage_width[k] = foreign_map.passage_width
         maps.seed_points[k, : len(cells)] = cells
-        maps.sizes[k, : len(one.sizes)] = one.sizes
-        maps.directions[k, : len(one.directions)] = one.directions
+        maps.sizes[k, : len(foreign_map.sizes)] = foreign_map.sizes
+        maps.directions[k, : len(foreign_map.directions)] = foreign_map.directions
     return maps
 
 
-def _seed_points(one: ForeignMap, header: Header, draws: Draws, index: int) -> Ints:
-    """Return the seed points of map ``index``, (k, 2): its own, then those drawn to fill up."""
-    missing = draws.seed_points - len(one.seed_points)
-    if one.rooms_known or missing <= 0:
-        return one.seed_points
-    _, columns = one.shape
-    given = one.seed_points @ (columns, 1)
-    cells = np.setdiff1d(largest_component(one.grid, rule_of(header.movement)[0]), given)
-    drawn = draw_points(cells, np.uint64(draws.seed), np.uint64(index), min(missing, len(cells)))
-    rows_and_columns = np.divmod(np.concatenate((given, drawn)), columns)
-    return np.column_stack(rows_and_columns)
+def _seed_points(foreign_map: ForeignMap, header: Header, draws: Draws, index: int) -> Ints:
+    """Return the seed points of map ``index``, (k, 2): those of its source, then those drawn."""
+    missing = draws.seed_points - len(foreign_map.seed_points)
+    if foreign_map.rooms_known or missing <= 0:
+        return foreign_map.seed_points
+    _, columns = foreign_map.shape
+    # Cells are drawn by their numbers in reading order, row * columns + column.
+    own_cells = foreign_map.seed_points[:, 0] * columns + foreign_map.seed_points[:, 1]
+    diagonals, _ = move_rule(header.movement)
+    candidates = np.setdiff1d(largest_component(foreign_map.grid, diagonals), own_cells)
+    count = min(missing, len(candidates))
+    drawn = draw_points(candidates, np.uint64(draws.seed), np.uint64(index), count)
+    cell_numbers = np.concatenate((own_cells, drawn))
+    return np.column_stack(np.divmod(cell_numbers, columns))

@@ -1,4 +1,4 @@
-"""Copies of maps: a planner that was trained on a map is not tested on it."""
+"""Copies of maps in two splits: a planner must not be tested on maps that it was trained on."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from mapdata.limits import SPLITS
 
 
 class Separated(NamedTuple):
-    """Maps whose copies were counted.
+    """The maps that are kept, and how many of them differ.
 
     Attributes:
-        kept: the numbers of the maps that are left.
-        distinct: how many different maps are left, by split, and in "all".
-        symmetric: the same, where the symmetric images of a map count as one.
+        kept: (K,) numbers of the kept maps.
+        distinct: number of different kept maps, by split and in "all".
+        symmetric: number of kept maps that differ by more than a symmetry, by split and in "all".
     """
 
     kept: Ints
@@ -27,41 +27,46 @@ class Separated(NamedTuple):
 
 
 def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]) -> Separated:
-    """Count the copies of maps, and those that stand in two splits, exactly and up to symmetry.
+    """Count the copies of maps across splits, exact ones and those up to symmetry.
 
     Args:
         maps: all of one size, in their order.
         splits: (N,) their splits.
         drop: leave out the copies in the earlier splits, so that the test split stays whole.
-        notes: gets a line that says how many stand in two splits, where there are several.
+        notes: if there are several splits, a line is added that says how many maps stand in two.
     """
-    digests = [digests_of(foreign_map.grid[None]) for foreign_map in maps]
-    exact, symmetric = map(np.concatenate, zip(*digests, strict=True))
-    # the number of each kind of map, and the last split that has one of it
-    _, kinds = np.unique(symmetric, return_inverse=True)
-    last = np.zeros_like(splits)
-    np.maximum.at(last, kinds, splits)
-    kept = np.flatnonzero(splits == last[kinds])
+    digest_pairs = [digests_of(foreign_map.grid[None]) for foreign_map in maps]
+    exact = np.concatenate([exact for exact, _ in digest_pairs])
+    symmetric = np.concatenate([symmetric for _, symmetric in digest_pairs])
+    # Maps that are equal up to symmetry form a group; the copies in its last split are kept.
+    _, groups = np.unique(symmetric, return_inverse=True)
+    last_splits = np.zeros_like(splits)
+    np.maximum.at(last_splits, groups, splits)
+    kept = np.flatnonzero(splits == last_splits[groups])
     copies = len(maps) - len(kept)
     if copies:
-        same = count_repeats(exact, splits).across
-        similar = count_repeats(symmetric, splits).across
-        counts = [f"{same[a, b]} of {b} in {a} ({similar[a, b]} up to symmetry)" for a, b in same]
-        done = "left out" if drop else "kept, --drop-leaks leaves them out"
+        exact_counts = count_repeats(exact, splits).across
+        symmetric_counts = count_repeats(symmetric, splits).across
+        counts = ", ".join(
+            f"{count} of {later} in {earlier} ({symmetric_counts[earlier, later]} up to symmetry)"
+            for (earlier, later), count in exact_counts.items()
+        )
+        outcome = "left out" if drop else "kept, --drop-leaks leaves them out"
         notes.append(
-            f"maps in two splits: {', '.join(counts)}; {copies} copies in the earlier ones are "
-            f"{done}"
+            f"maps in two splits: {counts}; {copies} copies in the earlier ones are {outcome}"
         )
     elif len(np.unique(splits)) > 1:
         notes.append("no map stands in two splits, exactly or up to symmetry")
     if not drop:
         kept = np.arange(len(maps))
     return Separated(
-        kept, _distinct(exact[kept], splits[kept]), _distinct(symmetric[kept], splits[kept])
+        kept,
+        _count_distinct(exact[kept], splits[kept]),
+        _count_distinct(symmetric[kept], splits[kept]),
     )
 
 
-def _distinct(digests: Array, splits: Bytes) -> dict[str, int]:
-    """Return how many different digests, (N,), there are in each split and in all."""
-    counts = {split: len(np.unique(digests[splits == k])) for k, split in enumerate(SPLITS)}
+def _count_distinct(digests: Array, splits: Bytes) -> dict[str, int]:
+    """Return the number of different digests, (N,), in each split and in "all"."""
+    counts = {name: len(np.unique(digests[splits == code])) for code, name in enumerate(SPLITS)}
     return {"all": len(np.unique(digests)), **counts}

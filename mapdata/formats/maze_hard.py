@@ -1,4 +1,4 @@
-"""Mazes as text for sequence models, as maze-30x30-hard-1k has them: a CSV a split, in and out.
+"""Mazes as text for sequence models, as in maze-30x30-hard-1k: a CSV for each split, in and out.
 
 Source: https://huggingface.co/datasets/sapientinc/maze-30x30-hard-1k, which HRM
 (https://arxiv.org/abs/2506.21734) and TRM (https://arxiv.org/abs/2510.04871) are trained on. After
@@ -6,7 +6,7 @@ a header each line has four columns:
 
 | column | value |
 |---|---|
-| source | where the maze comes from |
+| source | the origin of the maze, any text |
 | question | the cells of a square map, row by row: "#" occupied, " " free, "S" start, "G" goal |
 | answer | the same with "o" on the free cells of a shortest path, 4-connected |
 | rating | how hard it is: here the moves of that path |
@@ -24,7 +24,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_of
+from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_with_endings
 from mapdata.formats.registry import Format
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
@@ -36,8 +36,10 @@ from mapdata.shards.root import Root
 HEADER = "source,question,answer,rating"
 
 _QUESTION = re.compile("[# ]*(S[# ]*G|G[# ]*S)[# ]*")
+"""A question has one start and one goal, and otherwise occupied and free cells."""
 
 _OCCUPIED, _FREE, _START, _GOAL, _PATH = np.frombuffer(b"# SGo", np.uint8)
+"""The ASCII codes of the cells."""
 
 
 def is_maze_hard(path: Path) -> bool:
@@ -54,53 +56,58 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     Raises:
         FormatError: ``source`` is not there. Lines that are no maze are left out.
     """
-    found = Collection(movement=Movement())
-    for path in files_of(source, (".csv",), limits, found):
+    collection = Collection(movement=Movement())
+    for path in files_with_endings(source, (".csv",), limits, collection):
         split = SPLIT_NAMES.get(path.stem.lower())
-        with found.leaving_out(path):
+        with collection.leaving_out(path):
             check_file(path, limits)
             with path.open(encoding="latin-1", newline="\n") as file:
-                next(file, "")
+                next(file, "")  # skip the header
                 for number, line in enumerate(file, 2):
                     name = f"{path}, line {number}"
-                    with found.leaving_out(name):
-                        found.maps.append(_maze(name, line, split, limits))
-    return found
+                    with collection.leaving_out(name):
+                        collection.maps.append(_parse_maze(name, line, split, limits))
+    return collection
 
 
-def _maze(name: str, line: str, split: int | None, limits: Limits) -> ForeignMap:
-    """Return the map of a line.
+def _parse_maze(name: str, line: str, split: int | None, limits: Limits) -> ForeignMap:
+    """Return the map of a line; its check says whether the answer is a shortest path.
+
+    Args:
+        name: of the map, and of the line in errors.
+        line: text of the line.
+        split: code of the split; None to draw it.
+        limits: of the number of cells.
 
     Raises:
-        FormatError: it is none.
+        FormatError: the line is no maze.
     """
-    fields = line.rsplit(",", 3)  # only a source may hold a comma
+    fields = line.rsplit(",", 3)  # only the first column, the source, may hold a comma
     if len(fields) < 4 or len(fields[1]) > limits.pixels:
         raise FormatError(f"{name}: expected {HEADER} of at most {limits.pixels} cells")
     _, question, answer, _ = fields
     if not _QUESTION.fullmatch(question):
         raise FormatError(f"{name}: expected cells '#' and ' ', one S and one G")
-    cells = _cells(question)
-    wrong = [] if is_shortest_answer(question, answer) else ["answer"]
+    cells = _square_of_cells(question)
+    wrong_labels = [] if is_shortest_answer(question, answer) else ["answer"]
     return ForeignMap(
         name,
         cells == _OCCUPIED,
         split,
-        seed_points=_ends(cells),
+        seed_points=_start_and_goal(cells),
         rooms_known=True,
-        check=lambda _labels, _k: wrong,
+        check=lambda _labels, _number: wrong_labels,
     )
 
 
 def is_shortest_answer(question: str, answer: str) -> bool:
-    """Return whether an answer marks a shortest path: any of them, not only the one in the file.
+    """Return whether an answer marks a shortest path.
 
-    Most problems have many shortest paths, and a model that finds another one than the file's is
-    right, too.
+    Most problems have many shortest paths, and a model may find another one than the file has.
 
     Args:
         question: the cells of a square map, row by row, with one S and one G.
-        answer: of a model; all but the cells that it marks with "o" must be as in the question.
+        answer: the question with some free cells marked by "o", as a model returns it.
 
     >>> answers = ("Soo #o  G", "S  o# ooG", "S   #   G")
     >>> [is_shortest_answer("S   #   G", answer) for answer in answers]
@@ -108,17 +115,19 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     """
     if answer.replace("o", " ") != question:
         return False
-    cells = _cells(answer)
-    start, goal = _ends(cells)
-    shortest = astar(cells == _OCCUPIED, start, goal).cost
-    # With all cells occupied that are not marked, the path can only be the marked one. It passes
-    # over all of them if there are as many as it needs.
-    marked = astar((cells == _OCCUPIED) | (cells == _FREE), start, goal).cost
-    return shortest == marked == answer.count("o") + 1
+    cells = _square_of_cells(answer)
+    start, goal = _start_and_goal(cells)
+    shortest_cost = astar(cells == _OCCUPIED, start, goal).cost
+    # If all cells that are not marked are occupied, a path can only use marked cells. It uses all
+    # of them if there are no more than it needs.
+    is_unmarked = (cells == _OCCUPIED) | (cells == _FREE)
+    marked_cost = astar(is_unmarked, start, goal).cost
+    moves = answer.count("o") + 1
+    return shortest_cost == marked_cost == moves
 
 
-def _cells(text: str) -> Bytes:
-    """Return the characters of a square map, (side, side).
+def _square_of_cells(text: str) -> Bytes:
+    """Return the characters of a square map as ASCII codes, (side, side) uint8.
 
     Raises:
         FormatError: their number is not a square.
@@ -129,9 +138,9 @@ def _cells(text: str) -> Bytes:
     return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
 
 
-def _ends(cells: Bytes) -> Ints:
+def _start_and_goal(cells: Bytes) -> Ints:
     """Return the start and the goal, (2, 2)."""
-    return np.concatenate([np.argwhere(cells == end) for end in (_START, _GOAL)])
+    return np.concatenate([np.argwhere(cells == _START), np.argwhere(cells == _GOAL)])
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -147,24 +156,24 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             "maps and 4-connected paths"
         )
     target.mkdir()
-    with ExitStack() as opened:
+    with ExitStack() as stack:
         paths = [target / f"{split}.csv" for split in SPLITS]
-        files = [opened.enter_context(path.open("w", newline="\n")) for path in paths]
+        files = [stack.enter_context(path.open("w", newline="\n")) for path in paths]
         for file in files:
             print(HEADER, file=file)
         for labels in root.labels(progress=progress):
             for k, code in enumerate(labels.maps.split):
-                files[code].writelines(_lines(labels, k))
+                files[code].writelines(_lines_of_map(labels, k))
     return []
 
 
-def _lines(labels: Labels, k: int) -> Iterator[str]:
-    """Yield the lines of map ``k`` of a batch."""
-    empty = np.where(labels.maps.occupancy[k], _OCCUPIED, _FREE)
+def _lines_of_map(labels: Labels, k: int) -> Iterator[str]:
+    """Yield a line for each segment of the route on map ``k`` of a batch, if it has a path."""
+    without_path = np.where(labels.maps.occupancy[k], _OCCUPIED, _FREE)
     for path in labels.route("astar", k):
-        if len(path) < 2:  # no path, or two seed points in one cell
+        if len(path) < 2:  # no path, or two seed points in the same cell
             continue
-        cells = empty.copy()
+        cells = without_path.copy()
         cells[tuple(path.T)] = _PATH
         cells[tuple(path[0])] = _START
         cells[tuple(path[-1])] = _GOAL
@@ -173,4 +182,4 @@ def _lines(labels: Labels, k: int) -> Iterator[str]:
         yield f"map{labels.maps.index[k]},{question},{answer},{len(path) - 1}\n"
 
 
-FORMAT = Format("maze-hard", (".csv",), read, write, is_mine=is_maze_hard)
+FORMAT = Format("maze-hard", (".csv",), read, write, recognises=is_maze_hard)

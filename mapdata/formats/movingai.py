@@ -4,8 +4,8 @@ Source: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", 2012,
 https://movingai.com/benchmarks/formats.html.
 
 A move joins two cells of land (`.`, `G` and swamp `S`), two of water (`W`) or two of trees (`T`);
-`@` and `O` are blocked. So land, water and trees are three binary grids, and all are exact: nothing
-leads from one to another. A dataset holds the land; `check_scen` takes the one that a problem
+`@` and `O` are blocked. No move leads from land to water or trees, so each of the three is an exact
+binary grid of its own. A dataset holds the land; `check_scen` takes the terrain that a problem
 starts in. The benchmark's rule: 8-connected, a diagonal costs sqrt 2 and needs both orthogonal
 cells passable.
 
@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
@@ -29,7 +30,14 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
+from mapdata.formats.files import (
+    LIMITS,
+    Limits,
+    files_with_endings,
+    maps_to_write,
+    read_text,
+    split_from_folders,
+)
 from mapdata.formats.registry import Format
 from mapdata.limits import MAX_ROOMS, Cell, Size
 from mapdata.movement import Movement
@@ -38,24 +46,29 @@ from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import search_batch, solve_batch
 from mapdata.search.lattice import ASTAR
 from mapdata.shards.files import StrPath
-from mapdata.shards.root import Root, local_path
+from mapdata.shards.locations import local_path
+from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
 MOVEMENT = Movement(8)
 """The benchmark's rule."""
 
 LAND = ".GS"
+"""The letters of cells that are free in a dataset."""
+
 BLOCKED = "@O"
+"""The letters of cells on which no move starts or ends."""
 
 _LINE = re.compile(
-    r"(\d{1,9}) (.+?)(?: (?P<width>\d{1,9}) (\d{1,9}))?"  # bucket, map and its size
-    r" (\d{1,9}) (\d{1,9}) (\d{1,9}) (\d{1,9}) (\d+(?:\.\d*)?)",  # start, goal, length
+    r"(?P<bucket>\d{1,9}) (?P<map>.+?)(?: (?P<width>\d{1,9}) (?P<height>\d{1,9}))?"
+    r" (?P<start_x>\d{1,9}) (?P<start_y>\d{1,9}) (?P<goal_x>\d{1,9}) (?P<goal_y>\d{1,9})"
+    r" (?P<length>\d+(?:\.\d*)?)",
     re.ASCII,
 )
 """A line of a .scen, its fields with one space between them."""
 
 _ISLANDS = {"W": "water", "T": "trees"}
-"""What can be walked on, but neither entered from land nor left for it."""
+"""Terrain by letter that can be crossed, but neither entered from land nor left to land."""
 
 
 class Problem(NamedTuple):
@@ -63,12 +76,12 @@ class Problem(NamedTuple):
 
     Attributes:
         bucket: length // 4 in the benchmark's own files.
-        map: the map's name as the file says it.
+        map: the map's name as the file has it.
         size: (rows, columns) of the map, None in files of the first version.
         start, goal: cells.
-        length: optimal length as printed; 0 for different cells: no path.
-        line: number of the line.
-        unit: of the last digit that its file prints.
+        length: optimal length as printed; 0 between different cells means that there is no path.
+        line: number of the line, from 1.
+        unit: unit of the last printed digit of the length, such as 0.01.
     """
 
     bucket: int
@@ -89,34 +102,39 @@ def read_terrain(path: StrPath, limits: Limits = LIMITS) -> Bytes:
     """
     path = Path(path)
     lines = read_text(path, limits).split("\n")
-    first, sides = _map_header(path, lines)
+    first_row, sides = _map_header(path, lines)
     rows = sides.get("height", 0)
     columns = sides.get("width", 0)
     if not 1 <= rows * columns <= limits.pixels:
         raise FormatError(
             f"{path}: height {rows} and width {columns}, expected 1 to {limits.pixels} cells"
         )
-    body = [line.rstrip(" \t") for line in lines[first : first + rows]]
-    expected = f"{columns} letters"
-    for k in range(rows):
-        what = f"{len(body[k])} letters" if k < len(body) else "missing"
-        if what != expected:
-            raise FormatError(f"{path}: row {k} is {what}, expected {expected} ({rows} rows)")
+    body = [line.rstrip(" \t") for line in lines[first_row : first_row + rows]]
+    expected = f"{columns} letters ({rows} rows)"
+    for number, row in enumerate(body):
+        if len(row) != columns:
+            raise FormatError(f"{path}: row {number} is {len(row)} letters, expected {expected}")
+    if len(body) < rows:
+        raise FormatError(f"{path}: row {len(body)} is missing, expected {expected}")
     text = "".join(body)
-    known = LAND + "".join(_ISLANDS) + BLOCKED
-    unknown = set(text) - set(known)
-    if unknown:
+    letters = LAND + "".join(_ISLANDS) + BLOCKED
+    unknown_letters = sorted(set(text) - set(letters))
+    if unknown_letters:
         raise FormatError(
-            f"{path}: unknown terrain {sorted(unknown)[0]!r}, expected one of {known}"
+            f"{path}: unknown terrain {unknown_letters[0]!r}, expected one of {letters}"
         )
     return np.frombuffer(text.encode("ascii"), np.uint8).reshape(rows, columns)
 
 
 def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
-    """Return the number of the first row's line, from 0, and the sides that the lines above state.
+    """Return the header of a .map file.
+
+    Returns:
+        The index in ``lines`` of the map's first row, and "height" and "width" as far as the header
+        states them.
 
     Raises:
-        FormatError: another line among them, or no line "map" among the first 20.
+        FormatError: a line that is no part of a header, or no line "map" among the first 20.
     """
     sides: dict[str, int] = {}
     for number, line in enumerate(lines[:20]):
@@ -133,9 +151,15 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
     raise FormatError(f"{path}: no line 'map' near the top, expected a MovingAI map")
 
 
-def world(terrain: Bytes, letters: str = LAND) -> Bytes:
-    """Return a grid, (H, W) uint8, in which only cells of these letters are free."""
-    return np.asarray(~np.isin(terrain, list(letters.encode())), np.uint8)
+def terrain_grid(terrain: Bytes, free_letters: str = LAND) -> Bytes:
+    """Return a grid, (H, W) uint8, in which only cells of ``free_letters`` are free.
+
+    Args:
+        terrain: (H, W) uint8 of ASCII codes.
+        free_letters: the letters of the free cells.
+    """
+    is_free = np.isin(terrain, list(free_letters.encode()))
+    return np.asarray(~is_free, np.uint8)
 
 
 def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
@@ -147,41 +171,59 @@ def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
     path = Path(path)
     problems: list[Problem] = []
     lines = read_text(path, limits).split("\n")
-    for number, line in enumerate(lines, 1):
+    for number, (previous_line, line) in enumerate(pairwise(["", *lines]), start=1):
         words = line.split()
         is_version = words[:1] == ["version"] and not problems
         if not words or is_version:
             continue
-        is_after_gap = not lines[number - 2].strip()
-        if problems and is_after_gap and not words[0].isdecimal():
-            break  # a citation ends the file
-        problems.append(_problem(line, number, path))
-    decimals = [problem.length.partition(".")[2] for problem in problems]
-    is_fixed = "" not in decimals and len(set(map(len, decimals))) == 1
+        is_after_empty_line = not previous_line.strip()
+        if problems and is_after_empty_line and not words[0].isdecimal():
+            break  # the citation at the end of some files
+        problems.append(_parse_problem(line, number, path))
+    decimal_counts = {_decimal_count(problem.length) for problem in problems}
+    is_fixed = len(decimal_counts) == 1 and 0 not in decimal_counts
     return [problem._replace(unit=_unit(problem.length, is_fixed)) for problem in problems]
 
 
-def _problem(line: str, number: int, path: Path) -> Problem:
-    """Return the problem of a line; its unit is not known before all lines are read."""
+def _parse_problem(line: str, number: int, path: Path) -> Problem:
+    """Return the problem of a line, with NaN as its unit, which depends on all lines of the file.
+
+    Args:
+        line: text of the line.
+        number: number of the line, from 1.
+        path: named in errors.
+
+    Raises:
+        FormatError: fields are missing, or are no numbers.
+    """
     words = line.split()
     match = _LINE.fullmatch(" ".join(words))
-    if match is None or len(words) == 8:  # of 8, the width would be part of the name
+    # With 8 fields either width or height is missing, and the other one would become a part of
+    # the map's name.
+    if match is None or len(words) == 8:
         raise FormatError(
             f"{path}: line {number} has {len(words)} fields, {line[:60]!r}, expected numbers of at "
             "least 0 around the map, in all 9 fields (or 7 in the old form)"
         )
-    bucket, name, *sides, length = match.groups()
-    columns, rows, x, y, goal_x, goal_y = [int(side or 0) for side in sides]
+    size = None
+    if match["width"] is not None:
+        size = (int(match["height"]), int(match["width"]))
     return Problem(
-        bucket=int(bucket),
-        map=name,
-        size=(rows, columns) if match["width"] else None,
-        start=(y, x),
-        goal=(goal_y, goal_x),
-        length=length,
+        bucket=int(match["bucket"]),
+        map=match["map"],
+        size=size,
+        start=(int(match["start_y"]), int(match["start_x"])),
+        goal=(int(match["goal_y"]), int(match["goal_x"])),
+        length=match["length"],
         line=number,
         unit=math.nan,
     )
+
+
+def _decimal_count(length: str) -> int:
+    """Return the number of digits after the point of a printed length."""
+    _, _, decimals = length.partition(".")
+    return len(decimals)
 
 
 def _unit(length: str, is_fixed: bool) -> float:
@@ -189,26 +231,27 @@ def _unit(length: str, is_fixed: bool) -> float:
 
     Args:
         length: as printed.
-        is_fixed: all lengths of the file have equally many decimals, as in 459.10. Else they have
-            six significant digits, so that 440.72 stands for 440.720, or all digits of a double.
+        is_fixed: whether all lengths of the file have the same number of decimals, as in 459.10.
+            If not, they are printed with six significant digits without trailing zeros, so that
+            440.72 stands for 440.720, or with all digits of a double.
     """
-    whole, _, decimals = length.partition(".")
-    places = len(decimals)
+    decimal_count = _decimal_count(length)
     if not is_fixed:
-        places = max(places, 6 - len(whole))
-    return 10.0**-places
+        whole, _, _ = length.partition(".")
+        decimal_count = max(decimal_count, 6 - len(whole))
+    return 10.0**-decimal_count
 
 
 @dataclass
 class ScenReport:
-    """What a check of one .scen file found.
+    """The comparison of the lengths in a .scen file with those of our A*.
 
     Attributes:
-        total: number of problems that were looked at.
+        total: number of problems that were solved.
         in_file: number of problems in the file.
-        has_lengths: the file gives lengths. Scenarios of several agents (MAPF) often do not: all
-            of theirs are 0, although there are paths.
-        disagreements: a line for each length that our A* does not reproduce as exactly as printed.
+        has_lengths: whether the file states lengths. Scenarios of several agents (MAPF) often do
+            not: all their lengths are 0, although there are paths.
+        disagreements: a message for each length that our A* does not reproduce to its last digit.
         solved: the problems that have a path, each with its grid.
     """
 
@@ -220,12 +263,12 @@ class ScenReport:
 
     @property
     def agreed(self) -> int:
-        """How many lengths our A* reproduces."""
+        """Number of lengths that our A* reproduces."""
         return self.total - len(self.disagreements)
 
 
-_AT_A_TIME = 256
-"""Problems that are solved between two steps of a progress bar."""
+_BATCH = 256
+"""Number of problems that are solved between two steps of a progress bar."""
 
 
 def check_scen(
@@ -238,68 +281,75 @@ def check_scen(
 
     Args:
         path: the .scen file.
-        maps: folder of the maps; default beside the .scen.
+        maps: folder of the maps; default the folder of the .scen.
         limits: of what is read, and whether a progress bar shows it.
-        count: how many problems at most, evenly spread over the file; all without.
+        count: maximal number of problems, evenly spread over the file; default all.
 
     Raises:
         FormatError: a file that cannot be read, a map that is missing or has another size than the
             .scen says.
     """
     path = local_path(path)
-    terrains = {}
-    # problems of one map and one world are solved together
-    groups: dict[tuple[str, str], list[Problem]] = {}
-    all_problems = read_scen(path, limits)
-    if not all_problems:
+    selected = read_scen(path, limits)
+    if not selected:
         raise FormatError(f"{path}: holds no problems")
-    in_file = len(all_problems)
-    are_zero = all(float(problem.length) == 0 for problem in all_problems)
+    in_file = len(selected)
+    are_zero = all(float(problem.length) == 0 for problem in selected)
     if count is not None:
-        all_problems = all_problems[:: _step(in_file, count)]
-    for problem in all_problems:
+        selected = selected[:: _step(in_file, count)]
+    terrains: dict[str, Bytes] = {}
+    # Problems on the same terrain of the same map are solved together.
+    groups: dict[tuple[str, str], list[Problem]] = {}
+    for problem in selected:
         if problem.map not in terrains:
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
         terrain = terrains[problem.map]
         _check_cells(problem, terrain.shape, path)
-        letter = chr(terrain[problem.start])
-        letters = letter if letter in _ISLANDS else LAND
-        groups.setdefault((problem.map, letters), []).append(problem)
-    report = ScenReport(len(all_problems), in_file)
-    is_long = report.total > _AT_A_TIME
+        start_letter = chr(terrain[problem.start])
+        free_letters = start_letter if start_letter in _ISLANDS else LAND
+        groups.setdefault((problem.map, free_letters), []).append(problem)
+    report = ScenReport(len(selected), in_file)
+    is_long = report.total > _BATCH
     with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
-        for (name, letters), problems in groups.items():
-            grid = world(terrains[name], letters)
-            for first in range(0, len(problems), _AT_A_TIME):
-                part = problems[first : first + _AT_A_TIME]
-                starts = [problem.start for problem in part]
-                goals = [problem.goal for problem in part]
-                # an end on a blocked cell is a problem without a path here
-                costs = solve_batch(ASTAR, grid, starts, goals, MOVEMENT, most=1).cost
-                for problem, found in zip(part, costs, strict=True):
-                    if found > 0:
-                        report.solved.append((grid, problem))
-                    if not agrees(problem, found):
-                        ours = "no path" if found < 0 else f"{found:.8f}"
-                        report.disagreements.append(
-                            f"{path}: line {problem.line}: {problem.start} to {problem.goal}: "
-                            f"says {problem.length}, found {ours}"
-                        )
-                advance(len(part))
+        for (name, free_letters), group in groups.items():
+            grid = terrain_grid(terrains[name], free_letters)
+            for first in range(0, len(group), _BATCH):
+                batch = group[first : first + _BATCH]
+                _check_lengths(batch, grid, path, report)
+                advance(len(batch))
     if are_zero and report.solved:
-        # 0 is no path, but there are some: nobody has computed these lengths
+        # The lengths claim that there are no paths, but there are some: nobody has computed them.
         report.has_lengths = False
         report.disagreements.clear()
     return report
 
 
+def _check_lengths(batch: list[Problem], grid: Bytes, path: Path, report: ScenReport) -> None:
+    """Solve problems on one grid, and add the solved ones and the disagreements to ``report``."""
+    starts = [problem.start for problem in batch]
+    goals = [problem.goal for problem in batch]
+    # This search accepts a start or goal on an occupied cell: it returns that there is no path.
+    costs = solve_batch(
+        ASTAR, grid, starts, goals, MOVEMENT, allow_occupied_ends=True
+    ).cost.tolist()
+    for problem, cost in zip(batch, costs, strict=True):
+        if cost > 0:
+            report.solved.append((grid, problem))
+        if not agrees(problem, cost):
+            our_length = "no path" if cost < 0 else f"{cost:.8f}"
+            report.disagreements.append(
+                f"{path}: line {problem.line}: {problem.start} to {problem.goal}: "
+                f"says {problem.length}, found {our_length}"
+            )
+
+
 def _step(total: int, count: int) -> int:
-    """Return the least k for which every k-th of ``total`` problems are at most ``count``.
+    """Return the smallest k such that every k-th of ``total`` problems are at most ``count``.
 
     Raises:
         ValueError: ``count`` is not at least 1.
     """
-    return -(-total // check_count("count", count))
+    return math.ceil(total / check_count("count", count))
 
 
 def problems(
@@ -307,18 +357,18 @@ def problems(
 ) -> ProblemSet:
     """Return the problems of a .scen, to compare planners on.
 
-    Those without a path are left out, and those from a cell to itself. The description says how
-    many of the file there are.
+    Problems without a path and problems from a cell to itself are left out. The description of the
+    set says how many are left out.
 
     Args:
         source: the .scen file.
         limits: of what is read, and whether a progress bar shows it.
-        count: how many problems at most, evenly spread over the file; all without.
-        maps: folder of the maps; default beside the .scen.
+        count: maximal number of problems, evenly spread over the file; default all.
+        maps: folder of the maps; default the folder of the .scen.
 
     Raises:
-        FormatError: what `check_scen` refuses; a length that our A* does not reproduce; no problem
-            has a path.
+        FormatError: a file that `check_scen` refuses; a length that our A* does not reproduce; no
+            problem has a path.
         ValueError: maps of several sizes.
     """
     report = check_scen(source, maps, limits, count)
@@ -327,36 +377,49 @@ def problems(
     if not report.solved:
         raise FormatError(f"{source}: none of its {report.total} problems has a path")
     grids = [grid for grid, _ in report.solved]
-    shared = grids[0]
-    ends = np.array([(problem.start, problem.goal) for _, problem in report.solved])
+    first_grid = grids[0]
+    if all(grid is first_grid for grid in grids):
+        # All problems are on one map, as in most files: it is in memory once.
+        stacked = np.broadcast_to(first_grid, (len(grids), *first_grid.shape))
+    else:
+        stacked = np.stack(grids)
     return ProblemSet(
-        # mostly all problems are on one map, which is kept once
-        np.broadcast_to(shared, (len(grids), *shared.shape))
-        if all(grid is shared for grid in grids)
-        else np.stack(grids),
-        ends[:, 0],
-        ends[:, 1],
+        stacked,
+        np.array([problem.start for _, problem in report.solved]),
+        np.array([problem.goal for _, problem in report.solved]),
         MOVEMENT,
         _description(source, report, count),
     )
 
 
 def _description(source: Path, report: ScenReport, count: int | None) -> str:
-    """Return in words which problems of a .scen were taken, and what is known of their lengths."""
-    text = f"{len(report.solved)} problems of {source}"
-    if len(report.solved) != report.in_file:
-        text = f"{len(report.solved)} of {report.in_file} problems of {source}"
+    """Return a description of the problems of a .scen: how many, which, and of what lengths."""
+    solved = len(report.solved)
+    text = f"{solved} problems of {source}"
+    if solved != report.in_file:
+        text = f"{solved} of {report.in_file} problems of {source}"
     step = 1 if count is None else _step(report.in_file, count)
     if step > 1:
         text += f", one in {step}"
-    left_out = report.total - len(report.solved)
+    left_out = report.total - solved
     if left_out:
         text += f", {left_out} without a path or a move left out"
-    return text + (", whose lengths are ours" if report.has_lengths else ", which gives no lengths")
+    if report.has_lengths:
+        return f"{text}, whose lengths are ours"
+    return f"{text}, which gives no lengths"
 
 
 def _check_cells(problem: Problem, shape: Size, path: Path) -> None:
-    """Refuse a problem that does not fit on its map."""
+    """Check that a problem fits on its map.
+
+    Args:
+        problem: of the .scen file ``path``.
+        shape: (rows, columns) of the map.
+        path: named in errors.
+
+    Raises:
+        FormatError: the .scen states another size, or a cell lies outside the map.
+    """
     if problem.size not in (None, shape):
         raise FormatError(
             f"{path}: line {problem.line} says {problem.size}, the map has {shape} rows, columns"
@@ -366,46 +429,48 @@ def _check_cells(problem: Problem, shape: Size, path: Path) -> None:
             raise FormatError(f"{path}: line {problem.line}: {cell} is outside the map of {shape}")
 
 
-def agrees(problem: Problem, found: float) -> bool:
-    """Return whether an optimal length (-1: no path) is what a .scen prints, up to its last digit.
+def agrees(problem: Problem, cost: float) -> bool:
+    """Return whether a .scen prints an optimal cost (-1: no path), up to its last digit.
 
-    The benchmark's own files count a diagonal as 1.414213562, and those of six significant digits
-    as 1.41421354, sqrt 2 in float32: their last decimals are a bit less.
+    The benchmark's own files count a diagonal as 1.414213562, and files of six significant digits
+    as 1.41421354, sqrt 2 in float32. So their lengths may be a little smaller than ours.
     """
     stated = float(problem.length)
-    if found < 0:
+    if cost < 0:
         return stated == 0 and problem.start != problem.goal
     if stated == 0:
         return problem.start == problem.goal
-    is_short = len(problem.length.replace(".", "")) <= 6
-    diagonal = 1.41421354 if is_short else 1.414213562
-    least = found * (diagonal / math.sqrt(2))  # if all steps are diagonal
-    # half a unit for rounding, a bit more for the errors of floating point
-    slack = 0.5 * problem.unit * (1 + 1e-9) + 1e-12 * found
-    return least - slack <= stated <= found + slack
+    digits = problem.length.replace(".", "")
+    diagonal = 1.41421354 if len(digits) <= 6 else 1.414213562
+    # The difference is greatest if all moves are diagonal.
+    min_length = cost * diagonal / math.sqrt(2)
+    # Half a unit for rounding, and a little more for the errors of floating-point numbers.
+    tolerance = 0.5 * problem.unit * (1 + 1e-9) + 1e-12 * cost
+    return min_length - tolerance <= stated <= cost + tolerance
 
 
 def find_map(name: str, scen: Path, maps: StrPath | None = None) -> Path:
-    """Return the map that a .scen names: a file below ``maps`` or below the .scen's own folder.
+    """Return the path of a map that a .scen names.
 
-    A name with folders that are not there is looked for without the first of them.
+    The map must lie below ``maps``, or below the folder of the .scen if ``maps`` is None. If the
+    name contains folders that do not exist there, the first ones are removed, one after another.
 
     Raises:
-        FormatError: there is none; the message says where it was looked for.
+        FormatError: there is no such file; the message names the last path that was tried.
     """
     folder = scen.parent if maps is None else Path(maps)
-    parts = PureWindowsPath(name).parts  # separated by / or by \
-    looked = f"a name inside {folder}"
+    parts = PureWindowsPath(name).parts  # separated by slashes or backslashes
+    last_tried = f"a name inside {folder}"
     for start in range(len(parts)):
         if ".." in parts[start:]:
             continue
         candidate = folder.joinpath(*parts[start:])
-        looked = str(candidate)
-        # a link may still lead out of the folder
+        last_tried = str(candidate)
+        # A link may lead out of the folder.
         if candidate.is_file() and candidate.resolve().is_relative_to(folder.resolve()):
             return candidate
     advice = "--maps DIR, or --movingai.maps DIR of an import, says where maps are"
-    raise FormatError(f"{scen}: its map {name!r} is missing: looked for {looked}; {advice}")
+    raise FormatError(f"{scen}: its map {name!r} is missing: looked for {last_tried}; {advice}")
 
 
 def read(
@@ -425,57 +490,67 @@ def read(
             their first appearance, and only maps that a .scen names; always so if the source is a
             .scen file.
         maps: folder of the maps that .scen files name.
-        seed_points: how many of these end points at most.
+        seed_points: maximal number of these end points.
     """
-    found = Collection(movement=MOVEMENT)
+    collection = Collection(movement=MOVEMENT)
+    end_points: Iterable[tuple[Path, list[Cell]]]
     if scen or source.suffix.lower() == ".scen":
-        points = _end_points(source, limits, maps, found)
+        end_points = _end_points(source, limits, maps, collection).items()
     else:
-        points = ((path, []) for path in files_of(source, (".map",), limits, found))
-    cells = np.zeros(128, np.int64)  # of each letter, by its code
-    for path, ends in points:
-        with found.leaving_out(path):
+        paths = files_with_endings(source, (".map",), limits, collection)
+        end_points = ((path, []) for path in paths)
+    letter_counts = np.zeros(128, np.int64)  # indexed by ASCII code
+    for path, cells in end_points:
+        with collection.leaving_out(path):
             terrain = read_terrain(path, limits)
-            grid = world(terrain)
-            cells += np.bincount(terrain.ravel(), minlength=len(cells))
-            free = [cell for cell in dict.fromkeys(ends) if not grid[cell]]  # each once
-            chosen = np.array(free[:seed_points], np.int64).reshape(-1, 2)
-            found.maps.append(
+            grid = terrain_grid(terrain)
+            letter_counts += np.bincount(terrain.ravel(), minlength=len(letter_counts))
+            distinct_cells = dict.fromkeys(cells)
+            free_cells = [cell for cell in distinct_cells if grid[cell] == 0]
+            chosen = np.array(free_cells[:seed_points], np.int64).reshape(-1, 2)
+            collection.maps.append(
                 ForeignMap(
                     str(path),
                     grid,
-                    split_of(path, source),
+                    split_from_folders(path, source),
                     seed_points=chosen,
-                    rooms_known=len(chosen) > 1,  # else the import draws the others
+                    rooms_known=len(chosen) > 1,  # with fewer, the import draws more
                 )
             )
     for letter, name in _ISLANDS.items():
-        closed = cells[ord(letter)]
-        if closed:
-            what = f"{closed} cells of {name} ({letter}) are occupied"
-            found.notes.append(f"{what}: nothing leads there from land")
-    return found
+        count = letter_counts[ord(letter)]
+        if count:
+            collection.notes.append(
+                f"{count} cells of {name} ({letter}) are occupied: nothing leads there from land"
+            )
+    return collection
 
 
 def _end_points(
-    source: Path, limits: Limits, maps: StrPath | None, found: Collection
-) -> Iterable[tuple[Path, list[Cell]]]:
-    """Return each map that a .scen names, with the end points of its problems in their order."""
+    source: Path, limits: Limits, maps: StrPath | None, collection: Collection
+) -> dict[Path, list[Cell]]:
+    """Return the starts and goals in .scen files, in their order, by the path of their map.
+
+    Files that cannot be read are added to what ``collection`` leaves out.
+
+    Raises:
+        FormatError: ``source`` is a .map file.
+    """
     if source.suffix.lower() == ".map":
         raise FormatError(
             f"{source}: a map has no end points, expected a .scen file or a folder with some"
         )
-    points: dict[Path, list[Cell]] = {}
-    shapes = {}
-    for path in files_of(source, (".scen",), limits, found):
-        with found.leaving_out(path):
-            for problem in read_scen(path, limits):
-                where = find_map(problem.map, path, maps)
-                if where not in shapes:
-                    shapes[where] = read_terrain(where, limits).shape
-                _check_cells(problem, shapes[where], path)
-                points.setdefault(where, []).extend([problem.start, problem.goal])
-    return points.items()
+    end_points: dict[Path, list[Cell]] = {}
+    shapes: dict[Path, Size] = {}
+    for scen in files_with_endings(source, (".scen",), limits, collection):
+        with collection.leaving_out(scen):
+            for problem in read_scen(scen, limits):
+                map_path = find_map(problem.map, scen, maps)
+                if map_path not in shapes:
+                    shapes[map_path] = read_terrain(map_path, limits).shape
+                _check_cells(problem, shapes[map_path], scen)
+                end_points.setdefault(map_path, []).extend([problem.start, problem.goal])
+    return end_points
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -488,28 +563,33 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         Notes for the user.
     """
     rows, columns = root.map_size
-    for path, grid, seed_points in map_files(target, root, progress):
+    for stem, grid, seed_points in maps_to_write(target, root, progress):
         letters = np.frombuffer(b".@", np.uint8)[grid]
         body = "\n".join(row.tobytes().decode() for row in letters)
         text = f"type octile\nheight {rows}\nwidth {columns}\nmap\n{body}\n"
-        path.with_suffix(".map").write_text(text, newline="\n")
-        scen = _scen(f"{path.name}.map", grid, seed_points)
-        path.with_suffix(".map.scen").write_text(scen, newline="\n")
+        stem.with_suffix(".map").write_text(text, newline="\n")
+        scen = _scen_text(f"{stem.name}.map", grid, seed_points)
+        stem.with_suffix(".map.scen").write_text(scen, newline="\n")
     return [
         "lengths in the .scen files are 8-connected without corner cutting, the benchmark's rule"
     ]
 
 
-def _scen(name: str, grid: Bytes, seed_points: Ints) -> str:
-    """Return the text of a .scen with all pairs of ``seed_points``, (n, 2)."""
+def _scen_text(map_name: str, grid: Bytes, seed_points: Ints) -> str:
+    """Return the text of a .scen with a problem for each pair of ``seed_points``, (n, 2)."""
     height, width = grid.shape
-    starts, goals = seed_points[np.stack(np.triu_indices(len(seed_points), 1))].tolist()
+    first_rooms, second_rooms = np.triu_indices(len(seed_points), 1)
+    starts = seed_points[first_rooms].tolist()
+    goals = seed_points[second_rooms].tolist()
     costs = search_batch("astar", grid, starts, goals, MOVEMENT).cost.tolist()
     lines = ["version 1"]
-    for (y, x), (goal_y, goal_x), cost in zip(starts, goals, costs, strict=True):
-        length = max(cost, 0.0)  # 0 stands for no path
-        cells = f"{x}\t{y}\t{goal_x}\t{goal_y}"
-        lines.append(f"{int(length / 4)}\t{name}\t{width}\t{height}\t{cells}\t{length:.8f}")
+    for (start_y, start_x), (goal_y, goal_x), cost in zip(starts, goals, costs, strict=True):
+        length = max(cost, 0.0)  # without a path the cost is -1, and the printed length 0
+        bucket = int(length / 4)
+        lines.append(
+            f"{bucket}\t{map_name}\t{width}\t{height}\t{start_x}\t{start_y}\t{goal_x}\t{goal_y}\t"
+            f"{length:.8f}"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -11,15 +11,15 @@ of one size:
 | first | (N, H, W) | the map: 1 free, 0 occupied (the other way round than here) |
 | second | (N, 1, H, W) | the goal: 1 in one cell |
 | third | (N, 8, 1, H, W) | an optimal action in each cell, 1 in one of N E W S NE NW SE SW |
-| fourth | (N, 1, H, W) | minus the moves to the goal; the least, -H W, is blocked or unreachable |
+| fourth | (N, 1, H, W) | minus the moves to the goal; the minimum -H W: occupied or unreachable |
 
-A move to any of the 8 neighbours counts 1, corners may be cut. The loader draws a start between the
-percentiles of the distances; where no cell lies there it fails, so such maps are left out of an
-export.
+A move to any of the 8 neighbours counts 1, corners may be cut. The loader draws a start whose
+distance lies between two percentiles. It fails if there is no such cell, so such maps are left out
+of an export.
 
-Two other layouts are read, both of iA*, https://github.com/sair-lab/iAstar. Where the third array
-is (N, 4, 1, H, W), paths have no diagonals and the actions are N E W S. A file of 15 arrays has
-five a split; the fifth, (N, H, W), is a distance field, which is left out.
+Two layouts of iA*, https://github.com/sair-lab/iAstar, are read as well. If the third array is
+(N, 4, 1, H, W), paths have no diagonals and the actions are N E W S. A file of 15 arrays has five
+for each split; the fifth, (N, H, W), is a distance field, which is left out.
 """
 
 from __future__ import annotations
@@ -40,7 +40,14 @@ from numpy.lib.format import write_array_header_1_0
 from mapdata.arrays import Array, Bytes, Float32s, Ints
 from mapdata.checks import check_seed
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, Limits, check_grids, files_of, grids_of, several
+from mapdata.formats.files import (
+    LIMITS,
+    Limits,
+    check_grids,
+    files_with_endings,
+    joint_name,
+    read_grids,
+)
 from mapdata.formats.registry import Format
 from mapdata.limits import SPLITS
 from mapdata.movement import NEURAL_ASTAR, Movement
@@ -51,7 +58,7 @@ from mapdata.search.api import distance_field
 from mapdata.shards.root import Root
 
 ACTIONS = ((-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1))
-"""Step (row, col) of each action."""
+"""The step (row, col) of each action."""
 
 PERCENTILES = (0.55, 0.70, 0.85, 1.0)
 """The loader draws starts from three intervals of distance, which these percentiles bound."""
@@ -67,13 +74,13 @@ def is_planning(path: Path) -> bool:
 
 
 class _Split(NamedTuple):
-    """The arrays of a split, unread, for N maps of (H, W).
+    """The arrays of a split with N maps of (H, W), which are not read yet.
 
     Attributes:
-        name: of the split.
+        name: train, val or test.
         maps: (N, H, W), 1 free and 0 occupied.
-        goals: (N, 1, H, W), 1 in one cell.
-        distances: (N, 1, H, W).
+        goals: (N, 1, H, W), 1 in the goal's cell and 0 elsewhere.
+        distances: (N, 1, H, W), minus the moves to the goal.
     """
 
     name: str
@@ -82,14 +89,14 @@ class _Split(NamedTuple):
     distances: StoredArray
 
 
-class _File(NamedTuple):
-    """What the headers of a file say.
+class _PlanningFile(NamedTuple):
+    """A file whose headers are read and sound.
 
     Attributes:
         path: the file.
-        splits: those that it has.
-        actions: 4 or 8.
-        fields: names of the arrays that hold a distance field of each map, where it has some.
+        splits: the splits that it holds.
+        actions: number of actions of its policies, 4 or 8.
+        fields: names of the arrays of distance fields, which only iA* writes.
     """
 
     path: Path
@@ -99,7 +106,7 @@ class _File(NamedTuple):
 
     @property
     def movement(self) -> Movement:
-        """The rule of its policies: without diagonals, or with all of them."""
+        """The movement of its policies: 4-connected, or 8-connected with cut corners."""
         return Movement(4) if self.actions == 4 else NEURAL_ASTAR
 
 
@@ -110,203 +117,259 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     have 4 or 8 actions.
 
     Raises:
-        FormatError: ``source`` is no such file. In a folder it is left out, as are maps with a bad
-            goal, and files with another number of actions than the first one.
+        FormatError: ``source`` is no such file. In a folder such files are left out, as are maps
+            with a bad goal, and files with another number of actions than the first file.
     """
-    found = Collection()
-    actions = 0
-    same = 0
-    elsewhere = 0
-    for path in files_of(source, (".npz",), limits, found):
-        # a file that was asked for by name is not left out: its error is the answer
-        with nullcontext() if path == source else found.leaving_out(path):
+    collection = Collection()
+    first_actions: int | None = None
+    equal_distances = 0
+    moved_goals = 0
+    for path in files_with_endings(source, (".npz",), limits, collection):
+        # If the user named this file, its error is raised and not only noted.
+        with nullcontext() if path == source else collection.leaving_out(path):
             file = _open(path, limits)
-            if actions not in (0, file.actions):
+            if first_actions not in (None, file.actions):
                 raise FormatError(
-                    f"{path}: has {file.actions} actions, the files before it {actions}: import "
-                    "it by itself"
+                    f"{path}: has {file.actions} actions, the files before it {first_actions}: "
+                    "import it by itself"
                 )
-            for foreign_map, distances in _problems(file, limits, found):
-                found.maps.append(foreign_map)
+            for foreign_map, distances in _read_maps(file, limits, collection):
+                collection.maps.append(foreign_map)
                 goal = foreign_map.seed_points[0]
-                same += np.array_equal(hops(foreign_map.grid, goal, file.movement), distances)
-                elsewhere += distances[tuple(goal)] != 0
-            actions = file.actions
-            found.movement = file.movement
+                our_distances = negative_distances(foreign_map.grid, goal, file.movement)
+                equal_distances += np.array_equal(our_distances, distances)
+                moved_goals += distances[tuple(goal)] != 0
+            first_actions = file.actions
+            collection.movement = file.movement
             if file.fields:
                 fields = ", ".join(file.fields)
-                found.notes.append(f"a distance field of each map ({fields}) is left out")
-    found.notes.append(f"distances of {same} of {len(found.maps)} maps are what our search finds")
-    if elsewhere:
-        found.notes.append(
-            f"distances of {elsewhere} maps lead to another cell than the goal of their map, which "
-            "is kept"
+                collection.notes.append(f"a distance field of each map ({fields}) is left out")
+    collection.notes.append(
+        f"distances of {equal_distances} of {len(collection.maps)} maps are what our search finds"
+    )
+    if moved_goals:
+        collection.notes.append(
+            f"distances of {moved_goals} maps lead to another cell than the goal of their map, "
+            "which is kept"
         )
-    return found
+    return collection
 
 
-def _open(path: Path, limits: Limits) -> _File:
-    """Return the arrays of a file after a look at their names and shapes.
+def _open(path: Path, limits: Limits) -> _PlanningFile:
+    """Return the arrays of a file, unread, after checking their names and shapes.
 
     Raises:
-        FormatError: another file, or one that is larger than the limits allow.
+        FormatError: a file of another layout, or larger than the limits allow.
     """
     archive = Npz(path, limits.unpacked)
     shapes = archive.shapes
     count = sum(re.fullmatch("arr_[0-9]+", name) is not None for name in shapes)
-    if count == 0:
-        raise FormatError(f"{path}: holds arrays {', '.join(shapes)}, expected arr_0 to arr_11")
     if count in (3, 6, 9) and len(shapes.get("arr_5", ())) == 5:
         raise FormatError(
             f"{path}: holds {count} arrays, three a split as gated-path-planning-networks writes "
             "them; expected four, the last of them distances"
         )
-    per_split = 5 if count % 5 == 0 else 4
-    names: dict[str, list[str]] = {}
+    arrays_per_split = 5 if count % 5 == 0 else 4
+    names_by_split: dict[str, list[str]] = {}
     for code, split in enumerate(SPLITS):
-        of_split = [f"arr_{per_split * code + k}" for k in range(per_split)]
-        if not shapes.keys().isdisjoint(of_split):
-            names[split] = of_split
-    archive.require(*chain(*names.values()))
-    actions = _check_shapes(path, shapes, names)
-    # Policies are not read, and do not count for the limit: they are larger than all the rest.
-    arrays = archive.arrays(*(names[split][k] for split in names for k in (0, 1, 3)))
-    splits = [_Split(split, *arrays[3 * k : 3 * k + 3]) for k, split in enumerate(names)]
-    return _File(
-        path, splits, actions, [name for of_split in names.values() for name in of_split[4:]]
-    )
+        first = arrays_per_split * code
+        names = [f"arr_{number}" for number in range(first, first + arrays_per_split)]
+        if any(name in shapes for name in names):
+            names_by_split[split] = names
+    if not names_by_split:
+        raise FormatError(f"{path}: holds arrays {', '.join(shapes)}, expected arr_0 to arr_11")
+    archive.require(*chain(*names_by_split.values()))
+    actions = _check_shapes(path, shapes, list(names_by_split.values()))
+    # The arrays are opened at once, since the limit holds for all of them together. Policies, the
+    # largest arrays, are not read and do not count.
+    names_to_read = [
+        name
+        for maps, goals, _, distances, *_ in names_by_split.values()
+        for name in (maps, goals, distances)
+    ]
+    arrays = dict(zip(names_to_read, archive.arrays(*names_to_read), strict=True))
+    splits = [
+        _Split(split, arrays[maps], arrays[goals], arrays[distances])
+        for split, (maps, goals, _, distances, *_) in names_by_split.items()
+    ]
+    fields = [name for names in names_by_split.values() for name in names[4:]]
+    return _PlanningFile(path, splits, actions, fields)
 
 
 def _check_shapes(
-    path: Path, shapes: dict[str, tuple[int, ...]], names: dict[str, list[str]]
+    path: Path, shapes: dict[str, tuple[int, ...]], names_by_split: list[list[str]]
 ) -> int:
-    """Return the number of actions of a file, if all its shapes fit together.
+    """Return the number of actions of a file, after checking that all its shapes fit together.
 
     Args:
         path: named in errors.
         shapes: of all arrays, by name.
-        names: of the arrays of each split, in their order.
+        names_by_split: the names of each split's arrays: maps, goals, policies, distances, and
+            perhaps distance fields.
 
     Raises:
-        FormatError: they do not; the message says which.
+        FormatError: shapes that do not fit; the message names the array.
     """
-    actions = 0
-    for of_maps, of_goals, of_policies, of_distances, *fields in names.values():
-        shape = shapes[of_maps]
-        if len(shape) != 3:
-            raise FormatError(f"{path}: {of_maps} has shape {shape}, expected (N, H, W)")
-        count, rows, columns = shape
-        policies = shapes[of_policies]
-        if not actions:
-            actions = policies[1] if len(policies) == 5 else 0
-        if actions not in (4, 8) or policies != (count, actions, 1, rows, columns):
+    _, _, first_policies, *_ = names_by_split[0]
+    first_shape = shapes[first_policies]
+    has_four_actions = len(first_shape) == 5 and first_shape[1] == 4
+    actions = 4 if has_four_actions else 8
+    for maps, goals, policies, distances, *fields in names_by_split:
+        map_shape = shapes[maps]
+        if len(map_shape) != 3:
+            raise FormatError(f"{path}: {maps} has shape {map_shape}, expected (N, H, W)")
+        count, rows, columns = map_shape
+        policy_shape = shapes[policies]
+        if policy_shape != (count, actions, 1, rows, columns):
             raise FormatError(
-                f"{path}: {of_policies} has shape {policies}, expected "
-                f"{(count, actions if actions in (4, 8) else 8, 1, rows, columns)}: 8 actions, or "
+                f"{path}: {policies} has shape {policy_shape}, expected "
+                f"{(count, actions, 1, rows, columns)}: 8 actions, or "
                 "4 without diagonals, as in all splits"
             )
-        expected: dict[str, tuple[int, ...]] = dict.fromkeys(fields, shape)
-        expected[of_goals] = expected[of_distances] = (count, 1, rows, columns)
-        for name, wanted in expected.items():
-            if shapes[name] != wanted:
-                raise FormatError(f"{path}: {name} has shape {shapes[name]}, expected {wanted}")
+        expected_shapes: dict[str, tuple[int, ...]] = {
+            goals: (count, 1, rows, columns),
+            distances: (count, 1, rows, columns),
+            **dict.fromkeys(fields, map_shape),
+        }
+        for name, expected in expected_shapes.items():
+            if shapes[name] != expected:
+                raise FormatError(f"{path}: {name} has shape {shapes[name]}, expected {expected}")
     return actions
 
 
-def _problems(file: _File, limits: Limits, found: Collection) -> Iterator[tuple[ForeignMap, Array]]:
-    """Yield the maps of a file with their distances, (H, W); bad ones go to ``found.left_out``.
+def _read_maps(
+    file: _PlanningFile, limits: Limits, collection: Collection
+) -> Iterator[tuple[ForeignMap, Array]]:
+    """Yield the maps of a file with their distances, (H, W); the goal is the seed point of a map.
 
-    All of it is looked at before the first map is yielded: a damaged file gives no map.
+    Maps with a bad goal are added to what ``collection`` leaves out. The whole file is checked
+    before the first map is yielded, so that a damaged file gives no map.
     """
     for split in file.splits:
         check_grids(split.maps, limits)
         split.goals.check()
         split.distances.check()
     for split in file.splits:
-        arrays = (grids_of(split.maps), split.goals.entries(), split.distances.entries())
+        entries = zip(
+            read_grids(split.maps), split.goals.entries(), split.distances.entries(), strict=True
+        )
         bad_goals = []
-        for k, (free, goal, distances) in enumerate(zip(*arrays, strict=True)):
-            grid = 1 - free
-            cells = np.argwhere(goal[0])
-            if len(cells) != 1 or goal[0][tuple(cells[0])] != 1 or grid[tuple(cells[0])]:
-                bad_goals.append(k)
+        for number, (is_free, goal_mask, distances) in enumerate(entries):
+            grid = 1 - is_free
+            goal_cells = np.argwhere(goal_mask[0])
+            if not _is_one_free_cell(goal_cells, goal_mask[0], grid):
+                bad_goals.append(number)
                 continue
             foreign_map = ForeignMap(
-                f"{file.path}: {split.name} {k}",
+                f"{file.path}: {split.name} {number}",
                 grid,
                 SPLITS.index(split.name),
-                seed_points=cells.astype(np.int64),
+                seed_points=goal_cells.astype(np.int64),
             )
             yield foreign_map, distances[0]
         if bad_goals:
-            name = several(f"{file.path}: {split.name}", bad_goals)
-            found.left_out.append((name, "its goal is not one free cell"))
+            name = joint_name(f"{file.path}: {split.name}", bad_goals)
+            collection.left_out.append((name, "its goal is not one free cell"))
 
 
-def hops(grid: Bytes, goal: object, movement: Movement = NEURAL_ASTAR) -> Float32s:
-    """Return minus the moves to ``goal`` from each cell, (H, W) float32; -H W without a path.
+def _is_one_free_cell(cells: Ints, mask: Array, grid: Bytes) -> bool:
+    """Return whether the cells (n, 2) that a mask marks are a single free cell, marked by 1."""
+    if len(cells) != 1:
+        return False
+    cell = tuple(cells[0])
+    return bool(mask[cell] == 1 and grid[cell] == 0)
+
+
+def negative_distances(grid: Bytes, goal: object, movement: Movement = NEURAL_ASTAR) -> Float32s:
+    """Return minus the number of moves to ``goal`` from each cell, (H, W) float32.
 
     Args:
         grid: (H, W).
         goal: (row, col), a free cell.
         movement: with or without diagonals, all moves of the same cost.
+
+    Returns:
+        -H W for cells without a path to the goal.
     """
     distance = distance_field(grid, goal, movement)
-    # 0 - distance rather than -distance: the goal is 0, not -0, in the file
+    # The goal gets 0 - 0 = 0; with -distance it would get -0.
     return np.where(distance < 0, np.float32(-grid.size), 0 - distance)
 
 
-def policy(values: Float32s) -> Bytes:
-    """Return the first best action in each cell, (8, H, W) one-hot, for `hops` (H, W)."""
-    rows, columns = values.shape
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    # the map moved by one step: in each cell stands the value of its neighbour
-    neighbours = [padded[1 + r : 1 + r + rows, 1 + c : 1 + c + columns] for r, c in ACTIONS]
-    best = np.argmax(np.stack(neighbours), axis=0)
-    return np.asarray(best == np.arange(8)[:, None, None], np.uint8)
+def policy(distances: Float32s) -> Bytes:
+    """Return the first optimal action in each cell, (8, H, W) uint8 one-hot.
+
+    Args:
+        distances: (H, W), those of `negative_distances`.
+    """
+    rows, columns = distances.shape
+    padded = np.pad(distances, 1, constant_values=-np.inf)
+    # The map is shifted by the step of each action: each cell then holds its neighbour's distance.
+    neighbours = [
+        padded[1 + step_row : 1 + step_row + rows, 1 + step_column : 1 + step_column + columns]
+        for step_row, step_column in ACTIONS
+    ]
+    best_actions = np.argmax(np.stack(neighbours), axis=0)
+    actions = np.arange(len(ACTIONS))[:, None, None]
+    return np.asarray(best_actions == actions, np.uint8)
 
 
-def starts_of(values: Float32s) -> list[Ints]:
+def start_candidates(distances: Float32s) -> list[Ints]:
     """Return the cells (n, 2) that neural-astar's loader draws from in each of its three intervals.
 
-    There are none where one of them has no cell, on which the loader fails.
+    Args:
+        distances: (H, W), those of `negative_distances`.
+
+    Returns:
+        An empty list if an interval has no cell, since the loader fails on such a map.
     """
-    cells = values[values > values.min()]  # the least value stands for no path
-    if len(cells) < 2:
+    reachable = distances[distances > distances.min()]  # the minimum stands for no path
+    if len(reachable) < 2:
         return []  # only the goal itself
-    # values are negative distances, so far cells have low percentiles
-    bounds = np.percentile(cells, 100.0 * (1 - np.array(PERCENTILES)))
-    starts = [np.argwhere((low <= values) & (values <= high)) for high, low in pairwise(bounds)]
-    return starts if all(map(len, starts)) else []
+    # Distances are negative, so cells that are far away have low percentiles.
+    bounds = np.percentile(reachable, 100.0 * (1 - np.array(PERCENTILES)))
+    candidates = [
+        np.argwhere((low <= distances) & (distances <= high)) for high, low in pairwise(bounds)
+    ]
+    if any(len(cells) == 0 for cells in candidates):
+        return []
+    return candidates
 
 
 def problems(source: Path, limits: Limits = LIMITS, *, seed: int = 0) -> ProblemSet:
     """Return the problems of the test split, to compare planners on.
 
-    The goals are the file's. The loader draws a start in one of its three intervals; here a map has
-    a problem for each of the three, which comes to the same in the mean.
+    The goals are those of the file. The loader draws a start in one of its three intervals; here
+    each map has a problem for each of the three, so that means over problems have the same
+    expectation.
 
     Args:
         source: the .npz file.
         limits: of what is read.
-        seed: of the starts.
+        seed: of the draws of the starts.
 
     Raises:
         FormatError: no such file, or no problem in it.
     """
     file = _open(source, limits)
-    found = []
-    for k, (one, values) in enumerate(_problems(file, limits, Collection())):
-        if one.split == SPLITS.index("test"):
-            words = block(np.uint64(check_seed(seed)), np.uint64(k), 0, PROBLEM, 0)
-            for cells, word in zip(starts_of(values), words, strict=False):  # three of four words
-                start = cells[bounded(word, 0, len(cells) - 1)]
-                found.append((one.grid, start, one.seed_points[0]))
-    if not found:
+    grids = []
+    starts = []
+    goals = []
+    for number, (foreign_map, distances) in enumerate(_read_maps(file, limits, Collection())):
+        if foreign_map.split != SPLITS.index("test"):
+            continue
+        random_words = block(np.uint64(check_seed(seed)), np.uint64(number), 0, PROBLEM, 0)
+        # A block has four words, and there are three intervals.
+        for cells, word in zip(start_candidates(distances), random_words, strict=False):
+            grids.append(foreign_map.grid)
+            starts.append(cells[bounded(word, 0, len(cells) - 1)])
+            goals.append(foreign_map.seed_points[0])
+    if not grids:
         raise FormatError(f"{source}: has no map of a test split with a problem")
-    grids, starts, goals = map(np.array, zip(*found, strict=True))
-    text = f"{len(found)} problems of {source}, starts by seed {seed}"
-    return ProblemSet(grids, starts, goals, file.movement, text)
+    description = f"{len(grids)} problems of {source}, starts by seed {seed}"
+    return ProblemSet(
+        np.array(grids), np.array(starts), np.array(goals), file.movement, description
+    )
 
 
 def write(target: Path, root: Root, progress: bool) -> list[str]:
@@ -326,47 +389,63 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
     Raises:
         FormatError: a split without maps.
     """
+    arrays_per_split = 4
     counts = [0] * len(SPLITS)
     with ExitStack() as stack:
-        # The arrays wait in files, since no memory may hold them, and their headers are not known
-        # before all maps are counted.
+        # All arrays may not fit in memory, and their headers state the number of maps, which is
+        # known at the end. So the arrays are collected in temporary files.
         parts = [
-            stack.enter_context(TemporaryFile(dir=target.parent)) for _ in range(4 * len(SPLITS))
+            stack.enter_context(TemporaryFile(dir=target.parent))
+            for _ in range(arrays_per_split * len(SPLITS))
         ]
         for labels in root.labels(progress=progress):
             maps = labels.maps
             goals = maps.seed_points[:, 0]
             for grid, goal, code in zip(maps.occupancy, goals, maps.split, strict=True):
-                arrays = _arrays(grid, goal)
-                if starts_of(arrays[3]):
-                    counts[code] += 1
-                    for k, array in enumerate(arrays):
-                        parts[4 * code + k].write(array.tobytes())
+                distances = negative_distances(grid, goal)
+                if not start_candidates(distances):
+                    continue
+                counts[code] += 1
+                arrays = _arrays_of_map(grid, goal, distances)
+                for position, array in enumerate(arrays):
+                    parts[arrays_per_split * code + position].write(array.tobytes())
         if 0 in counts:
-            missing = SPLITS[counts.index(0)]
+            empty_split = SPLITS[counts.index(0)]
             raise FormatError(
-                f"the split {missing!r} has no usable map, neural-astar's loader needs one"
+                f"the split {empty_split!r} has no usable map, neural-astar's loader needs one"
             )
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
             for number, part in enumerate(parts):
-                code, k = divmod(number, 4)
-                shape = (counts[code], *arrays[k].shape)
-                header = {"descr": arrays[k].dtype.str, "fortran_order": False, "shape": shape}
-                # its date is always that of the first zip: equal content gives equal bytes
+                code, position = divmod(number, arrays_per_split)
+                array = arrays[position]  # of the last map, for the shape and dtype of all
+                header = {
+                    "descr": array.dtype.str,
+                    "fortran_order": False,
+                    "shape": (counts[code], *array.shape),
+                }
+                # A member opened by its name gets the earliest date of a zip, not today's, so that
+                # equal datasets give equal files.
                 with archive.open(f"arr_{number}.npy", "w", force_zip64=True) as member:
                     write_array_header_1_0(member, header)
                     part.seek(0)
                     shutil.copyfileobj(part, member)
-    left = root.maps - sum(counts)
-    return [f"{left} maps are left out: the loader finds no start on them"] if left else []
+    left_out = root.maps - sum(counts)
+    if left_out:
+        return [f"{left_out} maps are left out: the loader finds no start on them"]
+    return []
 
 
-def _arrays(grid: Bytes, goal: Array) -> tuple[Array, ...]:
-    """Return the four arrays of a map, as the table above has them, without their axis N."""
-    values = hops(grid, goal)
-    goals = np.zeros((1, *grid.shape), np.uint8)
-    goals[(0, *goal)] = 1
-    return 1 - grid, goals, policy(values)[:, None], values[None]
+def _arrays_of_map(grid: Bytes, goal: Array, distances: Float32s) -> tuple[Array, ...]:
+    """Return the four arrays of a map, as in the table of this module, without the axis N.
+
+    Args:
+        grid: (H, W).
+        goal: (2,), (row, col).
+        distances: (H, W), those of `negative_distances`.
+    """
+    goal_mask = np.zeros((1, *grid.shape), np.uint8)
+    goal_mask[(0, *goal)] = 1
+    return 1 - grid, goal_mask, policy(distances)[:, None], distances[None]
 
 
 FORMAT = Format(

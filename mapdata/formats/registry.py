@@ -10,12 +10,13 @@ from typing import Any, Literal, get_args, get_origin
 
 from mapdata.checks import check_choice
 from mapdata.formats.collection import Collection
-from mapdata.formats.files import LIMITS, Limits, files_of
+from mapdata.formats.files import LIMITS, Limits, files_with_endings
 from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
-from mapdata.shards.root import Places, Root, local_path
+from mapdata.shards.locations import Locations, local_path
+from mapdata.shards.root import Root
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,10 @@ class Format:
             the user; None if it can only be read.
         problems: called with a path and `Limits`, returns the `ProblemSet` of a file; None if
             it has none.
-        is_mine: whether a file with one of the endings is of this format.
-        beside: endings of files that belong to it where they lie beside its own: the pictures of a
-            ROS map.
+        recognises: called with a path with one of the endings; returns whether the file is of this
+            format.
+        companion_endings: endings of files that belong to this format where they lie in the folder
+            of one of its files, such as the pictures of a ROS map.
         target_ending: the ending of the one file that it writes; empty if it writes a folder.
     """
 
@@ -42,62 +44,82 @@ class Format:
     read: Callable[..., Collection] | None = None
     write: Callable[..., list[str]] | None = None
     problems: Callable[..., ProblemSet] | None = None
-    is_mine: Callable[[Path], bool] = Path.is_file
-    beside: tuple[str, ...] = ()
+    recognises: Callable[[Path], bool] = Path.is_file
+    companion_endings: tuple[str, ...] = ()
     target_ending: str = ""
 
 
-What = Literal["read", "write", "problems"]
-"""The functions that a format may have."""
+Operation = Literal["read", "write", "problems"]
+"""The names of the functions that a format may have."""
 
 FORMATS: dict[str, Format] = {}
-"""All formats by name. Where several know a file as theirs, the last one has it."""
+"""All formats by name. If several formats recognise a file, it belongs to the last of them."""
 
 
-def register(one: Format) -> None:
+def register(new_format: Format) -> None:
     """Make a format known.
 
     Raises:
         ValueError: its name is taken.
     """
-    if FORMATS.setdefault(one.name, one) != one:
-        raise ValueError(f"{one.name!r} is the name of another format")
+    if FORMATS.setdefault(new_format.name, new_format) != new_format:
+        raise ValueError(f"{new_format.name!r} is the name of another format")
 
 
-def functions(what: What) -> dict[str, Callable[..., Any]]:
-    """Return what reads, what writes, or what gives problems, by the name of the format."""
-    return {name: getattr(one, what) for name, one in FORMATS.items() if getattr(one, what)}
+def functions_by_format(operation: Operation) -> dict[str, Callable[..., Any]]:
+    """Return the functions that read, write or give problems, by the name of their format.
+
+    Formats without such a function are absent.
+    """
+    functions = {}
+    for name, known_format in FORMATS.items():
+        function = getattr(known_format, operation)
+        if function is not None:
+            functions[name] = function
+    return functions
 
 
 def recognise(source: StrPath) -> str:
     """Return the name of the format of a file or folder.
 
     Raises:
-        FormatError: nothing there, or no known format, or files of more than one; the message says
-            what was found.
+        FormatError: there is no such file or folder, or it holds no file of a known format, or
+            files of several formats; the message names them.
         ValueError: a URL.
     """
     source = local_path(source)
-    endings = tuple(ending for one in FORMATS.values() for ending in one.endings)
-    owners = {}
-    for path in files_of(source, endings, LIMITS, Collection()):
-        for one in FORMATS.values():
-            if path.suffix.lower() in one.endings and path.is_file() and one.is_mine(path):
-                owners[path] = one
-    # the pictures of a ROS map do not make its folder one of images too
-    beside = {ending for one in owners.values() for ending in one.beside}
-    found = {one.name for path, one in owners.items() if path.suffix.lower() not in beside}
-    if len(found) != 1:
-        what = f"files of {' and '.join(sorted(found))}" if found else "no file of a known format"
-        raise FormatError(
-            f"{source}: holds {what}; --format says which to read ({', '.join(functions('read'))})"
-        )
-    return found.pop()
+    all_endings = tuple(
+        ending for known_format in FORMATS.values() for ending in known_format.endings
+    )
+    format_by_path: dict[Path, Format] = {}
+    for path in files_with_endings(source, all_endings, LIMITS, Collection()):
+        for known_format in FORMATS.values():
+            has_ending = path.suffix.lower() in known_format.endings
+            if has_ending and path.is_file() and known_format.recognises(path):
+                format_by_path[path] = known_format  # the last format that recognises it stays
+    # The pictures of a ROS map do not make its folder a folder of images too.
+    companion_endings = {
+        ending
+        for known_format in format_by_path.values()
+        for ending in known_format.companion_endings
+    }
+    names = {
+        known_format.name
+        for path, known_format in format_by_path.items()
+        if path.suffix.lower() not in companion_endings
+    }
+    if len(names) != 1:
+        content = "no file of a known format"
+        if names:
+            content = f"files of {' and '.join(sorted(names))}"
+        readable = ", ".join(functions_by_format("read"))
+        raise FormatError(f"{source}: holds {content}; --format says which to read ({readable})")
+    return names.pop()
 
 
 def read_any(
     source: StrPath,
-    kind: str | None = None,
+    format_name: str | None = None,
     limits: Limits = LIMITS,
     **options: object,
 ) -> Collection:
@@ -105,7 +127,7 @@ def read_any(
 
     Args:
         source: file or folder.
-        kind: name of a format that can be read; default what `recognise` says.
+        format_name: name of a format that can be read; by default `recognise` tells it.
         limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``read``.
 
@@ -114,13 +136,14 @@ def read_any(
         ValueError: a URL, an unknown format, or an option that the format does not have.
     """
     source = local_path(source)
-    name = kind or recognise(source)
-    found: Collection = _checked("read", name, options)(source, limits, **options)
-    if not found.maps and not found.left_out:
+    name = format_name or recognise(source)
+    read = _checked_function("read", name, options)
+    collection: Collection = read(source, limits, **options)
+    if not collection.maps and not collection.left_out:
         raise FormatError(f"{source}: holds no map of format {name}")
-    found.format = name
-    found.source = str(source)
-    return found
+    collection.format = name
+    collection.source = str(source)
+    return collection
 
 
 def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
@@ -137,30 +160,31 @@ def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -
         ValueError: no such file, no problems in it, or bad ones; the message names the file.
     """
     name = recognise(source)
-    if name in functions("problems"):
-        found: ProblemSet = _checked("problems", name, options)(Path(source), limits, **options)
-        return found
+    if name in functions_by_format("problems"):
+        read = _checked_function("problems", name, options)
+        problems: ProblemSet = read(Path(source), limits, **options)
+        return problems
     if options:
         raise ValueError(f"{', '.join(options)}: would do nothing beside a saved set of problems")
     return ProblemSet.load(source)
 
 
 def export(
-    root: Places,
+    root: Locations,
     target: StrPath,
-    kind: str,
+    format_name: str,
     *,
     progress: bool = False,
     **options: object,
 ) -> list[str]:
     """Write a dataset in a foreign format; ``target`` appears when it is complete.
 
-    What exports left beside it that were killed is removed.
+    Temporary files that killed exports left in the folder of ``target`` are removed.
 
     Args:
         root: folder or URL of the dataset, or several.
         target: new name, or an empty folder; for planning-datasets a name that ends with .npz.
-        kind: name of a format that can be written.
+        format_name: name of a format that can be written.
         progress: show a progress bar.
         options: those of the format's ``write``.
 
@@ -175,8 +199,8 @@ def export(
         OSError: the disk is full or may not be written to.
     """
     target = local_path(target)
-    write = _checked("write", kind, options)
-    ending = FORMATS[kind].target_ending
+    write = _checked_function("write", format_name, options)
+    ending = FORMATS[format_name].target_ending
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
     if target.name in ("", ".."):
@@ -196,19 +220,22 @@ def export(
     return notes
 
 
-def _checked(what: What, name: str, options: dict[str, object]) -> Callable[..., Any]:
-    """Return what reads or writes a format, after checking the name and the options.
+def _checked_function(
+    operation: Operation, format_name: str, options: dict[str, object]
+) -> Callable[..., Any]:
+    """Return the function of a format, after checking that it accepts the options.
 
     Raises:
-        ValueError: no such format, or an option or value that it does not have.
+        ValueError: no such format, or an option that it does not have, or a bad choice.
     """
-    known = functions(what)
-    check_choice("format", name, known)
-    accepted = options_of(known[name])
-    for key, value in options.items():
-        if key not in accepted:
-            raise ValueError(f"{key}: does nothing for format {name}")
-        kind, default, _ = accepted[key]
-        if get_origin(kind) is Literal and value is not default:
-            check_choice(key, value, get_args(kind))
-    return known[name]
+    functions = functions_by_format(operation)
+    check_choice("format", format_name, functions)
+    function = functions[format_name]
+    accepted = options_of(function)
+    for name, value in options.items():
+        if name not in accepted:
+            raise ValueError(f"{name}: does nothing for format {format_name}")
+        option = accepted[name]
+        if get_origin(option.annotation) is Literal and value is not option.default:
+            check_choice(name, value, get_args(option.annotation))
+    return function

@@ -3,12 +3,16 @@
 Sources: http://wiki.ros.org/map_server and nav2_map_server/src/map_io.cpp of
 https://github.com/ros-navigation/navigation2.
 
-The probability that a pixel p is occupied is (255 - p) / 255, or p / 255 with ``negate``. Under
-``mode: trinary`` it is occupied above ``occupied_thresh``, free below ``free_thresh``, else
-unknown; p is the mean of the channels, and alpha is one of them, as in both servers. ``scale``:
-what is not opaque is unknown, and between the thresholds stands a value of 0 to 100. ``raw``: p
-itself is the value up to 100, and unknown above, whatever the thresholds. Values between 0 and 100
-are neither free nor occupied, so they are treated as unknown cells.
+The probability that a pixel p is occupied is (255 - p) / 255, or p / 255 with ``negate``. The field
+``mode`` says how a probability becomes the value of a cell:
+
+- ``trinary``: 100 (occupied) above ``occupied_thresh``, 0 (free) below ``free_thresh``, otherwise
+  unknown. p is the mean of all channels including alpha, as in both servers.
+- ``scale``: as trinary, but between the thresholds the value rises from 0 to 100, and pixels that
+  are not opaque are unknown. p is the mean of the colours.
+- ``raw``: p itself is the value up to 100, and unknown above, whatever the thresholds.
+
+Values between 0 and 100 are neither free nor occupied, so they are treated as unknown cells.
 
 Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose
 (x, y, yaw) of the lower left corner of the picture, in metres and radians.
@@ -16,7 +20,6 @@ Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``or
 
 from __future__ import annotations
 
-import cmath
 import math
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,8 +34,15 @@ from PIL import Image
 from mapdata.arrays import Array, Bytes, Flags, Int8s
 from mapdata.checks import check_resolution
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, Limits, files_of, map_files, read_text, split_of
-from mapdata.formats.images import PICTURES, Pixels, read_pixels, tell_free
+from mapdata.formats.files import (
+    LIMITS,
+    Limits,
+    files_with_endings,
+    maps_to_write,
+    read_text,
+    split_from_folders,
+)
+from mapdata.formats.images import PICTURES, Pixels, note_free_cells, read_pixels
 from mapdata.formats.registry import Format
 from mapdata.npy import FormatError, refusing
 from mapdata.shards.files import StrPath
@@ -42,18 +52,18 @@ ENDINGS = (".yaml", ".yml")
 MODES = ("trinary", "scale", "raw")
 
 MAX_YAML_BYTES = 2**16
-"""Largest .yaml file that is read; that of a map has some 200 bytes."""
+"""Maximal size of a .yaml file; that of a map has some 200 bytes."""
 
 MAX_YAML_DEPTH = 16
-"""Most lists and mappings inside one another; those of a map are 2 deep."""
+"""Maximal nesting of lists and mappings; in the .yaml of a map it is 2."""
 
-_YAML_OPENS = (
+_OPENING_TOKENS = (
     yaml.BlockMappingStartToken,
     yaml.BlockSequenceStartToken,
     yaml.FlowMappingStartToken,
     yaml.FlowSequenceStartToken,
 )
-_YAML_CLOSES = (yaml.BlockEndToken, yaml.FlowMappingEndToken, yaml.FlowSequenceEndToken)
+_CLOSING_TOKENS = (yaml.BlockEndToken, yaml.FlowMappingEndToken, yaml.FlowSequenceEndToken)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +74,7 @@ class RosMap:
         cells: (H, W) int8, 0 free, 100 occupied, 1 to 99 between, -1 unknown.
         resolution: metres per cell.
         origin: (x, y, yaw) of the lower left corner, in metres and radians.
-        mode: trinary, scale or raw: how the pixels became cells.
+        mode: trinary, scale or raw.
     """
 
     cells: Int8s
@@ -75,12 +85,13 @@ class RosMap:
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
         """Return (x, y), in metres, of the middle of a cell (row, col)."""
         x0, y0, yaw = self.origin
-        # metres from the lower left corner, along the edges of the picture
-        across = (column + 0.5) * self.resolution
+        # Metres from the lower left corner, along the edges of the picture.
+        right = (column + 0.5) * self.resolution
         up = (len(self.cells) - row - 0.5) * self.resolution
-        # the picture is rotated by yaw about that corner, as a product of complex numbers is
-        place = complex(across, up) * cmath.rect(1.0, yaw)
-        return x0 + place.real, y0 + place.imag
+        # The picture is rotated about that corner by yaw.
+        east = right * math.cos(yaw) - up * math.sin(yaw)
+        north = right * math.sin(yaw) + up * math.cos(yaw)
+        return x0 + east, y0 + north
 
 
 def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
@@ -91,7 +102,7 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
             the yaml's folder.
     """
     path = Path(path)
-    fields = _fields(path)
+    fields = _read_yaml(path)
     resolution = _number(path, "resolution", fields["resolution"])
     if resolution <= 0:
         raise FormatError(f"{path}: resolution is {resolution}, expected metres per cell above 0")
@@ -115,42 +126,47 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     origin = fields.get("origin", [0.0, 0.0, 0.0])
     if not isinstance(origin, list) or len(origin) != 3:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
-    x, y, yaw = (_number(path, "origin", value) for value in origin)
-    pixels = read_pixels(_image(path, fields["image"]), limits)
-    cells = _classify(pixels, mode, negate, low, high)
+    x, y, yaw = (_number(path, "origin", coordinate) for coordinate in origin)
+    pixels = read_pixels(_picture_path(path, fields["image"]), limits)
+    cells = _classify(pixels, mode, bool(negate), low, high)
     return RosMap(cells, resolution, (x, y, yaw), mode)
 
 
-def _fields(path: Path) -> dict[str, Any]:
-    """Return the fields of a .yaml file by name; those without a default are there."""
+def _read_yaml(path: Path) -> dict[str, Any]:
+    """Return the fields of a .yaml file by name, after checking that required ones are there.
+
+    Raises:
+        FormatError: not YAML, or a required field is missing.
+    """
     text = read_text(path, Limits(unpacked=MAX_YAML_BYTES))
     with refusing(f"{path}: not plain YAML"):
         _check_tokens(path, text)
         fields = yaml.safe_load(text)
-    named = fields if isinstance(fields, dict) else {}
+    if not isinstance(fields, dict):
+        fields = {}
     for name in ("image", "resolution", "free_thresh", "occupied_thresh"):
-        if name not in named:
+        if name not in fields:
             raise FormatError(f"{path}: has no field {name!r}, expected the YAML of a ROS map")
-    return named
+    return fields
 
 
 def _check_tokens(path: Path, text: str) -> None:
     """Refuse YAML whose parsing would take minutes.
 
-    The tokens come one by one, so what follows the first bad one is never looked at.
+    The scanner yields tokens one by one, so the text after the first bad token is not scanned.
 
     Raises:
-        FormatError: an alias, or lists and mappings in one another deeper than `MAX_YAML_DEPTH`.
+        FormatError: an alias, or lists and mappings nested deeper than `MAX_YAML_DEPTH`.
     """
     depth = 0
     for token in yaml.scan(text):
-        # 700 bytes with aliases of aliases can stand for minutes of work.
+        # Aliases of aliases multiply: 700 bytes can take minutes to expand.
         if isinstance(token, yaml.AliasToken):
             raise FormatError(f"{path}: not plain YAML (an alias: write out what it stands for)")
         # The time that the scanner takes grows with the square of the depth.
-        if isinstance(token, _YAML_OPENS):
+        if isinstance(token, _OPENING_TOKENS):
             depth += 1
-        elif isinstance(token, _YAML_CLOSES):
+        elif isinstance(token, _CLOSING_TOKENS):
             depth -= 1
         if depth > MAX_YAML_DEPTH:
             raise FormatError(
@@ -160,9 +176,12 @@ def _check_tokens(path: Path, text: str) -> None:
 
 
 def _number(path: Path, name: str, value: object) -> float:
-    """Return the finite number that is the value of a field.
+    """Return the value of a field as a finite number.
 
-    Text of a number is one too: to YAML 1.1, 5e-2 without a point is text.
+    Text is accepted if it is the text of a number, since 5e-2 without a point is text in YAML 1.1.
+
+    Raises:
+        FormatError: not a number, infinite or NaN.
     """
     number = math.nan
     if isinstance(value, (int, float, str)) and not isinstance(value, bool):
@@ -173,105 +192,124 @@ def _number(path: Path, name: str, value: object) -> float:
     return number
 
 
-def _image(path: Path, name: object) -> Path:
-    """Return the picture's path, which must lie in the folder of the yaml, links followed.
+def _picture_path(path: Path, name: object) -> Path:
+    """Return the path of the picture that the .yaml file ``path`` names.
 
-    Another picture is never opened: a yaml from elsewhere may name any file of this machine.
+    It must lie in the folder of the .yaml, also after links are followed. Otherwise a .yaml from a
+    stranger could make us open any file of this machine.
+
+    Raises:
+        FormatError: not a name, a missing picture, or a picture outside the folder.
     """
     if not isinstance(name, str) or not name or "\0" in name:
         raise FormatError(f"{path}: image is {str(name)[:40]!r}, expected the name of a picture")
     folder = path.parent.resolve()
     with refusing(f"{path}: image is {name[:80]!r}"):
-        image = (folder / name).resolve()
-    inside = image.is_relative_to(folder)
-    if not (inside and image.is_file()):
-        what = "is missing" if inside else "lies outside the folder of the yaml"
-        beside = PureWindowsPath(name).name
-        if beside != name and (folder / beside).is_file():
-            what += f"; say image: {beside}, which lies beside it"
-        raise FormatError(f"{path}: image {name[:80]!r} {what}")
-    return image
+        picture = (folder / name).resolve()
+    is_inside = picture.is_relative_to(folder)
+    if is_inside and picture.is_file():
+        return picture
+    fault = "is missing" if is_inside else "lies outside the folder of the yaml"
+    advice = ""
+    base_name = PureWindowsPath(name).name
+    if base_name != name and (folder / base_name).is_file():
+        advice = f"; say image: {base_name}, which lies beside it"
+    raise FormatError(f"{path}: image {name[:80]!r} {fault}{advice}")
 
 
 def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) -> Int8s:
-    """Return map_server's value of each pixel, as in `RosMap`."""
+    """Return map_server's value of each pixel, (H, W) int8, as `RosMap.cells`.
+
+    Args:
+        pixels: of the picture.
+        mode: trinary, scale or raw.
+        negate: whether white is occupied.
+        low: probability below which a cell is free.
+        high: probability above which a cell is occupied.
+    """
     values, white = pixels
-    colours = values if mode == "trinary" else values[:, :, :3]  # all but alpha
-    total = colours.sum(axis=2, dtype=np.uint32)
-    # a table of the value for each sum of channels: a picture has far more pixels than sums
-    most = colours.shape[2] * white
-    shade = np.arange(most + 1) / most
+    has_alpha = values.shape[2] == 4
+    channels = values if mode == "trinary" else values[:, :, :3]
+    total = channels.sum(axis=2, dtype=np.uint32)
+    # A picture has far more pixels than there are sums of channels, so the value is computed once
+    # for each sum.
+    max_total = channels.shape[2] * white
+    shade = np.arange(max_total + 1) / max_total  # 0 black, 1 white
     if mode == "raw":
-        table = np.rint(shade * 255)
-        table[table > 100] = -1
+        value_of_total = np.rint(shade * 255)
+        value_of_total[value_of_total > 100] = -1
     else:
-        occupied = shade if negate else 1 - shade
-        table = np.full(len(shade), -1.0)
+        probability = shade if negate else 1 - shade
+        value_of_total = np.full(len(shade), -1.0)
         if mode == "scale" and high > low:
-            table = np.clip(np.rint((occupied - low) / (high - low) * 100), 0, 100)
-        table[occupied < low] = 0
-        table[occupied > high] = 100
-    cells: Int8s = table.astype(np.int8)[total]
-    if mode == "scale" and values.shape[2] == 4:
-        cells[values[:, :, 3] < white] = -1  # what is not opaque
+            scaled = np.rint((probability - low) / (high - low) * 100)
+            value_of_total = np.clip(scaled, 0, 100)
+        value_of_total[probability < low] = 0
+        value_of_total[probability > high] = 100
+    cells: Int8s = value_of_total.astype(np.int8)[total]
+    if mode == "scale" and has_alpha:
+        is_opaque = values[:, :, 3] == white
+        cells[~is_opaque] = -1
     return cells
 
 
-def to_grid(cells: Int8s, unknown: str | None, what: str) -> Bytes:
+def to_grid(cells: Int8s, unknown: str | None, label: str) -> Bytes:
     """Return cells as a grid, 0 free and 1 occupied.
 
     Args:
-        cells: as in `RosMap`.
-        unknown: "occupied" or "free": what all other cells become; None allows no others.
-        what: named in errors.
+        cells: (H, W) int8, as in `RosMap`.
+        unknown: "occupied" or "free": what cells become that are neither; None refuses them.
+        label: names the map in errors.
 
     Raises:
-        FormatError: such cells, and ``unknown`` does not say.
+        FormatError: cells that are neither free nor occupied, while ``unknown`` is None.
     """
-    between = _unknown(cells)
-    if unknown is None and between.any():
+    is_unknown = _unknown_cells(cells)
+    if unknown is None and is_unknown.any():
         raise FormatError(
-            f"{what}: {between.mean():.1%} of its cells are unknown: say --ros.unknown occupied "
-            "or --ros.unknown free"
+            f"{label}: {is_unknown.mean():.1%} of its cells are unknown: say "
+            "--ros.unknown occupied or --ros.unknown free"
         )
-    occupied = cells == 100
+    is_occupied = cells == 100
     if unknown == "occupied":
-        occupied |= between
-    return np.asarray(occupied, np.uint8)
+        is_occupied |= is_unknown
+    return np.asarray(is_occupied, np.uint8)
 
 
-def _unknown(cells: Int8s) -> Flags:
-    """Return which cells are neither free nor occupied."""
+def _unknown_cells(cells: Int8s) -> Flags:
+    """Return which cells, (H, W), are neither free nor occupied."""
     return np.isin(cells, (0, 100), invert=True)
 
 
 def _is_filter_mask(ros_map: RosMap) -> bool:
-    """Return whether a map is what the costmap filters of Nav2 take: keepout zones, speed limits.
+    """Return whether a map is a mask for Nav2's costmap filters, of keepout zones or speed limits.
 
     A map that was saved in the mode raw has free and occupied cells, 0 and 100, and perhaps unknown
     ones. The pixels of a mask are percentages, or white, which is unknown in that mode.
 
     Source: https://docs.nav2.org/configuration/packages/costmap-plugins/keepout_filter.html.
     """
-    if ros_map.mode != "raw" or not _unknown(ros_map.cells).any():
+    if ros_map.mode != "raw" or not _unknown_cells(ros_map.cells).any():
         return False
-    return not ((ros_map.cells == 0).any() and (ros_map.cells == 100).any())
+    has_free = (ros_map.cells == 0).any()
+    has_occupied = (ros_map.cells == 100).any()
+    return not (has_free and has_occupied)
 
 
 def resampled(grid: Bytes, factor: Fraction, rule: str | None, limits: Limits = LIMITS) -> Bytes:
     """Return a map whose cells are ``factor`` times as wide.
 
-    They are counted from the lower left corner, where the origin of a ROS map is. What a cell
-    sticks out of the map above or on the right counts as occupied.
+    New cells are aligned with the lower left corner, where the origin of a ROS map is. A new cell
+    at the upper or right edge may reach beyond the map; that part counts as occupied.
 
     Args:
         grid: (H, W) uint8, 0 free and 1 occupied.
-        factor: new width of a cell over the old one.
-        rule: "mean": a cell is occupied if half of what it covers is; else if any of it is.
-        limits: of the cells that come out.
+        factor: width of a new cell over that of an old one.
+        rule: "mean": a cell is occupied if at least half of its area is; otherwise if any of it is.
+        limits: of the number of new cells.
 
     Raises:
-        FormatError: more cells than that, or no whole one.
+        FormatError: the map is smaller than a new cell, or there are too many new cells.
     """
     rows, columns = grid.shape
     if factor > min(grid.shape) or grid.size > limits.pixels * factor**2:
@@ -279,18 +317,41 @@ def resampled(grid: Bytes, factor: Fraction, rule: str | None, limits: Limits = 
             f"{rows} x {columns} cells, too few or too many for cells {float(factor):g} times as "
             "wide: expected another --resolution"
         )
-    # With the side of an old cell in q parts, that of a new one has p: all areas are whole numbers.
+    # With factor = p / q, an old cell is q units wide and a new one p units, so that all areas are
+    # whole numbers of square units.
+    p, _ = factor.as_integer_ratio()
+    from_below: Array = grid[::-1]
+    # Occupied units in each new row of each old column; a full cell has p of them.
+    in_new_rows = _sums_over_new_rows(from_below, factor, full=1)
+    # Occupied square units in each new cell. The transpose turns columns into rows.
+    area = _sums_over_new_rows(in_new_rows.T, factor, full=p).T
+    min_occupied = p**2 / 2 if rule == "mean" else 1
+    return np.asarray(area >= min_occupied, np.uint8)[::-1]
+
+
+def _sums_over_new_rows(amounts: Array, factor: Fraction, full: int) -> Array:
+    """Return the occupied amount in each new row, which is ``factor`` = p / q old rows high.
+
+    Args:
+        amounts: (H, W), occupied amount of each cell per unit of height.
+        factor: height of a new row over that of an old one.
+        full: the amount of a wholly occupied cell, which fills the last new row.
+
+    Returns:
+        (ceil(H / factor), W), where an old row is q units high.
+    """
     p, q = factor.as_integer_ratio()
-    area: Array = grid[::-1]
-    for full in (1, p):  # the area of what is occupied: first rows are added up, then columns
-        count = math.ceil(len(area) / factor)
-        cell, part = np.divmod(np.arange(count + 1) * p, q)  # where the edges of new cells are
-        beyond = cell[-1] + 1 - len(area)
-        area = np.pad(area, ((0, beyond), (0, 0)), constant_values=full)
-        before = np.cumsum(area, axis=0) - area
-        area = np.diff(q * before[cell] + part[:, None] * area[cell], axis=0).T
-    least = p**2 / 2 if rule == "mean" else 1
-    return np.asarray(area >= least, np.uint8)[::-1]
+    old_count = len(amounts)
+    new_count = math.ceil(old_count / factor)
+    # The edges of the new rows: the old row in which each lies, and its height above that row's
+    # lower edge in units.
+    row, height = np.divmod(np.arange(new_count + 1) * p, q)
+    # The last edge may lie beyond the map, which is extended by occupied rows.
+    padding = row[-1] + 1 - old_count
+    padded = np.pad(amounts, ((0, padding), (0, 0)), constant_values=full)
+    below_row = np.cumsum(padded, axis=0) - padded
+    below_edge = q * below_row[row] + height[:, None] * padded[row]
+    return np.diff(below_edge, axis=0)
 
 
 def read(
@@ -315,30 +376,33 @@ def read(
         resolution = check_resolution("resolution", resolution)
     elif resample is not None:
         raise ValueError("resample: does nothing without resolution")
-    found = Collection()
-    unknowns = []
-    for path in files_of(source, ENDINGS, limits, found):
-        with found.leaving_out(path):
-            one = read_map(path, limits)
-            if _is_filter_mask(one):
+    collection = Collection()
+    unknown_shares = []
+    for path in files_with_endings(source, ENDINGS, limits, collection):
+        with collection.leaving_out(path):
+            ros_map = read_map(path, limits)
+            if _is_filter_mask(ros_map):
                 raise FormatError(
                     f"{path}: mode: raw, a filter mask, not a map: its pixels are costs or speed "
                     "limits"
                 )
-            grid = to_grid(one.cells, unknown, str(path))
-            unknowns.append(_unknown(one.cells).mean())
+            grid = to_grid(ros_map.cells, unknown, str(path))
+            unknown_shares.append(_unknown_cells(ros_map.cells).mean())
             if resolution is not None:
-                # from what is written, since 0.15 / 0.05 is not 3 to floats
-                factor = Fraction(repr(resolution)) / Fraction(repr(one.resolution))
+                # The quotient of the decimal texts, since 0.15 / 0.05 is not 3 in floating point.
+                factor = Fraction(repr(resolution)) / Fraction(repr(ros_map.resolution))
                 grid = resampled(grid, factor.limit_denominator(1000), resample, limits)
-            metres = resolution or one.resolution
-            found.maps.append(ForeignMap(str(path), grid, split_of(path, source), metres))
-    tell_free(found, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,")
-    if any(unknowns):
-        found.notes.append(
-            f"{np.mean(unknowns):.1%} of the cells were unknown and are now {unknown}"
+            split = split_from_folders(path, source)
+            metres = resolution or ros_map.resolution
+            collection.maps.append(ForeignMap(str(path), grid, split, metres))
+    note_free_cells(
+        collection, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,"
+    )
+    if any(unknown_shares):
+        collection.notes.append(
+            f"{np.mean(unknown_shares):.1%} of the cells were unknown and are now {unknown}"
         )
-    return found
+    return collection
 
 
 def write(
@@ -355,11 +419,11 @@ def write(
     Returns:
         Notes for the user.
     """
-    for path, grid, _ in map_files(target, root, progress):
-        pixels = np.where(grid, 0, 254).astype(np.uint8)  # what map_saver writes
-        picture = path.with_suffix(f".{image}")
+    for stem, grid, _ in maps_to_write(target, root, progress):
+        pixels = np.where(grid, 0, 254).astype(np.uint8)  # the greys of map_saver
+        picture = stem.with_suffix(f".{image}")
         Image.fromarray(pixels).save(picture)
-        path.with_suffix(".yaml").write_text(
+        stem.with_suffix(".yaml").write_text(
             f"image: {picture.name}\nmode: trinary\nresolution: {root.resolution!r}\n"
             "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
             newline="\n",
@@ -367,4 +431,4 @@ def write(
     return ["rooms and labels are not in this format: pictures, resolution and splits are"]
 
 
-FORMAT = Format("ros", ENDINGS, read, write, beside=PICTURES)
+FORMAT = Format("ros", ENDINGS, read, write, companion_endings=PICTURES)

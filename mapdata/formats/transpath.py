@@ -8,9 +8,9 @@ Source: https://github.com/AIRI-Institute/TransPath (data/hmaps.py, eval.py).
 | starts.npy, goals.npy | (N, 1, H, W) | 1 in one cell |
 | focal.npy, cf.npy, abs.npy | (N, 1, H, W) | path probability, correction factor, cost to go |
 
-Sample i is the i-th entry of each file; a map stands in as many samples as it has problems. Moves
-lead to the 8 neighbours, a diagonal costs sqrt 2, corners may be cut: so does the planner of the
-repository, and so are the costs to go of the nine maps in its folder maps/.
+Sample i is the i-th entry of each file; a map with several problems occurs in several samples.
+Moves lead to the 8 neighbours, a diagonal costs sqrt 2, corners may be cut: the planner of the
+repository moves so, and the costs to go of the nine maps in its folder maps/ confirm it.
 """
 
 from __future__ import annotations
@@ -18,31 +18,48 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Array, Ints
+from mapdata.arrays import Array, Bytes
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
     Limits,
     check_grids,
-    grids_of,
-    several,
-    split_of,
-    walk,
+    files_below,
+    joint_name,
+    read_grids,
+    split_from_folders,
 )
 from mapdata.formats.registry import Format
+from mapdata.limits import Cell
 from mapdata.movement import Movement
 from mapdata.npy import FormatError, StoredArray, open_npy
 from mapdata.shards.workers import Advance, bar
 
 MOVEMENT = Movement(8, corner_cutting=True)
-"""The rule of its labels."""
+"""The movement of the labels in the files."""
 
 _MAPS = "maps.npy"
 _SAMPLES = (_MAPS, "starts.npy", "goals.npy")
-"""The files that make a folder one of samples."""
+"""The files that every folder of samples has."""
+
+
+class _SampleFolder(NamedTuple):
+    """The arrays of a folder of samples, (N, 1, H, W) each, which are not read yet.
+
+    Attributes:
+        maps_path: path of its file ``maps.npy``.
+        maps: 1 occupied, 0 free.
+        starts, goals: 1 in a cell, 0 elsewhere.
+    """
+
+    maps_path: Path
+    maps: StoredArray
+    starts: StoredArray
+    goals: StoredArray
 
 
 def is_transpath(path: Path) -> bool:
@@ -61,33 +78,37 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
 
     Raises:
         FormatError: ``source`` is another file, or ``maps.npy`` without starts and goals of the
-            same shape. In a folder that is left out, as are samples whose start or goal is not one
-            free cell.
+            same shape. In a folder such files are left out, as are samples whose start or goal is
+            not one free cell.
     """
-    found = Collection(movement=MOVEMENT)
-    paths = walk(source, (_MAPS,), limits, found) if source.is_dir() else [source]
-    folders: list[tuple[Path, list[StoredArray]]] = []
+    collection = Collection(movement=MOVEMENT)
+    paths = [source]
+    if source.is_dir():
+        paths = files_below(source, (_MAPS,), limits, collection)
+    folders: list[_SampleFolder] = []
     for path in paths:
-        with nullcontext() if path == source else found.leaving_out(path):
-            folders.append((path, _open(path, limits)))
-    total = sum(len(maps) for _, (maps, *_) in folders)
+        # If the user named this file, its error is raised and not only noted.
+        with nullcontext() if path == source else collection.leaving_out(path):
+            folders.append(_open(path, limits))
+    total = sum(len(folder.maps) for folder in folders)
     with bar(limits.progress, total, unit=" samples read") as advance:
-        for path, arrays in folders:
-            for sample in _samples(path, arrays, split_of(path, source), found, advance):
-                found.maps.append(sample)
-    found.notes.append(
+        for folder in folders:
+            split = split_from_folders(folder.maps_path, source)
+            collection.maps.extend(_read_samples(folder, split, collection, advance))
+    collection.notes.append(
         "the goal and the start of each sample are the first two seed points of its map; labels "
         "(focal, cf, abs) are left out: the fields path_probability, heuristic_ratio and "
         "cost_to_go are computed"
     )
-    return found
+    return collection
 
 
-def _open(path: Path, limits: Limits) -> list[StoredArray]:
-    """Return the maps, starts and goals of a folder, unread, after a look at all of the maps.
+def _open(path: Path, limits: Limits) -> _SampleFolder:
+    """Return the arrays of the folder of ``path``, unread, after checking all of its maps.
 
     Raises:
-        FormatError: another file, other shapes, or maps that are none.
+        FormatError: ``path`` is not maps.npy with starts and goals beside it, the shapes do not
+            fit, or the maps are damaged.
     """
     if path.name != _MAPS or not is_transpath(path):
         raise FormatError(f"{path}: expected maps.npy with starts.npy and goals.npy beside it")
@@ -98,35 +119,53 @@ def _open(path: Path, limits: Limits) -> list[StoredArray]:
             expected = "(N, 1, H, W)" if array is arrays[0] else f"{shape} as {_MAPS}"
             raise FormatError(f"{array.label}: has shape {array.shape}, expected {expected}")
     check_grids(arrays[0], limits)
-    return arrays
+    return _SampleFolder(path, *arrays)
 
 
-def _samples(
-    path: Path, arrays: list[StoredArray], split: int | None, found: Collection, advance: Advance
+def _read_samples(
+    folder: _SampleFolder, split: int | None, collection: Collection, advance: Advance
 ) -> Iterator[ForeignMap]:
-    """Yield the map of each sample of a folder; bad samples go to ``found.left_out``."""
-    maps, starts, goals = arrays
+    """Yield the map of each sample, with its goal and start as seed points.
+
+    Args:
+        folder: the samples.
+        split: code of their split; None to draw it.
+        collection: bad samples are added to its ``left_out``.
+        advance: called after each sample.
+    """
     bad_samples = []
-    entries = zip(grids_of(maps), starts.entries(), goals.entries(), strict=True)
-    for number, (grid, start, goal) in enumerate(entries):
-        ends = np.concatenate([_marked(goal), _marked(start)])
-        if len(ends) != 2 or grid[tuple(ends.T)].any():
+    entries = zip(
+        read_grids(folder.maps), folder.starts.entries(), folder.goals.entries(), strict=True
+    )
+    for number, (grid, start_mask, goal_mask) in enumerate(entries):
+        goal = _marked_free_cell(goal_mask[0], grid)
+        start = _marked_free_cell(start_mask[0], grid)
+        if goal is None or start is None:
             bad_samples.append(number)
         else:
-            # a problem from a cell to itself has one end
-            seed_points = ends[:1] if (ends[0] == ends[1]).all() else ends
-            yield ForeignMap(f"{path}: {number}", grid, split, seed_points=seed_points)
+            # Seed points differ, so a problem from a cell to itself has one of them.
+            cells = [goal] if goal == start else [goal, start]
+            seed_points = np.array(cells, np.int64)
+            name = f"{folder.maps_path}: {number}"
+            yield ForeignMap(name, grid, split, seed_points=seed_points)
         advance(1)
     if bad_samples:
-        name = several(f"{path}:", bad_samples)
-        found.left_out.append((name, "its start or its goal is not one free cell"))
+        name = joint_name(f"{folder.maps_path}:", bad_samples)
+        collection.left_out.append((name, "its start or its goal is not one free cell"))
 
 
-def _marked(mask: Array) -> Ints:
-    """Return the cell that is 1 in a mask (1, H, W), as (1, 2); no cell if it is not just one."""
-    cells = np.argwhere(mask[0])
-    is_marked = len(cells) == 1 and mask[0][tuple(cells[0])] == 1
-    return cells.astype(np.int64) if is_marked else np.empty((0, 2), np.int64)
+def _marked_free_cell(mask: Array, grid: Bytes) -> Cell | None:
+    """Return the only cell that is not 0 in a mask, (H, W), if the mask is 1 there and it is free.
+
+    None if the mask marks no cell, several cells or an occupied cell.
+    """
+    cells = np.argwhere(mask)
+    if len(cells) != 1:
+        return None
+    row, column = cells[0].tolist()
+    if mask[row, column] != 1 or grid[row, column] != 0:
+        return None
+    return row, column
 
 
-FORMAT = Format("transpath", (".npy",), read, is_mine=is_transpath)
+FORMAT = Format("transpath", (".npy",), read, recognises=is_transpath)

@@ -1,4 +1,4 @@
-"""Where maps come from: families, each a `MapGenerator` in a file of its own, and their `Maps`."""
+"""Families of maps, each a `MapGenerator` in its own file; presets, recipes, and the `Maps`."""
 
 from mapdata.generators import caves, forests, mazes, rooms
 from mapdata.generators.caves import Cave
@@ -8,13 +8,13 @@ from mapdata.generators.generator import (
     PRESETS,
     MapGenerator,
     UnknownFamily,
-    generate,
     identity,
     register,
 )
 from mapdata.generators.maps import WORD, Maps, pack
 from mapdata.generators.mazes import Maze
 from mapdata.generators.points import draw_points, largest_component, with_seed_points
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.generators.rooms import MapSpec
 from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
 
@@ -33,7 +33,10 @@ __all__ = [
     "MapSpec",
     "Maps",
     "Maze",
+    "Recipe",
+    "RecipeLike",
     "UnknownFamily",
+    "as_recipe",
     "draw_points",
     "draw_splits",
     "generate",

@@ -19,21 +19,22 @@ from mapdata.jit import Int, kernel
 from mapdata.rng import MAP, block
 
 _MAJORITY = 5
-"""Of a cell and its eight neighbours; cells beyond the border count as occupied."""
+"""Occupied cells, of a cell and its eight neighbours, from which on the cell becomes occupied."""
 
 _HALF_BITS = np.uint64(16)
 _HALF_MASK = np.uint64(0xFFFF)
+"""A random word of 32 bits has two halves of 16 bits, each of which draws a cell."""
 
 
 @dataclass(frozen=True)
 class Cave(Scattered):
-    """A distribution of caves: random cells that take the side of most of their neighbours.
+    """Caves: random cells, each of which then repeatedly becomes what most of its neighbours are.
 
     Attributes:
         map_size: (rows, columns) of a map.
-        occupied: probability that a cell is occupied at first.
-        steps: how often all cells change at once; 0 leaves noise.
-        seed_points: how many seed points a map has where its largest component has as many cells.
+        occupied: probability that a cell is occupied before the first step.
+        steps: steps of the cellular automaton; 0 leaves noise.
+        seed_points: number of seed points of a map; fewer if its largest component has fewer cells.
     """
 
     name: ClassVar[str] = "cave"
@@ -43,46 +44,57 @@ class Cave(Scattered):
     seed_points: int = 5
 
     def __post_init__(self) -> None:
-        """Check the values, ValueError if one is out of its limits."""
+        """Check the values."""
         super().__post_init__()
         self._convert(check_probability, "occupied")
-        self._convert(partial(check_count, lowest=0), "steps")
+        self._convert(partial(check_count, minimum=0), "steps")
         self._convert(check_seed_points, "seed_points")
 
     def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
-        """Fill ``grid``, (H, W), with map ``index``."""
-        _erode(grid, seed, index, round(self.occupied * 2**16), self.steps)
+        """Draw map ``index`` into ``grid``, (H, W)."""
+        _draw_cave(grid, seed, index, round(self.occupied * 2**16), self.steps)
 
 
 PRESETS = {"cave": Cave()}
 
 
 @kernel
-def _erode(grid: Bytes, seed: np.uint64, index: np.uint64, limit: Int, steps: Int) -> None:
-    """Fill ``grid``, (H, W), with noise, then let every cell follow its neighbours ``steps`` times.
+def _draw_cave(
+    grid: Bytes, seed: np.uint64, index: np.uint64, noise_threshold: Int, steps: Int
+) -> None:
+    """Fill ``grid`` with noise, then run the cellular automaton.
 
-    A block of stream MAP gives eight cells, in row-major order: two halves of each of its words,
-    the lower one first, which occupy a cell where they are below ``limit``.
+    Args:
+        grid: (H, W), filled with 0 free and 1 occupied.
+        seed: 64-bit seed.
+        index: number of the map.
+        noise_threshold: a cell is occupied at first if its 16 random bits are below this number.
+        steps: steps of the automaton.
     """
     rows, columns = grid.shape
+    # A block of stream MAP has four words, and so 16 bits for each of eight cells in row-major
+    # order; the lower half of a word comes first.
     noise = grid.reshape(-1)
     cell = 0
-    for number in range((rows * columns + 7) // 8):
-        for word in block(seed, index, 0, MAP, number):
+    for block_number in range((rows * columns + 7) // 8):
+        for word in block(seed, index, 0, MAP, block_number):
             for half in (word & _HALF_MASK, word >> _HALF_BITS):
                 if cell < rows * columns:
-                    noise[cell] = half < limit
+                    noise[cell] = half < noise_threshold
                 cell += 1
-    # The occupied cells of three columns, with a column and a row of wall on either side.
-    three = np.full((rows + 2, columns), 3, np.uint8)
+    # The number of occupied cells among a cell and its left and right neighbours. Beyond the border
+    # all cells are occupied, so there is a row of threes above the first row and below the last.
+    row_counts = np.full((rows + 2, columns), 3, np.uint8)
     for _ in range(steps):
         for row in range(rows):
             for column in range(columns):
                 left = grid[row, column - 1] if column > 0 else 1
                 right = grid[row, column + 1] if column < columns - 1 else 1
-                three[row + 1, column] = left + grid[row, column] + right
+                row_counts[row + 1, column] = left + grid[row, column] + right
         for row in range(rows):
             for column in range(columns):
-                count = three[row, column] + three[row + 1, column] + three[row + 2, column]
-                grid[row, column] = count >= _MAJORITY
-    grid[rows // 2, columns // 2] = 0  # so that every map has a cell to stand on
+                above = row_counts[row, column]
+                beside = row_counts[row + 1, column]
+                below = row_counts[row + 2, column]
+                grid[row, column] = above + beside + below >= _MAJORITY
+    grid[rows // 2, columns // 2] = 0  # Every map needs a free cell for its seed points.

@@ -20,20 +20,21 @@ from mapdata.jit import kernel
 from mapdata.limits import Range
 from mapdata.rng import MAP, block, bounded
 
-_MOST_COVER = 0.5
-"""At most half of a map is asked for: beyond it no way leads anywhere, and draws run out."""
+_MAX_COVER = 0.5
+"""Largest share of occupied cells. With more, few cells are connected, and drawing takes long."""
 
 
 @dataclass(frozen=True)
 class Forest(Scattered):
-    """A distribution of obstacles at random places: discs and boxes, as many of each.
+    """Obstacles at random places, each a disc or a box with equal probability.
 
     Attributes:
         map_size: (rows, columns) of a map.
-        cover: (least, most) share of the cells that obstacles cover at least; that of a map is
-            uniform. The obstacle that reaches it is whole, and may go far beyond if it is large.
-        sizes: (least, most) diameter of a disc and side of a box, in cells; (1, 1) is noise.
-        seed_points: how many seed points a map has where its largest component has as many cells.
+        cover: (lowest, highest) share of occupied cells. The share of a map is drawn uniformly, and
+            obstacles are added until they cover it. The last obstacle is not cut, so a large one
+            may cover more.
+        sizes: (lowest, highest) diameter of a disc and side of a box, in cells; (1, 1) is noise.
+        seed_points: number of seed points of a map; fewer if its largest component has fewer cells.
     """
 
     name: ClassVar[str] = "forest"
@@ -43,12 +44,12 @@ class Forest(Scattered):
     seed_points: int = 5
 
     def __post_init__(self) -> None:
-        """Check the values, ValueError if one is out of its limits."""
+        """Check the values."""
         super().__post_init__()
         cover = tuple(check_number("cover", share) for share in items_of(self.cover))
-        if len(cover) != 2 or not 0 <= cover[0] <= cover[1] <= _MOST_COVER:
+        if len(cover) != 2 or not 0 <= cover[0] <= cover[1] <= _MAX_COVER:
             raise ValueError(
-                f"cover: got {self.cover!r}, expected (least, most), 0 to {_MOST_COVER}"
+                f"cover: got {self.cover!r}, expected (lowest, highest), 0 to {_MAX_COVER}"
             )
         object.__setattr__(self, "cover", cover)
         self._convert(check_integers, "sizes")
@@ -56,10 +57,11 @@ class Forest(Scattered):
         self._convert(check_seed_points, "seed_points")
 
     def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
-        """Occupy cells of a free ``grid``, (H, W): map ``index``."""
+        """Draw map ``index`` into a free ``grid``, (H, W)."""
         rows, columns = self.map_size
-        least, most = (round(share * rows * columns) for share in self.cover)
-        _plant(grid, seed, index, (least, most), self.sizes)
+        min_cells = round(self.cover[0] * rows * columns)
+        max_cells = round(self.cover[1] * rows * columns)
+        _place_obstacles(grid, seed, index, (min_cells, max_cells), self.sizes)
 
 
 PRESETS = {
@@ -69,33 +71,45 @@ PRESETS = {
 
 
 @kernel
-def _plant(grid: Bytes, seed: np.uint64, index: np.uint64, cover: Range, sizes: Range) -> None:
-    """Occupy cells of a free ``grid``, (H, W), until as many are occupied as block 0 says.
+def _place_obstacles(
+    grid: Bytes, seed: np.uint64, index: np.uint64, cell_counts: Range, sizes: Range
+) -> None:
+    """Add obstacles to a free grid until enough cells are occupied.
 
-    Blocks 1, 2, ... of stream MAP are the obstacles: where, how tall, how wide, and which shape.
+    Block 0 of stream MAP draws the number of cells to occupy. Each later block draws an obstacle:
+    its middle, height, width and shape.
+
+    Args:
+        grid: (H, W) of zeros.
+        seed: 64-bit seed.
+        index: number of the map.
+        cell_counts: lowest and highest number of cells to occupy.
+        sizes: lowest and highest diameter or side of an obstacle, in cells.
     """
     rows, columns = grid.shape
     word, _, _, _ = block(seed, index, 0, MAP, 0)
-    missing = bounded(word, cover[0], cover[1])
-    number = 0
-    while missing > 0:
-        number += 1
-        place, first, second, shape = block(seed, index, 0, MAP, number)
-        middle = bounded(place, 0, rows * columns - 1)
-        tall = bounded(first, sizes[0], sizes[1])
-        wide = bounded(second, sizes[0], sizes[1])
-        disc = bounded(shape, 0, 1)
-        if disc:
-            wide = tall
-        top = middle // columns - tall // 2
-        left = middle % columns - wide // 2
-        for row in range(max(top, 0), min(top + tall, rows)):
-            for column in range(max(left, 0), min(left + wide, columns)):
-                # Twice the way from the middle of the disc to that of the cell, in whole numbers.
-                down = 2 * (row - top) + 1 - tall
-                right = 2 * (column - left) + 1 - wide
-                inside = not disc or down * down + right * right <= tall * tall
-                if inside and grid[row, column] == 0:
+    cells_to_occupy = bounded(word, cell_counts[0], cell_counts[1])
+    block_number = 0
+    while cells_to_occupy > 0:
+        block_number += 1
+        middle_word, height_word, width_word, shape_word = block(seed, index, 0, MAP, block_number)
+        middle = bounded(middle_word, 0, rows * columns - 1)
+        height = bounded(height_word, sizes[0], sizes[1])
+        width = bounded(width_word, sizes[0], sizes[1])
+        is_disc = bounded(shape_word, 0, 1)
+        if is_disc:
+            width = height
+        top = middle // columns - height // 2
+        left = middle % columns - width // 2
+        for row in range(max(top, 0), min(top + height, rows)):
+            for column in range(max(left, 0), min(left + width, columns)):
+                # A cell belongs to a disc if its centre lies within the radius:
+                #   down**2 + right**2 <= (height / 2)**2,
+                # here with all lengths doubled, which makes them whole numbers.
+                down = 2 * (row - top) + 1 - height
+                right = 2 * (column - left) + 1 - width
+                is_inside = not is_disc or down * down + right * right <= height * height
+                if is_inside and grid[row, column] == 0:
                     grid[row, column] = 1
-                    missing -= 1
-    grid[rows // 2, columns // 2] = 0  # so that every map has a cell to stand on
+                    cells_to_occupy -= 1
+    grid[rows // 2, columns // 2] = 0  # Every map needs a free cell for its seed points.

@@ -1,4 +1,4 @@
-"""What a family of maps is: a `MapGenerator` with a name; the registry of families; the identity.
+"""`MapGenerator`, the base class of all families of maps, and the registry of families and presets.
 
 Stored maps of a family that is not registered have an `UnknownFamily` as their generator.
 """
@@ -6,13 +6,12 @@ Stored maps of a family that is not registered have an `UnknownFamily` as their 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from inspect import isabstract
+from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
-
-import numpy as np
 
 from mapdata.arrays import Ints
 from mapdata.checks import (
@@ -25,42 +24,47 @@ from mapdata.checks import (
     known_values,
 )
 from mapdata.generators.maps import Maps
-from mapdata.hashing import canonical_json, hash_of, parsed_json
-from mapdata.limits import MAX_ROOMS, Size, least_version
+from mapdata.hashing import canonical_json, json_hash, parsed_json
+from mapdata.limits import MAX_ROOMS, Size, min_version
 from mapdata.movement import Movement
 
 G = TypeVar("G", bound="MapGenerator")
 
-_FIRST = "rooms"
-"""The generator that version 1 of the format knows: its specs say no name."""
+_ROOMS = "rooms"
+"""The only family of version 1 of the format. Its JSON has no key "generator"."""
+
+_SHARED = ("map_size", "resolution", "movement", "splits")
+"""The parameters that every family has."""
 
 ENTRY_POINTS = "mapdata.generators"
-"""The group of entry points in which installed packages name their families."""
+"""The group of entry points under which installed packages name their families."""
 
-_MAX_NAME = 100
-"""Characters of the name of an unknown family."""
+_MAX_NAME_LENGTH = 100
+"""Largest number of characters of the name of an unknown family."""
 
-_MAX_PARAMETERS = 4_000
-"""Characters of the parameters of an unknown family as JSON: a shard has no room for more."""
+_MAX_JSON_LENGTH = 4_000
+"""Largest number of characters of the parameters of an unknown family as JSON. A shard has no room
+for more.
+"""
 
 _MAX_DEPTH = 32
-"""How deep lists and objects may lie in one another there: Python fails at some hundreds."""
+"""Deepest nesting of lists and objects in these parameters. Python fails at some hundreds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapGenerator(ABC):
-    """A distribution of maps: a frozen dataclass of plain values that can be written as JSON.
+    """A family of maps with its parameters: it draws map i of a seed.
 
-    A family of maps is a subclass in a file of its own, which `register` makes known;
-    `mapdata/generators/mazes.py` is the shortest example.
+    A family is a subclass: a frozen dataclass of plain values, which can be written as JSON.
+    `register` makes it known by its name; `mapdata/generators/caves.py` is the shortest example.
 
     Attributes:
-        name: what JSON calls the family.
-        description: what its maps are, in words that go on as "... made by mapdata".
-        citation: what the paper below this sentence has to do with them.
+        name: name of the family in JSON.
+        description: what the maps are, as the dataset card says it: "... made by mapdata".
+        citation: the sentence that introduces the paper on the dataset card.
         map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
         resolution: metres per cell.
-        movement: how paths move.
+        movement: the rule of moves.
         splits: fractions of maps in train, val and test; they add up to 1.
     """
 
@@ -73,10 +77,10 @@ class MapGenerator(ABC):
     splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     def __post_init__(self) -> None:
-        """Check what all families share, and make equal specs have equal JSON.
+        """Check the shared parameters, and convert them so that equal generators have equal JSON.
 
         Raises:
-            ValueError: a value outside these limits.
+            ValueError: a parameter outside its limits.
         """
         self._convert(check_sides, "map_size")
         self._convert(check_resolution, "resolution")
@@ -85,7 +89,7 @@ class MapGenerator(ABC):
             raise ValueError(f"movement: got {self.movement!r}, expected a Movement")
 
     def _convert(self, check: Callable[[str, Any], object], *names: str) -> None:
-        """Replace values of this frozen dataclass by what ``check(name, value)`` makes of them."""
+        """Replace parameters of this frozen dataclass by what ``check(name, value)`` returns."""
         for name in names:
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
@@ -96,56 +100,57 @@ class MapGenerator(ABC):
 
     @abstractmethod
     def draw(self, seed: int, indices: Ints) -> Maps:
-        """Return the maps ``indices``, (N,) int64 from 0.
+        """Return the maps with the numbers ``indices``, (N,) int64 from 0.
 
-        Each is a function of (self, seed, index) alone.
+        Each map depends on the generator, the seed and its number alone.
         """
 
     @property
     def format_version(self) -> int:
-        """The least version of the format that can say this distribution."""
-        return least_version(self.map_size) if self.name == _FIRST else 2
+        """The lowest version of the format that can store maps of this generator."""
+        return min_version(self.map_size) if self.name == _ROOMS else 2
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the spec as plain values for JSON."""
+        """Return the parameters as plain values for JSON, with the name of the family."""
         values = asdict(self)
+        # The parameters that all families share come after those of the family.
         for name in ("resolution", "movement", "splits"):
-            values[name] = values.pop(name)  # behind those of the family
-        return values if self.name == _FIRST else {"generator": self.name, **values}
+            values[name] = values.pop(name)
+        return values if self.name == _ROOMS else {"generator": self.name, **values}
 
     def to_json(self) -> str:
-        """Return the spec as canonical JSON: sorted keys, no white space."""
+        """Return the generator as canonical JSON: sorted keys, no white space."""
         return canonical_json(self.to_dict())
 
     @classmethod
     def preset(cls: type[G], name: str) -> G:
-        """Return the preset ``name`` of this family, or, as `MapGenerator.preset`, of any.
+        """Return a preset of this family; `MapGenerator.preset` returns those of all families.
 
         Raises:
-            ValueError: no such preset.
+            ValueError: the family has no preset of this name.
         """
-        known = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
-        if name in PRESETS and name not in known:
+        presets = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
+        if name in PRESETS and name not in presets:
             raise ValueError(
                 f"preset: {name!r} is of another family: MapGenerator.preset({name!r})"
             )
-        check_choice("preset", name, known)
-        return known[name]
+        check_choice("preset", name, presets)
+        return presets[name]
 
     @classmethod
     def from_dict(cls: type[G], values: object) -> G:
-        """Return the spec with the values that `to_dict` gave; missing ones take their defaults.
+        """Return the generator of plain values, as `to_dict` returns them, or of a preset's name.
 
-        The name of a preset stands for its values.
+        Missing parameters have their defaults.
 
         Raises:
-            ValueError: an unknown name, or a value that a spec refuses.
+            ValueError: an unknown family, preset or parameter, or a parameter outside its limits.
         """
         if isinstance(values, str):
             return cls.preset(values)
         if not isinstance(values, Mapping):
             raise ValueError(f"spec: got {values!r}, expected an object of named values")
-        name = values.get("generator", _FIRST)
+        name = values.get("generator", _ROOMS)
         if not isinstance(name, str):
             raise ValueError(f"generator: got {name!r}, expected the name of a family")
         family = family_named(name)
@@ -153,20 +158,20 @@ class MapGenerator(ABC):
             raise ValueError(f"generator: {why_unknown(name)}")
         if not issubclass(family, cls):
             raise ValueError(f"generator: got {name!r}, expected {cls.__name__}")
-        known = known_values(
-            "spec", values, family, "generator", other_words={"family": "generator"}
+        parameters = known_values(
+            "spec", values, family, "generator", synonyms={"family": "generator"}
         )
-        known.pop("generator", None)
-        if "movement" in known:
-            known["movement"] = _movement(known["movement"])
-        return family(**known)
+        parameters.pop("generator", None)
+        if "movement" in parameters:
+            parameters["movement"] = _movement(parameters["movement"])
+        return family(**parameters)
 
     @classmethod
     def from_json(cls: type[G], text: str) -> G:
-        """Return the spec that JSON text states.
+        """Return the generator that a JSON text states.
 
         Raises:
-            ValueError: not JSON, or no spec.
+            ValueError: not JSON, or values that `from_dict` refuses.
         """
         return cls.from_dict(parsed_json("spec", text))
 
@@ -175,47 +180,47 @@ class MapGenerator(ABC):
 class UnknownFamily(MapGenerator):
     """The generator of stored maps whose family is not registered in this process.
 
-    It says what the dataset states, so that its maps can be read and have the same identity and the
-    same recipe as where the family is known. It draws no maps.
+    It keeps what the dataset states, so that the maps can be read, and have the same identity and
+    recipe as where the family is known. It cannot draw maps.
 
     Attributes:
-        name: what JSON calls the family.
+        name: name of the family in JSON.
         map_size, resolution, movement, splits: as of every generator.
-        parameters: the other values, as canonical JSON.
+        parameters: the other parameters, as canonical JSON.
 
     Raises:
-        ValueError: values that no family can have.
+        ValueError: parameters that no family can have.
     """
 
-    name: str = ""  # type: ignore[misc]  # every object has its own
+    name: str = ""  # type: ignore[misc]  # a field here, a class variable in other families
     parameters: str = "{}"
 
     def __post_init__(self) -> None:
-        """Check what can be checked without the family."""
+        """Check the parameters that can be checked without the family."""
         super().__post_init__()
-        if not (self.name.isprintable() and 0 < len(self.name) <= _MAX_NAME):
+        if not (self.name.isprintable() and 0 < len(self.name) <= _MAX_NAME_LENGTH):
             raise ValueError(
-                f"generator: got {self.name[:_MAX_NAME]!r}, expected a name of 1 to {_MAX_NAME} "
-                "printable characters"
+                f"generator: got {self.name[:_MAX_NAME_LENGTH]!r}, expected a name of 1 to "
+                f"{_MAX_NAME_LENGTH} printable characters"
             )
-        if len(self.parameters) > _MAX_PARAMETERS:
+        if len(self.parameters) > _MAX_JSON_LENGTH:
             raise ValueError(
                 f"spec: its own values have {len(self.parameters)} characters, expected at most "
-                f"{_MAX_PARAMETERS}"
+                f"{_MAX_JSON_LENGTH}"
             )
 
     @property
-    def description(self) -> str:  # type: ignore[override]  # every object has its own
-        """What its maps are, as far as the dataset says."""
+    def description(self) -> str:  # type: ignore[override]  # depends on the name
+        """What the maps are, as far as the dataset says."""
         return f"maps of the family {self.name}"
 
     @property
     def most_seed_points(self) -> int:
-        """As many as any map can have."""
+        """The largest number that any map can have."""
         return MAX_ROOMS
 
     def draw(self, seed: int, indices: Ints) -> Maps:
-        """Refuse: the family would be needed.
+        """Refuse to draw maps, since only the family could.
 
         Raises:
             ValueError: always.
@@ -223,7 +228,7 @@ class UnknownFamily(MapGenerator):
         raise ValueError(why_unknown(self.name))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the spec as plain values for JSON, as the family itself would."""
+        """Return the parameters as plain values for JSON, as the family itself would."""
         return {
             "generator": self.name,
             "map_size": self.map_size,
@@ -234,24 +239,23 @@ class UnknownFamily(MapGenerator):
         }
 
 
-@lru_cache(maxsize=16)  # all shards of a dataset state the same one
+@lru_cache(maxsize=16)  # All shards of a dataset state the same generator.
 def stored_generator(text: str) -> MapGenerator:
     """Return the generator that the JSON of a shard or manifest states.
 
-    That of a family which is not registered is an `UnknownFamily`.
+    It is an `UnknownFamily` if the family is not registered.
 
     Raises:
-        ValueError: not JSON, or what no generator can be.
+        ValueError: not JSON, or parameters that no generator can have.
     """
     values = parsed_json("spec", text)
-    name = values.get("generator", _FIRST) if isinstance(values, dict) else _FIRST
+    name = values.get("generator", _ROOMS) if isinstance(values, dict) else _ROOMS
     if not isinstance(name, str) or family_named(name) is not None:
         return MapGenerator.from_dict(values)
-    shared = ("map_size", "resolution", "movement", "splits")
-    missing = [key for key in shared if key not in values]
+    missing = [key for key in _SHARED if key not in values]
     if missing:
         raise ValueError(f"spec: lacks {', '.join(missing)}, which every family has")
-    parameters = {key: values[key] for key in values if key not in ("generator", *shared)}
+    parameters = {key: values[key] for key in values if key not in ("generator", *_SHARED)}
     if _depth(parameters) > _MAX_DEPTH:
         raise ValueError(f"spec: lists and objects lie more than {_MAX_DEPTH} deep in one another")
     return UnknownFamily(
@@ -270,153 +274,116 @@ def _movement(values: object) -> Movement:
 
 
 def _depth(values: object) -> int:
-    """Return how deep lists and objects lie in one another; 0 for a plain value."""
+    """Return how deeply lists and objects are nested: 0 for a plain value, 1 for a flat list."""
     if isinstance(values, dict):
         values = list(values.values())
-    return 1 + max(map(_depth, values), default=0) if isinstance(values, list) else 0
+    if not isinstance(values, list):
+        return 0
+    return 1 + max(map(_depth, values), default=0)
 
 
 GENERATORS: dict[str, type[MapGenerator]] = {}
-"""All families, by the name that JSON calls them."""
+"""All registered families, by their names in JSON."""
 
-PRESETS: dict[str, MapGenerator] = {}
-"""Specs with a name, of all families."""
+_presets: dict[str, MapGenerator] = {}
+
+PRESETS: Mapping[str, MapGenerator] = MappingProxyType(_presets)
+"""The presets of all families: a read-only mapping from name to generator."""
 
 
 def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {}) -> None:
     """Make a family and its presets known by name, to recipes, manifests and shards.
 
     Raises:
-        ValueError: it is no frozen dataclass, or lacks what a family needs, or a name is taken.
+        ValueError: the class is not a frozen dataclass, or lacks what a family needs; or another
+            family or preset has the name.
     """
-    # a class that is not decorated has the fields of the one above it only
+    # A class without the decorator inherits the fields of its base class.
     is_dataclass = "__dataclass_fields__" in vars(family)
     if not is_dataclass or isabstract(family) or not hasattr(family, "name"):
         raise ValueError(
             f"{family.__name__}: expected a frozen dataclass with name, most_seed_points and draw"
         )
-    # The same class once more takes the place of its own: a notebook runs its cells again.
-    taken = GENERATORS.get(family.name, family)
-    if (taken.__module__, taken.__qualname__) != (family.__module__, family.__qualname__):
-        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {taken}")
-    for name, spec in presets.items():
-        there = PRESETS.get(name, spec)
-        if there != spec and (there.name != family.name or isinstance(there, family)):
+    # A notebook defines the same class anew each time its cell runs; the new class replaces it.
+    registered = GENERATORS.get(family.name, family)
+    if (registered.__module__, registered.__qualname__) != (family.__module__, family.__qualname__):
+        raise ValueError(f"{family.__name__}: {family.name!r} is the name of {registered}")
+    for name, preset in presets.items():
+        if name in PRESETS and not _may_replace(PRESETS[name], preset, family):
             raise ValueError(f"{family.__name__}: the preset {name!r} is there already")
     GENERATORS[family.name] = family
-    PRESETS.update(presets)
-    # What was read before may be of this family, or of the class that it replaces.
+    _presets.update(presets)
+    # Generators that were read before may be of this family, or of the class that it replaces.
     stored_generator.cache_clear()
+
+
+def _may_replace(old: MapGenerator, new: MapGenerator, family: type[MapGenerator]) -> bool:
+    """Return whether a preset of ``family`` may take the name of an older preset.
+
+    It may if both are equal, or if the older one is of an earlier definition of the class.
+    """
+    is_of_earlier_class = old.name == family.name and not isinstance(old, family)
+    return old == new or is_of_earlier_class
 
 
 def family_named(name: str) -> type[MapGenerator] | None:
     """Return the family of a name, None if it is not known.
 
-    One that is not registered is looked for among the entry points of installed packages.
+    A family that is not registered yet is searched among the entry points of installed packages.
     """
     if name not in GENERATORS:
         register_installed(name)
     return GENERATORS.get(name)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # The search takes milliseconds, and its outcome does not change.
 def register_installed(name: str) -> str:
     """Register the family that an entry point of an installed package names, if there is one.
 
-    Looking for it takes some milliseconds, so it is done once a process for each name.
-
     Returns:
-        Why there is one that could not be registered, on one line; otherwise an empty text.
+        One line that says why an entry point could not be registered; an empty text if one was
+        registered, or if there is none.
     """
-    from importlib.metadata import entry_points  # only unknown families need it
+    from importlib.metadata import entry_points  # slow to import, and only unknown families need it
 
     failure = ""
     for entry_point in entry_points(group=ENTRY_POINTS, name=name):
-        what = f"the entry point '{name} = {entry_point.value}'"
+        source = f"the entry point '{name} = {entry_point.value}'"
         if entry_point.dist is not None:
-            what += f" of the package {entry_point.dist.name}"
+            source += f" of the package {entry_point.dist.name}"
         try:
             family = entry_point.load()
-            if name not in GENERATORS:  # its module may have done so
+            if name not in GENERATORS:  # Its module may have registered it.
                 register(family)
             if name in GENERATORS:
                 return ""
-            failure = f"{what} is the family {family.name!r}"
-        except (Exception, SystemExit) as error:  # whatever the code of others raises
+            failure = f"{source} is the family {family.name!r}"
+        except (Exception, SystemExit) as error:  # The code of others may raise anything.
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            failure = f"{what} cannot be imported ({reason})"
+            failure = f"{source} cannot be imported ({reason})"
     return failure
 
 
 def why_unknown(name: str) -> str:
-    """Return one line: the family is not known here, and what to do."""
-    failure = register_installed(name)
-    advice = failure or "import its module (--import MODULE in a command, import MODULE in Python)"
+    """Return one line: the family is not known here, and how to make it known."""
+    advice = register_installed(name)
+    if not advice:
+        advice = "import its module (--import MODULE in a command, import MODULE in Python)"
     hint = did_you_mean(name, GENERATORS)
     return (
         f"the family {name!r} is not known here; {advice}; known are {', '.join(GENERATORS)}{hint}"
     )
 
 
-def check_spec(spec: object) -> None:
-    """Refuse what draws no maps.
-
-    Raises:
-        ValueError: it is no family with its parameters, such as the name of a preset, or the family
-            is not known.
-    """
-    if not isinstance(spec, MapGenerator):
-        raise ValueError(f"spec: got {spec!r}, expected a MapSpec or another MapGenerator")
-    if isinstance(spec, UnknownFamily):
-        raise ValueError(f"spec: {why_unknown(spec.name)}")
-
-
-def generate(spec: MapGenerator, seed: int, indices: Iterable[int]) -> Maps:
-    """Return the maps ``indices`` of (spec, seed).
-
-    Map i is a pure function of (format version, spec, seed, i): the batch, its order and the
-    machine do not matter.
-
-    Raises:
-        ValueError: what is no spec; a seed or an index that is not a non-negative integer of 64
-            (63) bits; a family that draws no seed points, or some outside of the map.
-
-    >>> from mapdata import MapSpec
-    >>> maps = generate(MapSpec(), seed=0, indices=range(3))
-    >>> maps.occupancy.shape, maps.rooms.tolist()
-    ((3, 64, 64), [5, 9, 2])
-    """
-    check_spec(spec)
-    if isinstance(indices, Iterable) and not isinstance(indices, np.ndarray):
-        indices = list(indices)
-    index = np.asarray(indices)
-    whole = index.dtype.kind in "iu"
-    good = index.size == 0 or (whole and index.min() >= 0 and int(index.max()) < 2**63)
-    if index.ndim != 1 or not good:
-        raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
-    maps = spec.draw(check_seed(seed), np.array(index, np.int64))
-    # Compiled code relies on these, and a family of one's own may not keep them.
-    points = maps.seed_points
-    is_outside = (points < -1) | (points >= spec.map_size)
-    counts = (points[:, :, 0] >= 0).sum(axis=1)
-    # Of fewer bits, products of counts would overflow.
-    as_stated = maps.rooms.dtype == np.int64 and (counts == maps.rooms).all()
-    if is_outside.any() or not (counts.all() and as_stated):
-        raise ValueError(
-            f"{spec.name}: drew seed points outside of a map, none, or not as stated (by int64)"
-        )
-    return maps
-
-
 def identity(spec: MapGenerator, seed: int) -> str:
-    """Return the identity of a dataset, as hex.
+    """Return the identity of the maps of a generator and a seed, 64 hexadecimal digits.
 
-    The SHA-256 of the canonical JSON of format version, spec and seed. The number of maps is not in
-    it, so that a dataset can grow.
+    It is the SHA-256 of the canonical JSON of format version, generator and seed. The number of
+    maps is not part of it, so that a dataset can grow.
     """
     recipe = {
         "format_version": spec.format_version,
         "spec": spec.to_dict(),
         "seed": check_seed(seed),
     }
-    return hash_of(recipe)
+    return json_hash(recipe)

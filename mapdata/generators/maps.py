@@ -1,4 +1,4 @@
-"""`Maps`: a batch of bit-packed grids with what was drawn to make them."""
+"""`Maps`: a batch of bit-packed grids, with the rooms and passages that were drawn."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from mapdata.limits import Size
 from mapdata.movement import Movement
 
 WORD = 64
-"""Columns of a map in one packed word."""
+"""Number of columns that one packed word holds."""
 
 
 @dataclass(frozen=True)
 class Maps:
-    """A batch of N maps of one size, with what was drawn to make them.
+    """A batch of N maps of one size, with the rooms and passages that were drawn.
 
-    R is the largest number of rooms; rows beyond a map's own rooms hold -1.
+    R is the largest number of rooms. Entries of rooms that a map does not have are -1.
 
     Attributes:
-        movement: how paths move on these maps.
+        movement: the rule of moves on these maps.
         columns: W, columns of a map.
         index: (N,) int64, number of each map.
-        packed: (N, H, ceil(W / 64)) uint64, occupancy, one bit a cell: bit k of word j is column 64
-            j + k, 1 occupied.
-        rooms: (N,) int64, number of rooms n; of maps without rooms that of seed points.
+        packed: (N, H, ceil(W / 64)) uint64, occupancy as one bit a cell: bit k of word j is column
+            64 j + k, 1 occupied.
+        rooms: (N,) int64, number of rooms; of maps without rooms the number of seed points.
         passage_width: (N,) int64, width of the passages, in cells; -1 unknown.
         seed_points: (N, R, 2) int64, seed point (row, col) of each room.
         sizes: (N, R, 2) int64, rows and columns of each room as drawn, before clipping; -1 unknown.
-        directions: (N, R - 1, 2) int64, per passage the leg at A and the leg at B: 1 horizontal, 0
-            vertical, -1 no passage.
+        directions: (N, R - 1, 2) int64, direction of each passage at its first and at its second
+            room: 1 horizontal, 0 vertical, -1 no passage.
         split: (N,) uint8, 0 train, 1 val, 2 test.
     """
 
@@ -49,8 +49,8 @@ class Maps:
     split: Bytes
 
     @staticmethod
-    def empty(movement: Movement, map_size: Size, index: Ints, most: int) -> Maps:
-        """Return maps to be filled in, each with up to ``most`` rooms; -1 is unknown."""
+    def empty(movement: Movement, map_size: Size, index: Ints, max_rooms: int) -> Maps:
+        """Return maps that a generator fills in, each with up to ``max_rooms`` rooms."""
         rows, columns = map_size
         count = len(index)
         unknown = partial(np.full, fill_value=-1, dtype=np.int64)
@@ -61,9 +61,9 @@ class Maps:
             packed=np.empty((count, rows, -(-columns // WORD)), np.uint64),
             rooms=np.zeros(count, np.int64),
             passage_width=unknown(count),
-            seed_points=unknown((count, most, 2)),
-            sizes=unknown((count, most, 2)),
-            directions=unknown((count, most - 1, 2)),
+            seed_points=unknown((count, max_rooms, 2)),
+            sizes=unknown((count, max_rooms, 2)),
+            directions=unknown((count, max_rooms - 1, 2)),
             split=np.zeros(count, np.uint8),
         )
 
@@ -82,58 +82,71 @@ class Maps:
     def connected(self) -> Flags:
         """(N, R - 1) bool: a passage was drawn between rooms q and q + 1.
 
-        The paper's word; see `Labels.reachable` for whether a path exists.
+        The word is the paper's. `Labels.reachable` says whether a path exists.
         """
         return self.directions[:, :, 0] >= 0
 
     @cached_property
     def segment_offsets(self) -> Ints:
-        """(N + 1,) int64: number of the first segment of each map, n - 1 segments a map."""
+        """(N + 1,) int64: number of the first segment of each map.
+
+        A map of n rooms has n - 1 segments, which join consecutive rooms.
+        """
         return offsets_of(self.rooms - 1)
 
     @cached_property
     def segment_pairs(self) -> Ints:
         """(S,) int64: number of the pair of rooms q and q + 1 that each segment joins."""
-        segments = self.rooms - 1
-        n = np.repeat(self.rooms, segments)
-        q = np.arange(len(n)) - np.repeat(self.segment_offsets[:-1], segments)
-        # Rooms 0 to q - 1 come first as i of a pair, with n - 1, n - 2, ... pairs each.
+        segment_counts = self.rooms - 1
+        n = np.repeat(self.rooms, segment_counts)
+        q = np.arange(len(n)) - np.repeat(self.segment_offsets[:-1], segment_counts)
+        # The pairs of a map are (0, 1), (0, 2), ..., (1, 2), ...: room i is the first room of
+        # n - 1 - i pairs. Before (q, q + 1) are those of the rooms 0 to q - 1:
+        #   (n - 1) + (n - 2) + ... + (n - q) = q (2 n - q - 1) / 2
         pairs_before: Ints = q * (2 * n - q - 1) // 2
-        return np.repeat(self.pair_offsets[:-1], segments) + pairs_before
+        return np.repeat(self.pair_offsets[:-1], segment_counts) + pairs_before
 
     @cached_property
     def pair_offsets(self) -> Ints:
-        """(N + 1,) int64: number of the first pair of rooms of each map, n (n - 1) / 2 a map."""
+        """(N + 1,) int64: number of the first pair of rooms of each map.
+
+        A map of n rooms has n (n - 1) / 2 pairs.
+        """
         return offsets_of(self.rooms * (self.rooms - 1) // 2)
 
 
 @inlined
 def unpack_map(octets: Bytes, first: Int, grid: Bytes) -> None:
-    """Write the packed map at ``octets[first:]`` into ``grid``, (H, W).
+    """Write one packed map into ``grid``.
 
-    ``octets`` are the bytes of `Maps.packed`: bit k of a little-endian word is bit k % 8 of its
-    byte k // 8.
+    Args:
+        octets: the bytes of `Maps.packed`, little-endian: bit k of a word is bit k % 8 of its byte
+            k // 8.
+        first: number of the first byte of the map.
+        grid: (H, W), is filled with 0 free and 1 occupied.
     """
     rows, columns = grid.shape
-    octets_a_row = (columns + WORD - 1) // WORD * (WORD // 8)
+    octets_per_row = (columns + WORD - 1) // WORD * (WORD // 8)
+    full_octets = columns // 8
     for row in range(rows):
-        left = np.uint64(first + row * octets_a_row)
-        for k in range(columns // 8):
-            octet = octets[left + np.uint64(k)]
-            for bit in range(8):  # becomes vector instructions
+        row_start = np.uint64(first + row * octets_per_row)
+        for k in range(full_octets):
+            octet = octets[row_start + np.uint64(k)]
+            for bit in range(8):  # The compiler turns this loop into vector instructions.
                 grid[row, np.uint64(8 * k + bit)] = (octet >> bit) & 1
-        for k in range(columns & ~7, columns):  # the last byte, if it is not full
-            grid[row, k] = (octets[left + np.uint64(k >> 3)] >> (k & 7)) & 1
+        for column in range(8 * full_octets, columns):
+            octet = octets[row_start + np.uint64(column >> 3)]
+            grid[row, column] = (octet >> (column & 7)) & 1
 
 
 def unpacked(packed: Words, columns: int) -> Bytes:
-    """Return packed maps, (N, H, words), as (N, H, W) grids: undo `pack`."""
+    """Return packed maps, (N, H, words), as (N, H, W) grids: the inverse of `pack`."""
     return np.unpackbits(packed.view(np.uint8), axis=2, count=columns, bitorder="little")
 
 
 def pack(grids: Bytes) -> Words:
     """Pack (N, H, W) grids of 0 and 1 as `Maps.packed`, (N, H, ceil(W / 64)) uint64."""
-    bits = np.packbits(np.ascontiguousarray(grids), axis=2, bitorder="little")
-    spare = -bits.shape[2] % 8  # packbits ends rows at whole bytes
-    words = np.pad(bits, ((0, 0), (0, 0), (0, spare))).view("<u8")
+    octets = np.packbits(np.ascontiguousarray(grids), axis=2, bitorder="little")
+    missing_octets = -octets.shape[2] % 8  # to a whole word at the end of each row
+    words = np.pad(octets, ((0, 0), (0, 0), (0, missing_octets))).view("<u8")
     return words.astype(np.uint64, copy=False)

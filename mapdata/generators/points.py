@@ -1,4 +1,4 @@
-"""Seed points of maps that have none of their own (stream 5 of docs/format.md)."""
+"""Seed points: random free cells of maps that have no rooms (stream 5 of docs/format.md)."""
 
 from __future__ import annotations
 
@@ -16,34 +16,38 @@ from mapdata.limits import MAX_ROOMS
 from mapdata.movement import STEPS
 from mapdata.rng import POINTS, block, bounded
 
-_CANDIDATES = 8
-"""Cells that are drawn for each seed point, of which the one farthest from the others is taken."""
+_BLOCKS_PER_POINT = 2
+"""Blocks of random words for each seed point: 8 words draw 8 candidates."""
 
 
-def check_seed_points(name: str, count: object, most: int = MAX_ROOMS) -> int:
-    """Return how many seed points a map has, as an int; ValueError unless 2 to ``most``."""
+def check_seed_points(name: str, count: object, max_count: int = MAX_ROOMS) -> int:
+    """Return a number of seed points as an int.
+
+    Raises:
+        ValueError: not an integer from 2 to ``max_count``.
+    """
     points = check_count(name, count, 2)
-    if points > most:
-        raise ValueError(f"{name}: got {points}, expected at most {most} here")
+    if points > max_count:
+        raise ValueError(f"{name}: got {points}, expected at most {max_count} here")
     return points
 
 
 class Scattered(MapGenerator):
-    """A family that draws grids, on which at most ``seed_points`` seed points are then scattered.
+    """A family of maps without rooms: a subclass draws the grids, and seed points are scattered.
 
-    A subclass has that field and says how one grid is drawn.
+    A subclass has the field ``seed_points`` and implements `draw_grid`.
     """
 
     seed_points: int
 
     @property
     def most_seed_points(self) -> int:
-        """How many seed points a map has at most."""
+        """The largest number of seed points of a map."""
         return self.seed_points
 
     @abstractmethod
     def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:
-        """Fill ``grid``, (H, W) of zeros, with 0 free and 1 occupied: map ``index``."""
+        """Draw map ``index`` into ``grid``, (H, W) of zeros: 0 free and 1 occupied."""
 
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64."""
@@ -54,26 +58,36 @@ class Scattered(MapGenerator):
 
 
 def with_seed_points(spec: MapGenerator, seed: int, indices: Ints, grids: Bytes) -> Maps:
-    """Return grids (N, H, W) as the maps ``indices`` of (spec, seed), with seed points.
+    """Return grids as maps of (generator, seed), with seed points far apart.
 
-    `spread_points` draws them among the free cells of the largest component, far apart, none twice:
+    The seed points are different free cells of the largest component of a map, up to
     ``spec.most_seed_points`` of them.
 
+    Args:
+        spec: the generator.
+        seed: 64-bit seed.
+        indices: (N,) int64, number of each map.
+        grids: (N, H, W) uint8, 0 free and 1 occupied.
+
     Raises:
-        ValueError: maps of another size than the spec's.
+        ValueError: the grids do not have the size of the generator's maps.
     """
     if grids.shape != (len(indices), *spec.map_size):
         raise ValueError(
             f"grids: got shape {grids.shape}, expected {len(indices)} maps of {spec.map_size}"
         )
-    most = spec.most_seed_points
-    maps = Maps.empty(spec.movement, spec.map_size, indices, most)
+    maps = Maps.empty(spec.movement, spec.map_size, indices, spec.most_seed_points)
     key = np.uint64(seed)
     for k, grid in enumerate(grids):
-        cells = largest_component(grid, 0)  # by straight steps, which every movement has
-        points = spread_points(cells, maps.columns, key, np.uint64(indices[k]), most)
+        # Straight steps are legal under every movement, so they join the seed points under each.
+        cells = largest_component(grid, 0)
+        points = spread_points(
+            cells, maps.columns, key, np.uint64(indices[k]), spec.most_seed_points
+        )
+        rows, columns = np.divmod(points, maps.columns)
         maps.rooms[k] = len(points)
-        maps.seed_points[k, : len(points)] = np.column_stack(np.divmod(points, maps.columns))
+        maps.seed_points[k, : len(points), 0] = rows
+        maps.seed_points[k, : len(points), 1] = columns
     maps.packed[:] = pack(grids)
     maps.split[:] = draw_splits(key, indices, split_thresholds(spec.splits))
     return maps
@@ -81,90 +95,108 @@ def with_seed_points(spec: MapGenerator, seed: int, indices: Ints, grids: Bytes)
 
 @kernel
 def largest_component(grid: Bytes, diagonals: Int) -> Ints:
-    """Return the free cells of the largest component of ``grid``, (H, W).
+    """Return the free cells of the largest connected component of a grid.
 
-    They are row * W + column, in row-major order; of equally large components it is that which
-    holds the first cell. ``diagonals`` is as in a `Lattice` of mapdata/search; diagonal steps
-    beside two free cells join nothing that straight ones do not.
+    Args:
+        grid: (H, W), 0 free.
+        diagonals: 0 without diagonal moves, 1 with those between two free cells, 2 with all
+            diagonal moves. 0 and 1 give the same components, since two straight moves lead around
+            a diagonal one between free cells.
+
+    Returns:
+        The numbers row * W + column of the cells, in ascending order. Of equally large components
+        the one whose first cell comes first is chosen.
     """
     rows, columns = grid.shape
-    steps = STEPS if diagonals == 2 else STEPS[:4]  # 2: diagonal moves without a corner rule
-    # 0 free and 1 occupied; then the number of each component, from 2 on.
-    marks = np.ascontiguousarray(grid).astype(np.int64)
-    flat = marks.reshape(-1)
+    steps = STEPS if diagonals == 2 else STEPS[:4]
+    # 0 is a free cell of no component yet, 1 is occupied, and components are numbered from 2.
+    labels = np.ascontiguousarray(grid).astype(np.int64)
+    flat_labels = labels.reshape(-1)
     queue = np.empty(rows * columns, np.int64)
-    number = 1
-    best = 0  # no cell has this number afterwards
-    most = 0
-    for first in range(rows * columns):
-        if flat[first] != 0:
+    component = 1
+    largest = 0  # No cell has this label in the end, so a full grid has an empty component.
+    largest_size = 0
+    for first_cell in range(rows * columns):
+        if flat_labels[first_cell] != 0:
             continue
-        # Breadth-first search from the first cell of a component: the queue comes to hold all.
-        number += 1
-        flat[first] = number
-        queue[0] = first
-        found = 1
-        done = 0
-        while done < found:
-            row, column = divmod(queue[done], columns)
-            done += 1
+        # A breadth-first search labels the whole component.
+        component += 1
+        flat_labels[first_cell] = component
+        queue[0] = first_cell
+        size = 1
+        expanded = 0
+        while expanded < size:
+            row, column = divmod(queue[expanded], columns)
+            expanded += 1
             for down, right in steps:
-                r = row + down
-                c = column + right
-                if 0 <= r < rows and 0 <= c < columns and marks[r, c] == 0:
-                    marks[r, c] = number
-                    queue[found] = r * columns + c
-                    found += 1
-        if found > most:
-            best = number
-            most = found
-    return np.flatnonzero(flat == best)
+                next_row = row + down
+                next_column = column + right
+                is_inside = 0 <= next_row < rows and 0 <= next_column < columns
+                if is_inside and labels[next_row, next_column] == 0:
+                    labels[next_row, next_column] = component
+                    queue[size] = next_row * columns + next_column
+                    size += 1
+        if size > largest_size:
+            largest = component
+            largest_size = size
+    return np.flatnonzero(flat_labels == largest)
 
 
 @kernel
 def draw_points(cells: Ints, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
-    """Return ``count`` of ``cells``, none twice: draw k is one of those left, in their order."""
-    left = list(cells)
-    drawn = np.empty(count, np.int64)
+    """Return ``count`` different cells of ``cells``, each drawn uniformly from the remaining ones.
+
+    The remaining cells keep their order, so that draw k depends on the earlier draws alone.
+    """
+    remaining = list(cells)
+    points = np.empty(count, np.int64)
     for k in range(count):
         word, _, _, _ = block(seed, index, 0, POINTS, k)
-        drawn[k] = left.pop(bounded(word, 0, len(left) - 1))
-    return drawn
+        points[k] = remaining.pop(bounded(word, 0, len(remaining) - 1))
+    return points
 
 
 @kernel
 def spread_points(cells: Ints, columns: Int, seed: np.uint64, index: np.uint64, count: Int) -> Ints:
-    """Return up to ``count`` of ``cells``, none twice, that lie far apart.
+    """Return up to ``count`` different cells of ``cells`` that lie far apart.
 
-    Mitchell's best candidates: each point is the one of 8 cells drawn uniformly whose nearest
-    earlier point is farthest away (of equally far ones the first drawn). Mitchell, "Spectrally
-    optimal sampling for distribution ray tracing", SIGGRAPH 1991, section 4.
+    Mitchell's best-candidate sampling: for each point 8 candidates are drawn uniformly, and the
+    candidate whose nearest earlier point is farthest away is taken (the first drawn, if several are
+    equally far). Mitchell, "Spectrally optimal sampling for distribution ray tracing", SIGGRAPH
+    1991, section 4.
+
+    Args:
+        cells: the numbers row * ``columns`` + column of the cells.
+        columns: columns of the map.
+        seed: 64-bit seed.
+        index: number of the map.
+        count: number of points; fewer are returned if there are fewer cells.
     """
     count = min(count, len(cells))
     points = np.empty(count, np.int64)
     for k in range(count):
         best = np.int64(-1)
-        widest = np.int64(-1)
-        for j in range(_CANDIDATES // 4):
-            for word in block(seed, index, 0, POINTS, _CANDIDATES // 4 * k + j):
-                place = bounded(word, 0, len(cells) - 1)
-                gap = _gap(cells[place], points[:k], columns)
-                if gap > widest:
-                    best = place
-                    widest = gap
-        # If all candidates are points already: the next cell that is none.
-        while _gap(cells[best], points[:k], columns) == 0:
+        max_distance = np.int64(-1)
+        for j in range(_BLOCKS_PER_POINT):
+            for word in block(seed, index, 0, POINTS, _BLOCKS_PER_POINT * k + j):
+                candidate = bounded(word, 0, len(cells) - 1)
+                distance = _squared_distance(cells[candidate], points[:k], columns)
+                if distance > max_distance:
+                    best = candidate
+                    max_distance = distance
+        # If all candidates are points already, the next cell that is not a point is taken.
+        while _squared_distance(cells[best], points[:k], columns) == 0:
             best = (best + 1) % len(cells)
         points[k] = cells[best]
     return points
 
 
 @kernel
-def _gap(cell: Int, points: Ints, columns: Int) -> Int:
-    """Return the squared distance of a cell to the nearest of ``points``; without any, 2**62."""
-    least = np.int64(2**62)
+def _squared_distance(cell: Int, points: Ints, columns: Int) -> Int:
+    """Return the squared distance from a cell to the nearest of ``points``; 2**62 without any."""
+    min_distance = np.int64(2**62)
     for point in points:
-        rows = cell // columns - point // columns
-        aside = cell % columns - point % columns
-        least = min(least, rows * rows + aside * aside)
-    return least
+        rows_apart = cell // columns - point // columns
+        columns_apart = cell % columns - point % columns
+        min_distance = min(min_distance, rows_apart**2 + columns_apart**2)
+    return min_distance

@@ -1,9 +1,9 @@
 """Algorithm 1 of the paper: draw rooms and passages, carve them out of an occupied grid.
 
 Source: Flores-Aquino et al., arXiv 2110.13242, section 2 (Algorithm 1) and section 3 (Table 1). It
-writes (column, row), and calls passages tunnels. Where the printed algorithm slips (line 23
-exchanges columns and rows, slices are empty where A lies beyond B, the outer corner of an elbow
-stays occupied), its intent and the authors' published sample decide; docs/format.md lists each
+writes (column, row), and calls passages tunnels. The printed algorithm has errors: line 23
+exchanges columns and rows, slices are empty where A lies beyond B, and the outer corner of an elbow
+stays occupied. There its intent and the authors' published sample decide; docs/format.md lists each
 draw.
 """
 
@@ -24,6 +24,7 @@ from mapdata.limits import MAX_ROOMS, Range
 from mapdata.rng import MAP, block, bounded, threshold
 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
+"""A word of 64 occupied cells."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,11 @@ class MapSpec(MapGenerator):
         map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
         rooms: number of rooms, 2 to ``MAX_ROOMS``.
         room_rows: rows of a room as drawn, in cells, before it is clipped at the border.
-        room_columns: columns of a room, likewise.
+        room_columns: columns of a room as drawn, in cells, before it is clipped at the border.
         passage_width: width of the passages of a map, in cells; one draw a map.
         skip_probability: probability that no passage is drawn between two consecutive rooms.
         resolution: metres per cell.
-        movement: how paths move.
+        movement: the rule of moves.
         splits: fractions of maps in train, val and test; they add up to 1.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Which split a map belongs to: a draw of stream 2 of docs/format.md, imported maps included."""
+"""The split of each map, drawn from stream 2 of docs/format.md; imported maps are drawn alike."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mapdata.rng import SPLIT, block, threshold
 
 @cache
 def split_thresholds(splits: tuple[float, ...]) -> Words:
-    """Return the two integers below which a 32-bit word means train, and train or val.
+    """Return two numbers: a 32-bit word below the first is train, else below the second is val.
 
     Raises:
         ValueError: not three fractions that add up to 1.
@@ -27,7 +27,10 @@ def split_thresholds(splits: tuple[float, ...]) -> Words:
 
 @kernel
 def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
-    """Return (N,) the codes of the splits of maps ``indices``."""
+    """Return the splits of maps ``indices``, (N,): 0 train, 1 val, 2 test.
+
+    ``thresholds`` are those of `split_thresholds`.
+    """
     codes = np.empty(len(indices), np.uint8)
     for k in range(len(indices)):
         word, _, _, _ = block(seed, np.uint64(indices[k]), 0, SPLIT, 0)
@@ -36,17 +39,23 @@ def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
 
 
 def maps_of_split(spec: MapGenerator, seed: int, split: str, count: int) -> Ints:
-    """Return the indices of the first ``count`` maps of (spec, seed) that belong to ``split``."""
+    """Return the numbers of the first ``count`` maps of (generator, seed) that belong to a split.
+
+    Raises:
+        ValueError: the generator has no maps in this split.
+    """
     code = SPLITS.index(split)
     thresholds = split_thresholds(spec.splits)
-    bounds = [0, *thresholds.tolist(), 2**32]
-    if bounds[code] == bounds[code + 1]:
+    word_limits = [0, *thresholds.tolist(), 2**32]
+    if word_limits[code] == word_limits[code + 1]:  # No word means this split.
         raise ValueError(f"split: the spec gives no map to {split!r} (splits {spec.splits})")
     key = np.uint64(check_seed(seed))
-    found = np.empty(0, np.int64)
-    indices = np.arange(max(count, 4096))
-    while len(found) < count:
+    chunk_size = max(count, 4096)
+    members = np.empty(0, np.int64)
+    start = 0
+    while len(members) < count:
+        indices = np.arange(start, start + chunk_size)
         codes = draw_splits(key, indices, thresholds)
-        found = np.concatenate([found, indices[codes == code]])
-        indices += len(indices)
-    return found[:count]
+        members = np.concatenate([members, indices[codes == code]])
+        start += chunk_size
+    return members[:count]

@@ -1,4 +1,4 @@
-"""Looking at maps: one map, a whole dataset, what models do, the report page."""
+"""Figures of maps, datasets and the outputs of models, and the report page."""
 
 from mapdata.plotting.figures import plot_distributions, plot_figure, plot_gallery
 from mapdata.plotting.html_report import report

@@ -1,4 +1,4 @@
-"""Arrow heads along a path, which are spaced on the page and not on the map."""
+"""Arrow heads along a path, with equal distances on the page whatever the size of the map."""
 
 from __future__ import annotations
 
@@ -13,30 +13,33 @@ from matplotlib.transforms import Affine2D, IdentityTransform, Transform
 from mapdata.arrays import Array, Floats
 
 SPACING = 96.0
-"""Points from one arrow head of a path to the next: 16 cells of a figure of one map of 64 x 64."""
+"""Distance along a path between arrow heads, in points: 16 cells in the figure of a 64 x 64 map."""
 
-SHORTEST = 60.0
-"""Points of the shortest path that bears an arrow head; its ends may bear marks of 14 points."""
+MIN_LENGTH = 60.0
+"""Minimal length of a path with an arrow head, in points; its ends may bear marks of 14 points."""
 
-CLOSEST = 48.0
-"""Points between arrow heads of one path, as the crow flies: in mazes paths wind."""
+MIN_DISTANCE = 48.0
+"""Minimal straight distance between arrow heads, in points, since paths in mazes wind."""
 
 _REACH = 12.0
-"""Points before and behind an arrow head that its direction is taken from: of stairs, the slope."""
+"""An arrow head has the direction of the path between this many points before and behind it.
+
+So an arrow on stairs points along their slope and not along a step.
+"""
 
 _HEAD = Path(9.5 * np.array([(0, 0.55), (-0.35, -0.55), (0.35, -0.55), (0, 0.55)]))
-"""A triangle that points up, in points; narrow, since one with equal sides points three ways."""
+"""A triangle that points up, in points. It is narrow, so that its tip is recognised."""
 
 
 class ArrowHeads(PathCollection):
-    """The arrow heads of one path.
+    """The arrow heads of a path.
 
-    How many there are and where they lie is decided when the figure is drawn. So they are equally
-    far apart for maps of any size, in axes of any size.
+    Their number and positions are computed when the figure is drawn. So their distances on the page
+    are the same for maps and axes of any size.
     """
 
     def __init__(self, path: Array, transform: Transform, colour: str) -> None:
-        """Keep the path.
+        """Store the path; the arrow heads are placed when they are drawn.
 
         Args:
             path: (k, 2) points (x, y), in the coordinates of ``transform``.
@@ -45,59 +48,70 @@ class ArrowHeads(PathCollection):
         """
         super().__init__(
             [],
-            sizes=[1.0],  # the paths are in points
+            sizes=[1.0],  # _HEAD is in points already
             facecolor=colour,
             edgecolor="white",
             linewidth=0.7,
             zorder=3,
-            transform=IdentityTransform(),  # they keep their size
+            transform=IdentityTransform(),  # the size does not depend on the axes
             offsets=np.empty((0, 2)),
             offset_transform=transform,
         )
-        self.set_in_layout(False)  # they lie inside the axes
+        self.set_in_layout(False)  # arrow heads lie inside the axes and need no room of their own
         self._path = path
-        self._page: Floats = np.empty((0, 2))
+        self._path_on_page: Floats = np.empty((0, 2))
 
     def draw(self, renderer: RendererBase) -> None:
-        """Place the arrow heads where the scale has changed, and draw them."""
-        figure: Any = self.figure  # the stubs know of no part of a figure here
-        scale = figure.dpi / 72
-        page = self.get_offset_transform().transform(self._path.astype(float)) / scale
-        if not np.array_equal(page, self._page):
-            self._page = page
-            middles, angles = heads(page)
-            self.set_offsets(self.get_offset_transform().inverted().transform(scale * middles))
-            self.set_paths([Affine2D().rotate_deg(a).transform_path(_HEAD) for a in angles])
+        """Draw the arrow heads; they are placed again if the path has moved on the page."""
+        figure: Any = self.figure  # matplotlib's type hints also allow None here
+        pixels_per_point = figure.dpi / 72
+        to_pixels = self.get_offset_transform()
+        path_on_page = to_pixels.transform(self._path.astype(float)) / pixels_per_point
+        if not np.array_equal(path_on_page, self._path_on_page):
+            self._path_on_page = path_on_page
+            positions, angles = place_heads(path_on_page)
+            self.set_offsets(to_pixels.inverted().transform(pixels_per_point * positions))
+            self.set_paths([Affine2D().rotate_deg(angle).transform_path(_HEAD) for angle in angles])
         super().draw(renderer)
 
 
-def heads(page: Floats) -> tuple[Floats, Floats]:
-    """Return where the arrow heads of a path lie and how far they are turned.
+def place_heads(path: Floats) -> tuple[Floats, Floats]:
+    """Return the positions and directions of the arrow heads of a path.
 
     Args:
-        page: (k, 2) points (x, y) of the path on the page, upwards, in points of 1/72 inch.
+        path: (k, 2) points (x, y) on the page, y upwards, in points of 1/72 inch.
 
     Returns:
-        (n, 2) middles on the path, and (n,) degrees counterclockwise from "up".
+        (n, 2) positions on the path, and (n,) angles in degrees counterclockwise from "up".
     """
-    lengths = np.hypot(*np.diff(page, axis=0).T)
-    along = np.concatenate(([0.0], np.cumsum(lengths)))
-    total = along[-1] if len(page) else 0.0
-    if total < SHORTEST:
+    step_lengths = np.hypot(*np.diff(path, axis=0).T)
+    distance_from_start = np.concatenate(([0.0], np.cumsum(step_lengths)))
+    length = distance_from_start[-1] if len(path) else 0.0
+    if length < MIN_LENGTH:
         return np.empty((0, 2)), np.empty(0)
-    count = max(round(total / SPACING), 1)
-    middles = (np.arange(count) + 0.5) * total / count
-    points = _at(page, along, middles)
+    count = max(round(length / SPACING), 1)
+    distances = (np.arange(count) + 0.5) * length / count
+    positions = _points_at(path, distance_from_start, distances)
     kept: list[int] = []
     for k in range(count):
-        if all(np.hypot(*(points[k] - points[earlier])) >= CLOSEST for earlier in kept):
+        to_kept_heads = np.hypot(*(positions[kept] - positions[k]).T)
+        if (to_kept_heads >= MIN_DISTANCE).all():
             kept.append(k)
-    middles = middles[kept]
-    direction = _at(page, along, middles + _REACH) - _at(page, along, middles - _REACH)
+    before = _points_at(path, distance_from_start, distances[kept] - _REACH)
+    behind = _points_at(path, distance_from_start, distances[kept] + _REACH)
+    direction = behind - before
     angles = np.degrees(np.arctan2(direction[:, 1], direction[:, 0])) - 90
-    return points[kept], angles
+    return positions[kept], angles
 
 
-def _at(page: Floats, along: Floats, distances: Floats) -> Floats:
-    """Return the points of a path at these distances from its start."""
-    return np.stack([np.interp(distances, along, page[:, axis]) for axis in (0, 1)], axis=1)
+def _points_at(path: Floats, distance_from_start: Floats, distances: Floats) -> Floats:
+    """Return the points of a path at ``distances`` from its start along it, (n, 2).
+
+    Args:
+        path: (k, 2) points.
+        distance_from_start: (k,) of each point of the path, along it.
+        distances: (n,); they are clipped to the length of the path.
+    """
+    x = np.interp(distances, distance_from_start, path[:, 0])
+    y = np.interp(distances, distance_from_start, path[:, 1])
+    return np.stack([x, y], axis=1)

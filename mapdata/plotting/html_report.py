@@ -1,8 +1,8 @@
-"""The report: one page to look at a dataset, without a server and without a network.
+"""The report: an HTML page to browse a dataset, without a server and without a network.
 
-`report.html` is the template. The maps travel in it as one block of JSON, compressed, in base64.
-The page allows no script but its own, whatever text the dataset holds: its policy names the hashes
-of script and style, which a test compares.
+`report.html` is the template. The maps are in the page as JSON, compressed and in base64. The page
+runs no script but its own, whatever text the dataset holds: its content security policy names the
+hashes of the script and the style, and a test compares them.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from mapdata.checks import check_count
 from mapdata.describe.dataset_card import Section, sections, title
 from mapdata.describe.statistics import DatasetStatistics, dataset_statistics
 from mapdata.generators.maps import unpacked
-from mapdata.plotting.figures import figure_of, plot_distribution
+from mapdata.plotting.figures import parent_figure, plot_distribution
 from mapdata.plotting.plot import new_axes
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.root import Places
+from mapdata.shards.locations import Locations
 
 MAPS = 500
-"""Maps in the browser of a report."""
+"""Default number of maps in a report."""
 
 
-def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
+def report(root: Locations, maps: int = MAPS, *, progress: bool = False) -> str:
     """Return the report of a dataset as one HTML page: maps, distributions and the card.
 
     Args:
         root: folder or URL of the dataset, or several.
-        maps: how many maps the browser shows, evenly spaced over the dataset.
+        maps: number of maps in the page, evenly spaced over the dataset.
         progress: show a progress bar.
 
     Raises:
@@ -49,74 +49,92 @@ def report(root: Places, maps: int = MAPS, *, progress: bool = False) -> str:
         ValueError: ``maps`` is less than one.
     """
     check_count("maps", maps)
-    of = dataset_statistics(root, repeats=True, progress=progress)
-    first, *others = sections(of)
-    count = min(maps, len(of))
-    places = np.arange(count) * len(of) // max(count, 1)
-    charts = [_chart(name, column) for name, column in of.distributions().items() if len(column)]
+    statistics = dataset_statistics(root, repeats=True, progress=progress)
+    introduction, *card_sections = sections(statistics)
+    total = len(statistics)
+    count = min(maps, total)
+    positions = np.arange(count) * total // max(count, 1)
+    charts = [
+        _chart_html(name, values)
+        for name, values in statistics.distributions().items()
+        if len(values)
+    ]
     template = files("mapdata.plotting").joinpath("report.html").read_text(encoding="utf-8")
-    values = {
-        "TITLE": escape(title(of)),
-        "INTRODUCTION": f"<p>{escape(first.text)}</p>",
-        "SAMPLED": f"{count:,} of {len(of):,} maps, evenly spaced.",
+    texts = {
+        "TITLE": escape(title(statistics)),
+        "INTRODUCTION": f"<p>{escape(introduction.text)}</p>",
+        "SAMPLED": f"{count:,} of {total:,} maps, evenly spaced.",
         "CHARTS": "".join(charts),
-        "CARD": "".join(map(_html, others)),
-        "DATA": b64encode(_pack(of, places)).decode(),
+        "CARD": "".join(_section_html(section) for section in card_sections),
+        "DATA": b64encode(_compressed_maps(statistics, positions)).decode(),
     }
-    # one pass: text that looks like a mark stays text
-    return re.sub("@@([A-Z]+)@@", lambda match: values[match[1]], template)
+    # All marks are replaced in one pass, so that a text of the dataset that looks like a mark is
+    # not replaced.
+    return re.sub("@@([A-Z]+)@@", lambda match: texts[match[1]], template)
 
 
-def _pack(of: DatasetStatistics, places: Ints) -> bytes:
-    """Return what the page's script reads: the maps at ``places`` as compressed JSON."""
-    root = of.root
-    wanted = set(places)
+def _compressed_maps(statistics: DatasetStatistics, positions: Ints) -> bytes:
+    """Return the maps for the page's script, as compressed JSON.
+
+    Args:
+        statistics: of the dataset.
+        positions: (n,) of the maps, counted over all parts of the dataset.
+    """
+    root = statistics.root
+    selected = set(positions.tolist())
     maps = []
-    every = ((labels, i) for labels in root.labels() for i in range(len(labels.maps)))
-    for place, (labels, i) in enumerate(every):
-        if place in wanted:
-            values = {"free": of.free[place], "hardest": of.hardest[place]}
-            maps.append(_shown(labels, i) | values)
+    position = 0
+    for labels in root.labels():
+        for i in range(len(labels.maps)):
+            if position in selected:
+                entry = _map_entry(labels, i)
+                entry["free"] = statistics.free[position]
+                entry["hardest"] = statistics.hardest[position]
+                maps.append(entry)
+            position += 1
     page = {
         "size": root.map_size,
         "connectivity": root.movement.connectivity,
-        "resolution": "/".join(sorted({f"{each.resolution:g}" for each in root.manifests})),
-        "word": f"{of.noun}s",
+        "resolution": "/".join(sorted({f"{manifest.resolution:g}" for manifest in root.manifests})),
+        "word": f"{statistics.noun}s",
         "maps": maps,
     }
-    # numpy's numbers and arrays become plain ones
-    text = json.dumps(page, default=lambda value: value.tolist())
+    # JSON knows no numpy arrays and numbers, so these are converted.
+    text = json.dumps(page, default=lambda array: array.tolist())
     return zlib.compress(text.encode(), 9)
 
 
-def _shown(labels: Labels, i: int) -> dict[str, Any]:
-    """Return what the page shows of map ``i`` of a batch."""
+def _map_entry(labels: Labels, i: int) -> dict[str, Any]:
+    """Return the JSON entry of map ``i`` of a batch; the page's script knows its keys."""
     maps = labels.maps
-    n = maps.rooms[i]
+    rooms = maps.rooms[i]
     grids = unpacked(maps.packed[i : i + 1], maps.columns)
-    shown = {
+    entry = {
         "index": maps.index[i],
-        "cells": np.packbits(grids, axis=2).tobytes().hex(),  # four in a digit
+        "cells": np.packbits(grids, axis=2).tobytes().hex(),  # a hexadecimal digit is four cells
         "split": maps.split[i],
         "connected": labels.all_connected[i],
         "width": maps.passage_width[i],
-        "seeds": maps.seed_points[i, :n],
-        "sizes": maps.sizes[i, :n],
-        "directions": maps.directions[i, : n - 1],
+        "seeds": maps.seed_points[i, :rooms],
+        "sizes": maps.sizes[i, :rooms],
+        "directions": maps.directions[i, : rooms - 1],
     }
-    first, last = maps.segment_offsets[i : i + 2]
+    first_segment, end_segment = maps.segment_offsets[i : i + 2]
     for name in SEARCHES:
-        search = labels.of(name)
-        bounds = pairwise(search.offsets[first : last + 1])
-        shown[name] = {
-            "moves": ["".join(map(str, search.moves[a:b].tolist())) for a, b in bounds],
+        search_labels = labels.by_search(name)
+        bounds = pairwise(search_labels.offsets[first_segment : end_segment + 1])
+        entry[name] = {
+            "moves": [
+                "".join(map(str, search_labels.moves[start:end].tolist())) for start, end in bounds
+            ],
             "iterations": labels.iterations(name, i),
-            "matrix": np.triu(labels.matrix(name, i).round(2)),  # it is symmetric
+            # The matrix is symmetric, so its upper triangle suffices.
+            "matrix": np.triu(labels.matrix(name, i).round(2)),
         }
-    return shown
+    return entry
 
 
-def _html(section: Section) -> str:
+def _section_html(section: Section) -> str:
     """Return a section of the card as HTML."""
     name = escape(section.title)
     parts = [f"<h2>{name}</h2>"]
@@ -124,9 +142,11 @@ def _html(section: Section) -> str:
         parts.append(f"<p>{escape(section.text)}</p>")
     if section.table:
         head, *rows = section.table
-        lines = [_tags('th scope="row"', row[:1]) + _tags("td", row[1:]) for row in rows]
+        lines = [
+            _cells_html('th scope="row"', row[:1]) + _cells_html("td", row[1:]) for row in rows
+        ]
         if any(head):
-            lines.insert(0, _tags('th scope="col"', head))
+            lines.insert(0, _cells_html('th scope="col"', head))
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         region = f'<div class="scroll" tabindex="0" role="region" aria-label="{name}">'
         parts.append(f"{region}<table>{body}</table></div>")
@@ -135,28 +155,35 @@ def _html(section: Section) -> str:
     return "\n".join(parts)
 
 
-def _tags(tag: str, cells: Sequence[str]) -> str:
-    return "".join(f"<{tag}>{escape(cell)}</{tag[:2]}>" for cell in cells)
+def _cells_html(tag: str, cells: Sequence[str]) -> str:
+    """Return cells of a table as HTML; ``tag`` is "td" or "th", perhaps with attributes."""
+    end_tag = tag[:2]
+    return "".join(f"<{tag}>{escape(cell)}</{end_tag}>" for cell in cells)
 
 
-def _chart(name: str, values: Floats) -> str:
-    """Return a histogram as HTML: a picture, with words for those who do not see it."""
+def _chart_html(name: str, values: Floats) -> str:
+    """Return a histogram as HTML: a picture, and a text of its statistics for blind readers.
+
+    Args:
+        name: of the distribution.
+        values: (n,), one for each map or segment.
+    """
     import matplotlib
 
     (ax,) = new_axes(size=(4.6, 3))
     plot_distribution(name, values, ax)
     image = BytesIO()
-    # Text stays text, so that the picture is small; the same salt and no date make it the same
-    # again.
+    # With "none", texts are stored as text and not as outlines, so that the picture is small. A
+    # fixed salt and no date make equal datasets give equal pages.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mapdata"}):
-        figure_of(ax).savefig(image, format="svg", transparent=True, metadata={"Date": None})
-    data = b64encode(image.getvalue()).decode()
-    words = (
+        parent_figure(ax).savefig(image, format="svg", transparent=True, metadata={"Date": None})
+    svg = b64encode(image.getvalue()).decode()
+    description = (
         f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, "
         f"from {values.min():.4g} to {values.max():.4g}, {len(values):,} "
         f"{ax.get_ylabel().split()[0]}"
     )
     return (
-        f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(words)}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
+        f'<figure><img src="data:image/svg+xml;base64,{svg}" alt="{escape(description)}">'
+        f"<figcaption>{escape(description)}</figcaption></figure>"
     )

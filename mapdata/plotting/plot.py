@@ -1,9 +1,11 @@
-"""Figures of one map: axes in, axes out. matplotlib is imported when one is drawn.
+"""Figures of a map: each function draws on axes and returns them.
 
-What models do on a map is in `mapdata.plotting.plot_models`, figures of a dataset are in
-`mapdata.plotting.figures`. Axes that are made here have the look of `STYLE` and sit in a figure
-with ``layout="constrained"``, which makes room for titles and legends. For your own axes beside
-others, make the figure that way, too, within ``matplotlib.rc_context(STYLE)``.
+Outputs of models are drawn in `mapdata.plotting.plot_models`, whole datasets in
+`mapdata.plotting.figures`. Without axes, a function creates a figure with ``layout="constrained"``,
+which makes room for titles and legends, in the look of `STYLE`. If you create the figure yourself,
+use that layout within ``matplotlib.rc_context(STYLE)``.
+
+matplotlib is imported when a figure is drawn, since its import is slow.
 """
 
 from __future__ import annotations
@@ -15,14 +17,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mapdata.arrays import Array
+from mapdata.checks import check_choice
+
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from mapdata.search.labels import Labels
-from mapdata.arrays import Array
-from mapdata.checks import check_choice
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}
@@ -36,32 +39,38 @@ STYLE: dict[Any, str] = {
     "xtick.labelsize": "small",
     "ytick.labelsize": "small",
 }
-"""rcParams of the figures that are made here."""
+"""The rcParams of figures that are created here."""
 
-_LISTED = 16
-"""Most segments that a legend names."""
+_MAX_LEGEND_SEGMENTS = 16
+"""Maximal number of segments in a legend."""
 
-_NUMBERED = 16
-"""Most rooms of a connection matrix whose costs are written into it."""
+_MAX_MATRIX_TEXTS = 16
+"""Maximal number of rooms for which costs are written into the connection matrix."""
 
-_LANE = 1.6
-"""Points between paths that are drawn side by side; a cell has about 6 in a figure of one map."""
+_LANE_WIDTH = 1.6
+"""Points between paths that are drawn side by side; in a figure of one map a cell has about 6."""
 
 
 def plot_grid(
     occupancy: ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
 ) -> Axes:
-    """Draw a grid: free white and occupied black, or as the paper's Figure 2 the other way round.
+    """Draw a grid: free white and occupied black, or the opposite as in the paper's Figure 2.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
-        axes: where to draw; a new figure without.
+        axes: where to draw; default a new figure.
         paper_colours: free black, occupied white.
     """
     axes = axes or new_axes()[0]
-    cmap = "gray" if paper_colours else "gray_r"
-    top = 1.0 if paper_colours else 1.25  # a grey black, on which dark lines are seen
-    axes.imshow(np.asarray(occupancy), cmap=cmap, vmin=0, vmax=top, interpolation="nearest")
+    if paper_colours:
+        colour_map = "gray"
+        max_shade = 1.0
+    else:
+        colour_map = "gray_r"
+        max_shade = 1.25  # occupied cells become dark grey, so that dark lines stay visible
+    axes.imshow(
+        np.asarray(occupancy), cmap=colour_map, vmin=0, vmax=max_shade, interpolation="nearest"
+    )
     axes.set(xlabel="column", ylabel="row")
     return axes
 
@@ -73,8 +82,8 @@ def plot_map(
 
     Args:
         labels: labelled maps.
-        i: which map of the batch.
-        axes: where to draw; a new figure without.
+        i: number of the map in the batch.
+        axes: where to draw; default a new figure.
         paper_colours: free black, occupied white.
     """
     maps = labels.maps
@@ -83,10 +92,10 @@ def plot_map(
         label = f"{NAMES[search]}, {labels.iterations(search, i).sum():,} iterations"
         for path in labels.route(search, i):
             plot_cells(axes, path, COLOURS[search], label, lane=lane)
-            label = "_"
+            label = "_"  # matplotlib omits it from the legend, where a search has one line
     _plot_seed_points(axes, labels, i)
     state = "all connected" if labels.all_connected[i] else "not all connected"
-    head(axes, f"map{maps.index[i]}: {maps.rooms[i]} {_points(labels, i)}, {state}")
+    put_header(axes, f"map{maps.index[i]}: {maps.rooms[i]} {_seed_noun(labels, i)}s, {state}")
     return axes
 
 
@@ -104,26 +113,32 @@ def plot_path(
 
     Args:
         labels: labelled maps.
-        i: which map of the batch.
+        i: number of the map in the batch.
         search: "astar" or "bfs".
-        axes: where to draw; a new figure without.
+        axes: where to draw; default a new figure.
         paper_colours: free black, occupied white.
     """
     axes = plot_grid(labels.maps.occupancy[i], axes, paper_colours=paper_colours)
     iterations = labels.iterations(search, i)
     route = labels.route(search, i)
+    colours = PALETTE[:-1]  # all but black
     styles = ("-", (0, (4, 1.5)), (0, (1, 1)))
-    for q, (path, count) in enumerate(zip(route, iterations, strict=True)):
+    lanes = (-1, 0, 1)
+    for segment, (path, count) in enumerate(zip(route, iterations, strict=True)):
         moves = f"{len(path) - 1} moves" if len(path) else "no path"
-        label = f"{q + 1} to {q + 2}: {moves}, {count:,} iterations"
-        # Neighbouring segments often share cells, so they take three lanes in turn.
-        plot_cells(axes, path, PALETTE[q % 6], label, styles[q // 6 % len(styles)], q % 3 - 1)
+        label = f"{segment + 1} to {segment + 2}: {moves}, {count:,} iterations"
+        colour = colours[segment % len(colours)]
+        style = styles[segment // len(colours) % len(styles)]
+        # Neighbouring segments often share cells, so they take different lanes.
+        lane = lanes[segment % len(lanes)]
+        plot_cells(axes, path, colour, label, style, lane)
     _plot_seed_points(axes, labels, i)
     axes.set_title(
         f"map{labels.maps.index[i]}, {NAMES[search]}: {iterations.sum():,} iterations in all"
     )
     if route:
-        _legend_below(axes, axes.lines[:_LISTED], ncols=1 if len(route) <= 5 else 2)
+        lines = axes.lines[:_MAX_LEGEND_SEGMENTS]
+        _put_legend_below(axes, lines, ncols=1 if len(route) <= 5 else 2)
     return axes
 
 
@@ -134,57 +149,62 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
 
     Args:
         labels: labelled maps.
-        i: which map of the batch.
+        i: number of the map in the batch.
         search: "astar" or "bfs"; the title names both where their matrices are equal.
-        axes: where to draw; a new figure without.
+        axes: where to draw; default a new figure.
     """
     axes = axes or new_axes()[0]
     matrix = labels.matrix(search, i)
-    n = len(matrix)
-    top = max(matrix.max(), 1.0)
+    rooms = len(matrix)
+    max_cost = max(matrix.max(), 1.0)
     costs = np.ma.masked_less(matrix, 0)
-    numbers = (0.5, n + 0.5, n + 0.5, 0.5)  # of rooms, the first of which is 1
-    image = axes.imshow(costs, cmap="cividis", vmin=0, vmax=top, extent=numbers)
-    axes.locator_params(integer=True, min_n_ticks=1)
-    axes.figure.colorbar(
-        image, ax=axes, label="moves" if search == "bfs" else "cost, cells", shrink=0.8
+    # Rooms are numbered from 1, and each number is in the middle of its cells. The y axis points
+    # down, as in a matrix.
+    left, right, bottom, top = 0.5, rooms + 0.5, rooms + 0.5, 0.5
+    image = axes.imshow(
+        costs, cmap="cividis", vmin=0, vmax=max_cost, extent=(left, right, bottom, top)
     )
-    for (row, column), value in np.ndenumerate(matrix):
-        if value >= 0 and n <= _NUMBERED:
-            ink = "black" if value > 0.55 * top else "white"
+    axes.locator_params(integer=True, min_n_ticks=1)
+    unit = "moves" if search == "bfs" else "cost, cells"
+    axes.figure.colorbar(image, ax=axes, label=unit, shrink=0.8)
+    if rooms <= _MAX_MATRIX_TEXTS:
+        for (row, column), cost in np.ndenumerate(matrix):
+            if cost < 0:
+                continue  # no path
+            is_bright = cost > 0.55 * max_cost
             axes.text(
                 column + 1,
                 row + 1,
-                f"{value:.4g}",
-                color=ink,
+                f"{cost:.4g}",
+                color="black" if is_bright else "white",
                 ha="center",
                 va="center",
-                fontsize=9 if n <= 10 else 6,
+                fontsize=9 if rooms <= 10 else 6,
             )
-    word = _points(labels, i).removesuffix("s")
-    axes.set(xlabel=word, ylabel=word)
-    name = "BFS and A*" if same_matrices(labels, i) else NAMES[search]
+    noun = _seed_noun(labels, i)
+    axes.set(xlabel=noun, ylabel=noun)
+    name = "BFS and A*" if matrices_are_equal(labels, i) else NAMES[search]
     axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {name}")
     if (matrix < 0).any():
-        # masked pairs let the background of the axes through
+        # Masked pairs are transparent and show the background of the axes.
         axes.patch.set(edgecolor="0.6", hatch="////", label="no connection")
-        _legend_below(axes, [axes.patch])
+        _put_legend_below(axes, [axes.patch])
     return axes
 
 
-def same_matrices(labels: Labels, i: int) -> bool:
-    """Return whether both searches gave map ``i`` the same matrix, as where all moves cost 1."""
+def matrices_are_equal(labels: Labels, i: int) -> bool:
+    """Return whether the matrices of map ``i`` are equal, as they are if all moves cost 1."""
     return np.array_equal(labels.matrix("bfs", i), labels.matrix("astar", i))
 
 
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
-    """Draw cost ratio against expansion ratio, a mark a planner: left and low is good.
+    """Draw the cost ratio of each planner against its expansion ratio; left and low is good.
 
     Bars are 95 % intervals.
 
     Args:
         table: what `evaluate` returns.
-        axes: where to draw; a new figure without.
+        axes: where to draw; default a new figure.
         subset: "hard" or "all".
     """
     check_choice("subset", subset, ("hard", "all"))
@@ -204,7 +224,7 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    _legend_below(axes, ncols=3)
+    _put_legend_below(axes, ncols=3)
     return axes
 
 
@@ -222,46 +242,50 @@ def plot_cells(
         axes: where to draw.
         path: (k, 2) cells (row, col).
         colour: of line and arrows.
-        label: its words in a legend.
-        style: of the line, as matplotlib has them.
-        lane: paths that share cells lie side by side in lanes -1, 0, 1. The data of the line stay
-            the cells; only the picture is shifted.
+        label: in a legend.
+        style: a line style of matplotlib.
+        lane: -1, 0 or 1; paths that share cells lie side by side in different lanes. The data of
+            the line are the cells, only the drawing is shifted.
     """
     from matplotlib.transforms import offset_copy
 
     from mapdata.plotting.arrows import ArrowHeads
 
-    # Down and to the right, so that horizontal and vertical stretches part alike.
-    shift = _LANE * lane
-    figure: Any = axes.figure  # the stubs know of no part of a figure here
-    aside = offset_copy(axes.transData, figure, shift, -shift, "points")
+    # The shift is diagonal, so that horizontal and vertical parts are separated by the same amount.
+    shift = _LANE_WIDTH * lane
+    figure: Any = axes.figure  # matplotlib's type hints also allow None here
+    shifted = offset_copy(axes.transData, figure, shift, -shift, "points")
     rows, columns = path.T
     axes.plot(
-        columns, rows, color=colour, transform=aside, linestyle=style, linewidth=2.2, label=label
+        columns, rows, color=colour, transform=shifted, linestyle=style, linewidth=2.2, label=label
     )
-    axes.add_collection(ArrowHeads(path[:, ::-1], aside, colour), autolim=False)
+    x_and_y = path[:, ::-1]
+    axes.add_collection(ArrowHeads(x_and_y, shifted, colour), autolim=False)
 
 
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
-    """Mark the seeds of map ``i`` with their numbers."""
+    """Mark the seed points of map ``i`` with their numbers, from 1."""
     seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
     for number, (row, column) in enumerate(seed_points, 1):
         mark(axes, str(number), row, column)
 
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:
-    """Put ``text`` on a cell of ``axes``: on a disc, the goal G on a square."""
-    disc = {
+    """Put ``text`` on a cell of ``axes``: the goal "G" on a square, other texts on a disc."""
+    background = {
         "boxstyle": "square" if text == "G" else "circle",
         "facecolor": COLOURS["seed"],
         "edgecolor": "white",
     }
-    axes.text(column, row, text, color="white", ha="center", va="center", fontsize=7, bbox=disc)
+    axes.text(
+        column, row, text, color="white", ha="center", va="center", fontsize=7, bbox=background
+    )
 
 
-def head(axes: Axes, title: str) -> None:
-    """Put the legend over the axes and the title over it, inside a figure of any layout."""
-    if not axes.get_legend_handles_labels()[0]:  # a map with one seed point has no path
+def put_header(axes: Axes, title: str) -> None:
+    """Put the legend above the axes, and the title above the legend, in a figure of any layout."""
+    handles, _ = axes.get_legend_handles_labels()
+    if not handles:  # a map with one seed point has no path, so there is no legend
         axes.set_title(title)
         return
     axes.legend(
@@ -276,8 +300,8 @@ def head(axes: Axes, title: str) -> None:
     axes.set_title(title, pad=22)
 
 
-def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
-    """Put the legend under the axis label, whatever the size of the axes."""
+def _put_legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: int = 1) -> None:
+    """Put the legend below the label of the x axis, for axes of any size."""
     axes.legend(
         handles=handles,
         loc="upper center",
@@ -289,15 +313,21 @@ def _legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols: in
     )
 
 
-def _points(labels: Labels, i: int) -> str:
-    """Return what the seeds of map ``i`` stand for: imported maps have no rooms."""
+def _seed_noun(labels: Labels, i: int) -> str:
+    """Return "room" if the seed points of map ``i`` are rooms, else "seed point"."""
     maps = labels.maps
-    known = maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any()
-    return "rooms" if known else "seed points"
+    has_rooms = maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any()
+    return "room" if has_rooms else "seed point"
 
 
 def new_axes(rows: int = 1, columns: int = 1, size: tuple[float, float] = (6, 6.5)) -> list[Axes]:
-    """Return the axes of a new figure of this size in inches, in the look of `STYLE`."""
+    """Return the axes of a new figure in the look of `STYLE`, row by row.
+
+    Args:
+        rows: number of rows of axes.
+        columns: number of columns of axes.
+        size: (width, height) of the figure in inches.
+    """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 

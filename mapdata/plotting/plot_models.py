@@ -1,6 +1,6 @@
-"""Figures of a sample, of a prediction beside the truth, and of a roadmap.
+"""Figures of a sample, of a prediction with the true path, and of a roadmap.
 
-Axes in, axes out, as in `mapdata.plotting.plot`.
+Each function draws on axes and returns them, as in `mapdata.plotting.plot`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Ints
-from mapdata.plotting.plot import COLOURS, head, mark, new_axes, plot_cells, plot_grid
+from mapdata.plotting.plot import COLOURS, mark, new_axes, plot_cells, plot_grid, put_header
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch.
 
-    Its map, start S, goal G and path, as far as it has these fields, over a shade of its first
-    dense field, such as ``cost_to_go``. Masks are not drawn.
+    The figure shows the map, start S, goal G and path, as far as the sample has these fields, and
+    its first dense field, such as ``cost_to_go``, as a shade. Masks are not drawn.
 
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
     Args:
-        sample: what ``dataset[i]`` or a loader gives; with the field ``map`` or ``free``.
-        axes: where to draw one sample, not a batch; a new figure without.
+        sample: what ``dataset[i]`` or a loader returns; with the field ``map`` or ``free``.
+        axes: where to draw a single sample; default a new figure. A batch needs a new figure.
 
     Returns:
-        The axes, of a batch those of its first sample.
+        The axes; for a batch those of its first sample.
 
     Raises:
         ValueError: no map, no sample, or axes for a batch.
@@ -42,41 +42,52 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
 
     if not hasattr(sample, "_asdict"):
         raise ValueError(f"sample: got a {type(sample).__name__}, expected one without transform=")
-    values = {name: np.asarray(value.cpu()) for name, value in sample._asdict().items()}
-    grid = values["map"] if "map" in values else 1 - values["free"] if "free" in values else None
-    if grid is None or not len(grid) or (axes and grid.ndim == 4):
+    fields = {name: np.asarray(tensor.cpu()) for name, tensor in sample._asdict().items()}
+    grid = None
+    if "map" in fields:
+        grid = fields["map"]
+    elif "free" in fields:
+        grid = 1 - fields["free"]
+    is_batch = grid is not None and grid.ndim == 4
+    if grid is None or len(grid) == 0 or (is_batch and axes is not None):
         raise ValueError(
             f"sample: got {sample}, expected one sample, or more without axes, with a map"
         )
-    if grid.ndim == 4:
+    if is_batch:
         count = min(len(grid), 9)
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
-        places = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
+        all_axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
         for k in range(count):
-            plot_sample(row(sample, k), places[k])
-        for spare in places[count:]:
-            spare.set_axis_off()
-        return places[0]
+            plot_sample(row(sample, k), all_axes[k])
+        for unused in all_axes[count:]:
+            unused.set_axis_off()
+        return all_axes[0]
     axes = plot_grid(grid[0], axes)
-    others = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and bit sets
-    dense = [name for name in values if name not in others and values[name].shape == grid.shape]
-    for name in dense[:1]:
-        shade = np.ma.masked_where((grid == 1) | (values[name] < 0), values[name])
+    not_shaded = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and sets of bits
+    dense_names = [
+        name
+        for name, array in fields.items()
+        if name not in not_shaded and array.shape == grid.shape
+    ]
+    if dense_names:
+        name = dense_names[0]
+        is_hidden = (grid == 1) | (fields[name] < 0)
+        shade = np.ma.masked_where(is_hidden, fields[name])
         image = axes.imshow(shade[0], "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
         axes.figure.colorbar(image, ax=axes, label=name, shrink=0.8)
-    words = []
-    if "path" in values:
-        path = _cells(values["path"])
+    title_parts = []
+    if "path" in fields:
+        path = _without_padding(fields["path"])
         plot_cells(axes, path, COLOURS["astar"], "path")
-        words.append(f"{len(path)} cells" if len(path) else "no path")
-    words += [
-        f"{name} {float(values[name]):.4g}" for name in ("cost", "hardness") if name in values
-    ]
+        title_parts.append(f"{len(path)} cells" if len(path) else "no path")
+    for name in ("cost", "hardness"):
+        if name in fields:
+            title_parts.append(f"{name} {float(fields[name]):.4g}")
     for name, letter in (("start", "S"), ("goal", "G")):
-        if name in values:
-            mark(axes, letter, *values[name])
-    axes.set_title(", ".join(words))
+        if name in fields:
+            mark(axes, letter, *fields[name])
+    axes.set_title(", ".join(title_parts))
     return axes
 
 
@@ -88,33 +99,42 @@ def plot_prediction(
     *,
     scores: ArrayLike | None = None,
 ) -> Axes:
-    """Draw a predicted path over the true one, and a cross on each predicted cell that is occupied.
+    """Draw a predicted and a true path, and a cross on each predicted cell that is occupied.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
-        predicted: (k, 2) cells (row, col), (0, 2) for none; rows of -1, padding, are left out.
-        truth: likewise.
-        axes: where to draw; a new figure without.
-        scores: (H, W), what the model says of each cell, drawn as a shade; from low to high.
+        predicted: (k, 2) cells (row, col) of the predicted path, (0, 2) without a path; rows of -1,
+            padding, are left out.
+        truth: (m, 2) cells of the true path, in the same form.
+        axes: where to draw; default a new figure.
+        scores: (H, W), scores of the model for each cell, drawn as a shade; high is dark.
     """
     grid = np.asarray(occupancy)
     axes = plot_grid(grid, axes)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
-    true = _cells(truth)
-    found = _cells(predicted)
-    plot_cells(axes, true, COLOURS["astar"], _in_words("true", true), lane=-1)
-    plot_cells(axes, found, COLOURS["bfs"], _in_words("predicted", found), lane=1)
-    inside = found[((found >= 0) & (found < grid.shape)).all(axis=1)]
-    hit = inside[grid[tuple(inside.T)] == 1]
-    if len(hit):
-        label = f"{len(hit)} in occupied cells"
-        axes.plot(hit[:, 1], hit[:, 0], "x", color="#CC79A7", ms=7, mew=2, label=label)
-    ends = true if len(true) else found
-    if len(ends):
-        mark(axes, "S", *ends[0])
-        mark(axes, "G", *ends[-1])
-    head(axes, "predicted and true path")
+    true_path = _without_padding(truth)
+    path = _without_padding(predicted)
+    plot_cells(axes, true_path, COLOURS["astar"], _path_label("true", true_path), lane=-1)
+    plot_cells(axes, path, COLOURS["bfs"], _path_label("predicted", path), lane=1)
+    is_inside = ((path >= 0) & (path < grid.shape)).all(axis=1)
+    inside = path[is_inside]
+    collisions = inside[grid[inside[:, 0], inside[:, 1]] == 1]
+    if len(collisions):
+        axes.plot(
+            collisions[:, 1],
+            collisions[:, 0],
+            "x",
+            color="#CC79A7",
+            ms=7,
+            mew=2,
+            label=f"{len(collisions)} in occupied cells",
+        )
+    path_with_ends = true_path if len(true_path) else path
+    if len(path_with_ends):
+        mark(axes, "S", *path_with_ends[0])
+        mark(axes, "G", *path_with_ends[-1])
+    put_header(axes, "predicted and true path")
     return axes
 
 
@@ -126,37 +146,38 @@ def plot_roadmap(
     *,
     path: ArrayLike | None = None,
 ) -> Axes:
-    """Draw a roadmap: its samples and the edges between them.
+    """Draw a roadmap: its vertices, which are samples of free space, and the edges between them.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
-        vertices: (n, 2) samples (row, col), a cell's centre at whole numbers.
-        edges: (m, 2) integers, numbers of the vertices that each edge joins.
-        axes: where to draw; a new figure without.
-        path: (k, 2) cells (row, col), a path found on the roadmap.
+        vertices: (n, 2) points (row, col); the centres of cells have whole numbers.
+        edges: (m, 2) integers, numbers of the two vertices of each edge.
+        axes: where to draw; default a new figure.
+        path: (k, 2) points (row, col) of a path on the roadmap.
     """
     from matplotlib.collections import LineCollection
 
     axes = plot_grid(occupancy, axes)
     points = np.asarray(vertices, np.float64).reshape(-1, 2)
-    joined = np.asarray(edges, np.int64).reshape(-1, 2)
-    label = f"{len(joined):,} edges"
-    axes.add_collection(
-        LineCollection(list(points[joined][..., ::-1]), colors="#56B4E9", linewidths=1, label=label)
-    )
+    vertex_pairs = np.asarray(edges, np.int64).reshape(-1, 2)
+    lines = points[vertex_pairs][..., ::-1]  # (m, 2, 2): two points (x, y) of each edge
+    label = f"{len(vertex_pairs):,} edges"
+    axes.add_collection(LineCollection(list(lines), colors="#56B4E9", linewidths=1, label=label))
     if path is not None:
         plot_cells(axes, np.asarray(path, np.float64).reshape(-1, 2), COLOURS["bfs"], "path")
     label = f"{len(points):,} samples"
     axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
-    head(axes, "roadmap")
+    put_header(axes, "roadmap")
     return axes
 
 
-def _in_words(name: str, path: Ints) -> str:
+def _path_label(name: str, path: Ints) -> str:
+    """Return the text of a path, (k, 2), in a legend."""
     return f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
 
 
-def _cells(path: ArrayLike) -> Ints:
-    """Return the cells of a path, (k, 2), without the rows of -1 that fill it up."""
+def _without_padding(path: ArrayLike) -> Ints:
+    """Return the cells of a path, (k, 2), without the rows of -1 at its end."""
     cells = np.asarray(path, np.int64).reshape(-1, 2)
-    return np.asarray(cells[(cells != -1).any(axis=1)])
+    is_padding = (cells == -1).all(axis=1)
+    return np.asarray(cells[~is_padding])

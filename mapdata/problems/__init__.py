@@ -1,4 +1,4 @@
-"""What is asked of a map: problems sampled or read, and its symmetries. Without torch."""
+"""Problems on maps: their sources, fixed sets of them, and symmetries. Without torch."""
 
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Pairs, Random, Route, Source

@@ -6,18 +6,20 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, summary
 from mapdata.checks import check_choice, check_count, check_seed
-from mapdata.generators.generator import MapGenerator, check_spec, generate, identity
+from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
+from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
@@ -25,23 +27,33 @@ from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Random
 from mapdata.search.api import BatchResult, search_batch
-from mapdata.search.footprint import inflate_all, least_squared
-from mapdata.search.lattice import HARD, hardness, rule_of
+from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.lattice import HARD, hardness, move_rule
 from mapdata.shards.files import StrPath, write_output
-from mapdata.shards.root import Places, Root
+from mapdata.shards.locations import Locations
+from mapdata.shards.root import Root
 
 _DRAWS = (0, 1000)
-"""The draws that are tried on a map; a dataset goes on to another map sooner."""
+"""First and last (excluded) draw that is tried on a map. A dataset tries fewer of them before it
+takes another map.
+"""
 
-_MAPS_A_CHUNK = 256
+_CHUNK_SIZE = 256
+"""Maps that are drawn and searched at a time."""
+
+_MAPS_PER_HARD_PROBLEM = 1000
+"""Maps that are tried for each hard problem. Where hard problems are rarer, nobody would wait."""
+
 _ARRAYS = ("grids", "starts", "goals")
+"""Names of the arrays of a set, in the order in which they are hashed."""
 
 _MAX_UNPACKED = 2**26
 """Bytes that the arrays of any saved set may unpack to: 16,000 maps of 64 x 64 cells."""
 
 _MAX_RATIO = 200
-"""How many times its file a larger set may unpack to, up to `MAX_BYTES`. Maps that planners are
-compared on reach some 10 to 160 times; a file that is made to fill the memory reaches 1,000.
+"""Factor by which the arrays of a saved set may be larger than its file, up to `MAX_BYTES`.
+
+Sets that planners are compared on reach 10 to 160; files made to fill the memory reach 1,000.
 """
 
 
@@ -56,9 +68,8 @@ class ProblemSet:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
         starts: (N, 2) int64, cells.
         goals: (N, 2) int64, cells other than the starts.
-        movement: how one moves; `sample` and `read` take 8-connected moves without corner cutting
-            by default.
-        description: where they come from, in words.
+        movement: the rule of moves under which the problems are solved.
+        description: where the problems come from, in words.
 
     Raises:
         ValueError: what `search_batch` refuses; a problem without a path, or whose start is its
@@ -73,19 +84,19 @@ class ProblemSet:
 
     def __post_init__(self) -> None:
         """Solve the problems, so that bad ones are refused here, and copy the arrays."""
-        if np.ndim(self.grids) != 3:  # one (H, W) would serve all problems of `search_batch`
+        if np.ndim(self.grids) != 3:  # `search_batch` accepts one grid, (H, W), for all problems
             raise ValueError(f"grids: got shape {np.shape(self.grids)}, expected (N, H, W)")
         cost = self.optimal.cost
-        for bad_cost, why in ((-1, "has no path"), (0, "starts at its goal")):
-            if (cost == bad_cost).any():
-                raise ValueError(f"problem {int(np.argmax(cost == bad_cost))} {why}: leave it out")
+        for is_bad, fault in ((cost == -1, "has no path"), (cost == 0, "starts at its goal")):
+            if is_bad.any():
+                raise ValueError(f"problem {int(np.argmax(is_bad))} {fault}: leave it out")
         for name, dtype in zip(_ARRAYS, (np.uint8, np.int64, np.int64), strict=True):
-            shape = np.shape(getattr(self, name))
-            array = np.array(_shared(getattr(self, name)), dtype, order="C")
-            if array.shape != shape:
-                array = np.broadcast_to(array, shape)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            original = getattr(self, name)
+            copy = np.array(_without_repeats(original), dtype, order="C")
+            if copy.shape != np.shape(original):
+                copy = np.broadcast_to(copy, np.shape(original))
+            copy.setflags(write=False)
+            object.__setattr__(self, name, copy)
 
     __repr__ = summary
 
@@ -95,8 +106,8 @@ class ProblemSet:
 
     @cached_property
     def optimal(self) -> BatchResult:
-        """What mapdata's A* finds: optimal costs, and the iterations to compare planners with."""
-        grids = _shared(self.grids)
+        """The answers of mapdata's A*: the optimal costs, and the expansions to compare with."""
+        grids = _without_repeats(self.grids)
         return search_batch("astar", grids, self.starts, self.goals, self.movement)
 
     @cached_property
@@ -111,57 +122,60 @@ class ProblemSet:
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the problems, as hex: whoever has the same hash compared on the same set."""
+        """SHA-256 of the problems and the movement, as hex: equal sets have equal hashes."""
         digest = hashlib.sha256(canonical_json(asdict(self.movement)).encode())
         for name in _ARRAYS:
             array = getattr(self, name)
             digest.update(f"{name} {array.shape}".encode())
-            for entry in array:  # one at a time, since many may share the memory of one
-                digest.update(entry.astype(entry.dtype.newbyteorder("<")).tobytes())
+            little_endian = array.dtype.newbyteorder("<")
+            # Row by row, since grids that share memory would each be copied otherwise.
+            for row in array:
+                digest.update(row.astype(little_endian).tobytes())
         return digest.hexdigest()
 
     def save(self, path: StrPath) -> None:
         """Write the problems to a compressed .npz; the same problems are the same bytes.
 
-        It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: JSON of the rest. A
-        file that is there is replaced at once, or not at all. A set that would unpack to more than
-        `load` allows is not compressed: one of over 1 GiB, or many large and nearly empty maps.
+        It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: movement and
+        description as JSON. An existing file is replaced as a whole or not at all. A set that would
+        unpack to more than `load` allows is not compressed: a set of more than 1 GiB, or many large
+        and nearly empty maps.
         """
-        about = {"movement": asdict(self.movement), "description": self.description}
+        about = canonical_json({"movement": asdict(self.movement), "description": self.description})
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        file = BytesIO()
-        np.savez_compressed(file, about=canonical_json(about), **arrays)
-        size = file.getbuffer().nbytes
-        if sum(array.nbytes for array in arrays.values()) > _max_unpacked(size):
-            file = BytesIO()
-            np.savez(file, about=canonical_json(about), **arrays)
-        write_output(path, file.getvalue())
+        archive = BytesIO()
+        np.savez_compressed(archive, about=about, **arrays)
+        unpacked_bytes = sum(array.nbytes for array in arrays.values())
+        if unpacked_bytes > _max_unpacked(archive.getbuffer().nbytes):
+            archive = BytesIO()
+            np.savez(archive, about=about, **arrays)
+        write_output(path, archive.getvalue())
 
     @staticmethod
     def load(path: StrPath) -> ProblemSet:
-        """Read what `save` wrote.
+        """Read problems that `save` wrote.
 
-        The headers of the arrays are checked before anything is unpacked. All together may unpack
-        to 64 MiB, or to 200 times the size of the file but not over 1 GiB; uncompressed ones may
-        have any size.
+        The headers of the arrays are checked before anything is unpacked. The arrays together may
+        unpack to 64 MiB, or to 200 times the size of the file but at most 1 GiB; arrays that are
+        not compressed may have any size.
 
         Raises:
-            FileNotFoundError: no such file.
-            ValueError: it holds no problems, too many for its size, or what `ProblemSet` refuses;
-                the message names it.
+            FileNotFoundError: the file does not exist.
+            ValueError: the file holds no problems, too many for its size, or problems that
+                `ProblemSet` refuses; the message names the file.
         """
         path = Path(path)
-        limit = _max_unpacked(path.stat().st_size)
+        max_bytes = _max_unpacked(path.stat().st_size)
         try:
-            archive = Npz(path, sys.maxsize)  # the limit is compared below, in words of its own
+            archive = Npz(path, sys.maxsize)  # the size is checked below, with a clearer message
             about = json.loads(archive.text("about"))
             stored = archive.arrays(*_ARRAYS)
             _check_shapes([array.shape for array in stored])
-            size = sum(array.nbytes for array in stored)
-            if size > limit:
+            unpacked_bytes = sum(array.nbytes for array in stored)
+            if unpacked_bytes > max_bytes:
                 raise ValueError(
-                    f"they unpack to {size} bytes, expected at most {limit}: 64 MiB, or "
-                    f"{_MAX_RATIO} times the file up to 1 GiB. If you trust it, save its arrays "
+                    f"they unpack to {unpacked_bytes} bytes, expected at most {max_bytes}: 64 MiB, "
+                    f"or {_MAX_RATIO} times the file up to 1 GiB. If you trust it, save its arrays "
                     "with numpy.savez, uncompressed"
                 )
             grids, starts, goals = (array.read() for array in stored)
@@ -172,127 +186,140 @@ class ProblemSet:
                 movement=Movement(**about["movement"]),
                 description=str(about["description"]),
             )
-        except Exception as error:  # what zip's and JSON's readers raise is not documented
-            why = str(error).removeprefix(f"{path}: ")
-            raise ValueError(f"{path}: holds no saved problems ({why})") from None
+        except Exception as error:  # the readers of zip and JSON do not document what they raise
+            reason = str(error).removeprefix(f"{path}: ")
+            raise ValueError(f"{path}: holds no saved problems ({reason})") from None
 
     @staticmethod
     def sample(
-        spec: MapGenerator,
-        seed: int,
+        recipe: RecipeLike,
+        seed: int | None = None,
         maps: int | None = None,
         *,
+        movement: Movement,
         problems: Random = Random(distance=(10, None)),
         until_hard: int | None = None,
-        movement: Movement = Movement(8),
         radius: float = 0.0,
     ) -> ProblemSet:
-        """Sample one problem on each map 0, 1, ... of (spec, seed).
+        """Sample one problem on each map 0, 1, ... of a recipe.
 
-        It is that of a dataset in epoch 0, where one of the first 32 draws meets the conditions.
+        The problem on a map is that of a dataset in epoch 0, wherever one of the dataset's 32 draws
+        meets the conditions.
 
         The goal is a uniform free cell, or the map's first seed point with
         `Random.to_first_seed_point`; the start is a uniform one of the cells that reach it and are
         far enough. Where the problem does not meet all conditions, both are drawn anew, up to 1,000
-        draws in all; then the map is left out. The problem on map i is a pure function of (spec,
-        seed, i), of the conditions and of ``movement``.
+        draws in all; then the map is left out. The problem on map i is a pure function of
+        (generator, seed, i), of the conditions and of ``movement``.
 
         Args:
-            spec: the distribution of maps; its own movement is not used.
-            seed: 64-bit seed of the maps and of the problems.
-            maps: how many maps; with ``until_hard`` at most that many.
+            recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
+                `MapGenerator` or a `Recipe`. The generator's own movement is not used.
+            seed: 64-bit seed of the maps and of the problems; the recipe's by default, 0 for a
+                preset or generator.
+            maps: number of maps. By default the recipe's, 10,000 for a preset or generator; with
+                ``until_hard`` as many as it takes, up to 1,000 for each hard problem.
+            movement: the rule of moves.
             problems: the conditions on distance, hardness and length, and on the goal.
             until_hard: stop at the map that brings the number of hard problems to this.
-            movement: how one moves.
             radius: of the robot, in metres: maps are those of `mapdata.inflate` for ``radius /
-                spec.resolution`` cells.
+                resolution`` cells.
 
         Raises:
-            ValueError: what is no spec; neither ``maps`` nor ``until_hard``; no map with a problem;
-                not enough hard ones (without ``maps``: less than one on 1,000 maps).
+            ValueError: no recipe; no map with a problem; fewer hard problems than ``until_hard``.
 
-        >>> from mapdata import MapSpec
-        >>> len(ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=20))
+        >>> from mapdata import Movement
+        >>> len(ProblemSet.sample("dungeon", seed=77, maps=20, movement=Movement(8)))
         20
         """
-        check_spec(spec)
-        if maps is None:
-            if until_hard is None:
-                raise ValueError("got neither maps nor until_hard, expected one of them or both")
-            # fewer hard ones than one on 1,000 maps are not worth the wait
-            maps = 1000 * check_count("until_hard", until_hard)
-        check_count("maps", maps)
-        chunks = (range(maps)[k : k + _MAPS_A_CHUNK] for k in range(0, maps, _MAPS_A_CHUNK))
-        chosen = ((generate(spec, seed, chunk), slice(None)) for chunk in chunks)
-        where = f"the maps with identity {identity(spec, seed)[:12]}"
-        least = least_squared(radius, spec.resolution)
-        return _collect(
-            chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
+        if maps is None and until_hard is not None:
+            maps = _MAPS_PER_HARD_PROBLEM * check_count("until_hard", until_hard)
+        recipe = as_recipe(recipe, seed=seed, maps=maps)
+        chunks = (
+            range(start, min(start + _CHUNK_SIZE, recipe.maps))
+            for start in range(0, recipe.maps, _CHUNK_SIZE)
+        )
+        return _sample_until(
+            (_map_batch(generate(recipe, indices=chunk), slice(None)) for chunk in chunks),
+            problems=problems,
+            until_hard=until_hard,
+            seed=recipe.seed,
+            movement=movement,
+            min_clearance=min_squared_clearance(radius, recipe.spec.resolution),
+            source=f"the maps with identity {identity(recipe.spec, recipe.seed)[:12]}",
         )
 
     @staticmethod
     def read(
-        root: Places,
+        root: Locations,
         maps: int | None = None,
         *,
+        movement: Movement,
         split: str = "test",
         seed: int | None = None,
         problems: Random = Random(distance=(10, None)),
         until_hard: int | None = None,
-        movement: Movement = Movement(8),
         radius: float = 0.0,
     ) -> ProblemSet:
-        """Sample one problem on each map of a split of a dataset: that which `sample` gives.
+        """Sample one problem on each map of a split of a dataset, as `sample` does.
 
         Args:
             root: folder or URL of the dataset, or several.
-            maps: how many maps of the split at most; all without.
+            maps: largest number of maps of the split; all maps by default.
+            movement: the rule of moves.
             split: "train", "val" or "test".
-            seed: seed of the problems; default the (first) dataset's own, 0 for imported maps.
-            problems: as in `sample`.
-            until_hard: as in `sample`.
-            movement: how one moves.
-            radius: as in `sample`.
+            seed: seed of the problems; that of the (first) dataset by default, 0 for imported maps.
+            problems: the conditions on the problems, as for `sample`.
+            until_hard: stop at the map that brings the number of hard problems to this.
+            radius: of the robot, in metres, as for `sample`.
 
         Raises:
             DatasetNotFoundError: there is no dataset under ``root``.
             ShardError: it is damaged.
-            ValueError: no such split; no map with a problem; not enough hard ones.
+            ValueError: no such split; no map with a problem; fewer hard problems than
+                ``until_hard``.
         """
         check_choice("split", split, SPLITS)
         dataset = Root.open(root)
         if seed is None:
             seed = dataset.manifests[0].seed or 0
-        chosen = (
-            (labels.maps, labels.maps.split == SPLITS.index(split)) for labels in dataset.labels()
+        code = SPLITS.index(split)
+        # Without a radius, roots may have several resolutions, which `dataset.resolution` refuses.
+        min_clearance = min_squared_clearance(radius, dataset.resolution) if radius else 0
+        batches = (
+            _map_batch(labels.maps, labels.maps.split == code) for labels in dataset.labels()
         )
-        where = f"split {split} of {dataset}"
-        # only with a radius must all roots have one resolution
-        least = least_squared(radius, dataset.resolution) if radius else 0
-        return _collect(
-            chosen, maps, problems, until_hard, check_seed(seed), movement, where, least
+        return _sample_until(
+            _first_maps(batches, sys.maxsize if maps is None else check_count("maps", maps)),
+            problems=problems,
+            until_hard=until_hard,
+            seed=check_seed(seed),
+            movement=movement,
+            min_clearance=min_clearance,
+            source=f"split {split} of {dataset}",
         )
 
 
-def _shared(arrays: Array) -> Array:
-    """Return the only grid, (H, W), if all of (N, H, W) are views of it; else the arrays."""
+def _without_repeats(arrays: Array) -> Array:
+    """Return the first grid, (H, W), if all grids, (N, H, W), share its memory; else the grids."""
     arrays = np.asarray(arrays)
-    return arrays[0] if len(arrays) > 0 and arrays.strides[0] == 0 else arrays
+    is_repeated = len(arrays) > 0 and arrays.strides[0] == 0
+    return arrays[0] if is_repeated else arrays
 
 
-def _max_unpacked(size: int) -> int:
-    """Return to how many bytes the arrays of a saved set may unpack whose file has ``size``.
+def _max_unpacked(file_bytes: int) -> int:
+    """Return how many bytes the arrays of a saved set of this size may unpack to.
 
-    Arrays that are not compressed are smaller than their file, and always allowed.
+    Arrays that are not compressed are smaller than their file, and so are always allowed.
     """
-    return max(_MAX_UNPACKED, min(_MAX_RATIO * size, MAX_BYTES), size)
+    return max(_MAX_UNPACKED, min(_MAX_RATIO * file_bytes, MAX_BYTES), file_bytes)
 
 
 def _check_shapes(shapes: Sequence[tuple[int, ...]]) -> None:
     """Refuse shapes of grids, starts and goals that do not fit together.
 
     Raises:
-        ValueError: the message says what was expected.
+        ValueError: the message says which shapes were expected.
     """
     grids, starts, goals = shapes
     if len(grids) != 3 or starts != (grids[0], 2) or goals != starts:
@@ -302,64 +329,150 @@ def _check_shapes(shapes: Sequence[tuple[int, ...]]) -> None:
         )
 
 
-def _collect(
-    chosen: Iterable[tuple[Maps, Flags | slice]],
-    maps: int | None,
+class _MapBatch(NamedTuple):
+    """B maps to sample problems on.
+
+    Attributes:
+        indices: (B,) int64, number of each map.
+        grids: (B, H, W) uint8.
+        first_seed_points: (B, 2) int64, a cell of each map.
+    """
+
+    indices: Ints
+    grids: Bytes
+    first_seed_points: Ints
+
+    def first(self, count: int) -> _MapBatch:
+        """Return the first ``count`` maps, or all if there are fewer."""
+        return _MapBatch(self.indices[:count], self.grids[:count], self.first_seed_points[:count])
+
+
+class _SampledProblems(NamedTuple):
+    """M sampled problems with a path.
+
+    Attributes:
+        indices: (M,) int64, number of the map of each problem.
+        grids: (M, H, W) uint8.
+        starts: (M, 2) int64.
+        goals: (M, 2) int64.
+    """
+
+    indices: Ints
+    grids: Bytes
+    starts: Ints
+    goals: Ints
+
+    def first(self, count: int) -> _SampledProblems:
+        """Return the first ``count`` problems, or all if there are fewer."""
+        return _SampledProblems(
+            self.indices[:count], self.grids[:count], self.starts[:count], self.goals[:count]
+        )
+
+
+def _map_batch(maps: Maps, rows: Flags | slice) -> _MapBatch:
+    """Return the maps that ``rows`` selects."""
+    return _MapBatch(maps.index[rows], maps.occupancy[rows], maps.seed_points[rows][:, 0])
+
+
+def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBatch]:
+    """Yield batches that together hold the first ``max_maps`` maps of ``batches``."""
+    remaining = max_maps
+    for batch in batches:
+        yield batch.first(remaining)
+        remaining -= min(len(batch.indices), remaining)
+        if remaining == 0:
+            return
+
+
+def _sample_until(
+    batches: Iterable[_MapBatch],
+    *,
     problems: Random,
     until_hard: int | None,
     seed: int,
     movement: Movement,
-    where: str,
-    least: int,
+    min_clearance: int,
+    source: str,
 ) -> ProblemSet:
-    """Sample a problem on each of the first ``maps`` of what is chosen of some batches of maps.
+    """Sample a problem on each map of the batches, until there are enough hard problems.
 
-    With ``until_hard``, the last problem is that which brings the hard ones to this number. Cells
-    are free from the clearance ``least`` on.
+    The arguments are those of `ProblemSet.sample`, with ``min_clearance``, the clearance from which
+    on cells are free, in the unit of `min_squared_clearance`; and ``source``, which says where the
+    maps come from in the description and in errors.
     """
     if not isinstance(problems, Random):
         raise ValueError(f"problems: got {problems!r}, expected mapdata.Random(...)")
     if until_hard is not None:
         check_count("until_hard", until_hard)
-    left = sys.maxsize if maps is None else check_count("maps", maps)
-    found = []
-    hard = 0
-    for each, which in chosen:
-        indices = each.index[which][:left]
-        grids = each.occupancy[which][:left]
-        goals = each.seed_points[which][:left, 0] if problems.to_first_seed_point else None
-        left -= len(indices)
-        if least > 1:  # else nothing changes, and the kernel need not be compiled
-            inflate_all(grids, least)
-        sampled, *_ = sample_problems(
-            grids,
-            goals,
-            np.uint64(seed),
-            0,
-            indices,
-            _DRAWS,
-            *problems.conditions,
-            rule_of(movement),
-        )
-        kept = np.flatnonzero(sampled[:, 0] >= 0)  # -1: the map has no such problem
+    parts = []
+    hard_count = 0
+    for batch in batches:
+        part = _sample_on(batch, problems, seed, movement, min_clearance)
         if until_hard is not None:
-            starts, goals = np.split(sampled[kept], 2, axis=1)
-            cost = search_batch("astar", grids[kept], starts, goals, movement).cost
-            hard_so_far = hard + np.cumsum(hardness(cost, starts, goals, movement) >= HARD)
-            enough = np.searchsorted(hard_so_far, until_hard) + 1
-            kept = kept[:enough]
-            hard = hard_so_far[:enough].max(initial=hard)
-        found.append((indices[kept], grids[kept], sampled[kept]))
-        if left == 0 or hard == until_hard:
+            part, hard_in_part = _until_hard(part, until_hard - hard_count, movement)
+            hard_count += hard_in_part
+        parts.append(part)
+        if hard_count == until_hard:
             break
-    if not any(len(kept) for kept, _, _ in found):
-        raise ValueError(f"{where}: no map has a problem that meets {problems}")
-    if until_hard is not None and hard < until_hard:
+    if not any(len(part.indices) for part in parts):
+        raise ValueError(f"{source}: no map has a problem that meets {problems}")
+    if until_hard is not None and hard_count < until_hard:
         raise ValueError(
-            f"until_hard: got {until_hard}, found only {hard} hard problems on {where}"
+            f"until_hard: got {until_hard}, found only {hard_count} hard problems on {source}"
         )
-    index, grid, ends = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    description = f"maps {index[0]} to {index[-1]} of {where}, problems by seed {seed}"
-    if least:
-        description += f", inflated by {math.sqrt(least) / 2:.3g} cells"
-    return ProblemSet(grid, ends[:, :2], ends[:, 2:], movement, description)
+    indices = np.concatenate([part.indices for part in parts])
+    description = f"maps {indices[0]} to {indices[-1]} of {source}, problems by seed {seed}"
+    if min_clearance > 0:
+        inflation = math.sqrt(min_clearance) / 2  # `min_clearance` is in half cells, squared
+        description += f", inflated by {inflation:.3g} cells"
+    return ProblemSet(
+        np.concatenate([part.grids for part in parts]),
+        np.concatenate([part.starts for part in parts]),
+        np.concatenate([part.goals for part in parts]),
+        movement,
+        description,
+    )
+
+
+def _sample_on(
+    batch: _MapBatch, problems: Random, seed: int, movement: Movement, min_clearance: int
+) -> _SampledProblems:
+    """Sample a problem on each map; maps without a problem that meets the conditions are left out.
+
+    With a ``min_clearance`` the grids of ``batch`` are inflated in place.
+    """
+    # Every free cell has a clearance of 1, and the kernel takes seconds to compile.
+    if min_clearance > 1:
+        inflate_all(batch.grids, min_clearance)
+    ends, *_ = sample_problems(
+        batch.grids,
+        batch.first_seed_points if problems.to_first_seed_point else None,
+        np.uint64(seed),
+        0,  # epoch
+        batch.indices,
+        _DRAWS,
+        *problems.conditions,
+        move_rule(movement),
+    )
+    has_problem = ends[:, 0] >= 0
+    return _SampledProblems(
+        batch.indices[has_problem],
+        batch.grids[has_problem],
+        starts=ends[has_problem, :2],
+        goals=ends[has_problem, 2:],
+    )
+
+
+def _until_hard(
+    sampled: _SampledProblems, max_hard: int, movement: Movement
+) -> tuple[_SampledProblems, int]:
+    """Return the problems up to the hard problem number ``max_hard``, and how many are hard.
+
+    All problems are returned if fewer of them are hard.
+    """
+    _, grids, starts, goals = sampled
+    cost = search_batch("astar", grids, starts, goals, movement).cost
+    is_hard = hardness(cost, starts, goals, movement) >= HARD
+    hard_rows = np.flatnonzero(is_hard)[:max_hard]
+    row_count = hard_rows[-1] + 1 if len(hard_rows) == max_hard else len(is_hard)
+    return sampled.first(row_count), len(hard_rows)

@@ -1,4 +1,4 @@
-"""What is asked of the maps of a dataset: `Route`, `Pairs` or `Random` problems."""
+"""Sources of the problems on a map: `Route`, `Pairs` or `Random`."""
 
 from __future__ import annotations
 
@@ -15,13 +15,18 @@ Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
 
 Limits = tuple[float, float]
+"""A band as numbers: (lowest, highest), 0 and inf where it is open."""
 
 Bands = tuple[Limits, Limits, Limits]
+"""The limits of distance, hardness and length."""
+
+_OPEN: Limits = (0.0, math.inf)
+"""The limits of a condition that is not set."""
 
 
 @dataclass(frozen=True)
 class _BetweenSeedPoints:
-    """What `Route` and `Pairs` share."""
+    """The parameter that `Route` and `Pairs` share."""
 
     unsolvable: bool = False
 
@@ -31,13 +36,13 @@ class _BetweenSeedPoints:
 
 @dataclass(frozen=True)
 class Route(_BetweenSeedPoints):
-    """The stored segments between consecutive seed points, whose paths are read and not searched.
+    """The segments between consecutive seed points, whose paths are stored.
 
     Attributes:
-        unsolvable: keep segments without a path, too.
+        unsolvable: whether segments without a path are kept.
 
     Raises:
-        ValueError: ``unsolvable`` that is no bool.
+        ValueError: ``unsolvable`` is not a bool.
     """
 
     name: ClassVar[str] = "route"
@@ -46,13 +51,13 @@ class Route(_BetweenSeedPoints):
 
 @dataclass(frozen=True)
 class Pairs(_BetweenSeedPoints):
-    """All pairs i < j of the seed points of a map, searched as they are asked for.
+    """All pairs i < j of the seed points of a map, whose paths are searched on request.
 
     Attributes:
-        unsolvable: keep pairs without a path, too.
+        unsolvable: whether pairs without a path are kept.
 
     Raises:
-        ValueError: ``unsolvable`` that is no bool.
+        ValueError: ``unsolvable`` is not a bool.
     """
 
     name: ClassVar[str] = "pairs"
@@ -63,20 +68,20 @@ class Pairs(_BetweenSeedPoints):
 class Random:
     """One problem a map between two connected free cells, sampled anew each epoch.
 
-    docs/format.md, section 6, says how. Each condition is None or a band (lowest, highest), both
-    included; a bound that is None or infinite leaves its side open. Afterwards a band is a tuple of
-    floats.
+    docs/format.md, section 6, defines the draws. Each condition is None or a band, (lowest,
+    highest), both included, where None or an infinite bound leaves a side open. The attributes hold
+    bands as tuples of floats.
 
     Attributes:
         distance: cost of the shortest path, in cells.
-        hardness: that cost over the heuristic, 1 or more.
+        hardness: this cost divided by the heuristic, 1 or more.
         length: number of cells of a shortest path.
-        to_first_seed_point: whether the goal is the map's first seed point, as goals that were
-            imported are, instead of any free cell.
+        to_first_seed_point: whether the goal is the map's first seed point, which is where imported
+            goals are kept, instead of any free cell.
 
     Raises:
-        ValueError: a band that is not two numbers in ascending order, or ``to_first_seed_point``
-            that is no bool.
+        ValueError: a band is not two numbers in ascending order, or ``to_first_seed_point`` is not
+            a bool.
 
     >>> Random(distance=(10, None)).distance
     (10.0, inf)
@@ -91,7 +96,7 @@ class Random:
     to_first_seed_point: bool = False
 
     def __post_init__(self) -> None:
-        """Check the values, and bring the bands to floats."""
+        """Check the values, and convert the bands to floats."""
         check_flag("to_first_seed_point", self.to_first_seed_point)
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
@@ -100,70 +105,83 @@ class Random:
 
     @property
     def bands(self) -> Bands:
-        """The limits of distance, hardness and length."""
+        """The limits of distance, hardness and length; 0 and inf where they are open."""
         return _limits(self.distance), _limits(self.hardness), _limits(self.length)
 
     @property
     def conditions(self) -> tuple[float, Bands | None]:
-        """The least distance, 1 or more, and the bands: None where there is no other condition."""
-        lowest = self.bands[0][0]
-        is_open = self.bands == Random((lowest, None)).bands
-        return max(lowest, 1.0), None if is_open else self.bands
+        """The minimum distance, 1 or more, and the bands; None if there is no other condition."""
+        min_distance, max_distance = self.bands[0]
+        has_only_minimum = (max_distance, *self.bands[1:]) == (math.inf, _OPEN, _OPEN)
+        return max(min_distance, 1.0), None if has_only_minimum else self.bands
 
 
 Source = Route | Pairs | Random
 
 SourceLike = str | Source | Mapping[str, Any]
-"""What `problem_source` makes a source of."""
+"""A source, or its name or JSON, as `problem_source` accepts it."""
 
 SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
+"""The sources by name."""
 
 
-def problem_source(value: SourceLike) -> Source:
-    """Return the source that ``value`` stands for.
+def problem_source(problems: SourceLike) -> Source:
+    """Return the source of problems that is meant.
 
     Args:
-        value: a source; its name, "route", "pairs" or "random"; or its name with its arguments as a
-            dict or another mapping, or as JSON text: ``{"random": {"distance": [10, null]}}``.
+        problems: a source; its name, "route", "pairs" or "random"; or its name with its arguments
+            as a mapping, or as JSON text: ``{"random": {"distance": [10, null]}}``.
 
     Raises:
         ValueError: none of these, an argument that the source does not have, or a bad band.
     """
-    if isinstance(value, Source):
-        return value
-    given: Any = value
-    if isinstance(value, str):
-        given = parsed_json(f"problems: {value!r}", value) if value.startswith("{") else {value: {}}
-    name = " ".join(map(str, given)) if isinstance(given, Mapping) else ""
+    if isinstance(problems, Source):
+        return problems
+    arguments_by_name: Any = problems
+    if isinstance(problems, str):
+        is_json = problems.startswith("{")
+        arguments_by_name = (
+            parsed_json(f"problems: {problems!r}", problems) if is_json else {problems: {}}
+        )
+    # One source is expected. The names of several are joined for the hint of the error.
+    name = ""
+    if isinstance(arguments_by_name, Mapping):
+        name = " ".join(map(str, arguments_by_name))
     if name not in SOURCES:
         expected = f'one of {", ".join(SOURCES)}, or one with its arguments, {{"random": {{...}}}}'
         hint = did_you_mean(name, SOURCES)
-        raise ValueError(f"problems: got {value!r}, expected {expected}{hint}")
-    return SOURCES[name](**known_values(f"problems: {name}", given[name], SOURCES[name]))
+        raise ValueError(f"problems: got {problems!r}, expected {expected}{hint}")
+    source = SOURCES[name]
+    return source(**known_values(f"problems: {name}", arguments_by_name[name], source))
 
 
 def plain_text(source: Source) -> str:
-    """Return the text that `problem_source` reads as ``source``: its name, or JSON."""
-    arguments = {name: value for name, value in asdict(source).items() if value}
+    """Return a source as text for `problem_source`: its name, or JSON if it has arguments."""
+    arguments = {name: argument for name, argument in asdict(source).items() if argument}
     if not arguments:
         return source.name
     return json.dumps({source.name: arguments}).replace("Infinity", "null")
 
 
 def _limits(band: Band | None) -> Limits:
-    return check_band("", band or (None, None))
+    """Return the limits of a condition, which are open if it is not set."""
+    return _OPEN if band is None else check_band("", band)
 
 
 def check_band(name: str, band: object) -> Limits:
     """Return the limits of a band, 0 and inf where it is open.
 
+    Args:
+        name: name of the condition, for the error.
+        band: (lowest, highest), where None leaves a side open.
+
     Raises:
-        ValueError: it is not two numbers in ascending order.
+        ValueError: the band is not two numbers in ascending order.
     """
-    limits = items_of(band)
-    if len(limits) == 2:
-        lowest = 0.0 if limits[0] is None else max(check_number(name, limits[0]), 0.0)
-        highest = math.inf if limits[1] is None else check_number(name, limits[1])
+    bounds = items_of(band)
+    if len(bounds) == 2:
+        lowest = 0.0 if bounds[0] is None else max(check_number(name, bounds[0]), 0.0)
+        highest = math.inf if bounds[1] is None else check_number(name, bounds[1])
         if lowest <= highest and lowest < math.inf:
             return lowest, highest
     raise ValueError(

@@ -1,7 +1,7 @@
 """Shortest paths on grids: BFS, A*, distance fields and the path check.
 
-Arguments are checked here; `mapdata.search.kernels` does the work, in the exact order that the
-format fixes (docs/format.md).
+This module checks the arguments and turns them into the form of the kernels. The kernels of
+`mapdata.search.kernels` do the work, in the exact order that the format fixes (docs/format.md).
 """
 
 from __future__ import annotations
@@ -17,44 +17,47 @@ from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
 from mapdata.checks import check_choice
 from mapdata.movement import Movement
 from mapdata.search.kernels import (
+    copy_to_bytes,
     first_bad_cell,
-    narrow,
-    solve_all,
-    solve_one,
+    plain_scratch_bytes,
+    solve_problem,
+    solve_problems,
     write_field,
 )
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
     MAX_CELLS,
-    Rule,
-    Weights,
-    rule_of,
+    CostWeights,
+    MoveRule,
+    move_rule,
 )
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
-"""The searches of labels and datasets, by name; so begin names of stored arrays and of columns."""
+"""The searches of labels and datasets, by name. Names of stored arrays and columns begin so."""
 
-KEPT_BYTES = 5 * 2**28
-"""Scratch memory that a thread keeps from one call to the next, at most.
+MAX_KEPT_BYTES = 5 * 2**28
+"""Largest scratch memory that a thread keeps from one call to the next: 1.25 GiB.
 
-To fault in new pages takes longer than most searches. What is kept is address space, 1.25 GiB at
-most; only pages that searches touched take memory, mostly less than a quarter. A call that needs
-more (8-connected, on over 9.7 M cells) takes it for itself and gives it back.
+Faulting in new pages takes longer than most searches. What is kept is address space: only pages
+that searches touched take memory, mostly less than a quarter. A call that needs more, under
+8-connectivity on over 9.7 M cells, allocates memory for itself and frees it.
 """
 
 Cell: TypeAlias = "tuple[int, int] | Ints"
 
-_UINT8 = np.dtype(np.uint8)  # comparing with the class itself takes twice as long
+_UINT8 = np.dtype(np.uint8)
+"""Comparing a dtype with this takes half the time of comparing it with the class `numpy.uint8`."""
 
 
 class SearchResult(NamedTuple):
-    """What a search found.
+    """The path that a search found, and its cost.
 
     Attributes:
         path: (k, 2) int64, cells from start to goal, both included; (0, 2) when there is none.
         cost: cost of the path, in cells (BFS: in moves); -1.0 when there is none.
-        iterations: number of expanded cells, the goal included.
+        iterations: number of expanded cells, those that the search takes from its frontier, with
+            the goal.
     """
 
     path: Ints
@@ -70,16 +73,17 @@ def bfs(
 ) -> SearchResult:
     """Return the path with the fewest moves that breadth-first search finds.
 
-    Cells are first in, first out; neighbours come in the order N, E, S, W, NE, SE, SW, NW.
+    The frontier is first in, first out. Neighbours come in the order N, E, S, W, NE, SE, SW, NW.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool; at most ``MAX_CELLS`` cells.
         start: (row, col), a free cell.
         goal: (row, col), a free cell.
-        movement: how one moves. BFS counts moves, so under 8-connectivity ``cost`` is hops.
+        movement: which moves are legal. BFS counts moves, so under 8-connectivity a diagonal move
+            costs 1, too.
 
     Raises:
-        ValueError: a grid that is not 2-D or holds other values, a start or goal outside it or on
+        ValueError: a grid that is not 2-D or holds other numbers, a start or goal outside it or on
             an occupied cell.
 
     Source: arXiv 2110.13242, section 4.
@@ -92,30 +96,32 @@ def astar(
 ) -> SearchResult:
     """Return a shortest path by A*.
 
-    It expands the cell of least f, among equal f the most recently pushed one; a cell's parent
-    changes only for a smaller g. The heuristic is Manhattan (4), octile (8) or Chebyshev (8,
-    diagonal cost 1). Arguments and errors are those of `bfs`.
+    It expands the cell of the smallest f, among equal f the most recently pushed one. A cell's
+    parent changes only for a smaller g. The heuristic is the Manhattan distance under
+    4-connectivity, the octile distance under 8-connectivity, and the Chebyshev distance under
+    8-connectivity with a diagonal cost of 1. Arguments and errors are those of `bfs`.
 
     Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242,
     section 4.
 
-    >>> found = astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
-    >>> found
+    >>> solution = astar([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
+    >>> solution
     SearchResult(path=int64 (5, 2), cost=4.0, iterations=5)
-    >>> found.path.tolist()
+    >>> solution.path.tolist()
     [[0, 0], [1, 0], [1, 1], [1, 2], [0, 2]]
     """
     return _search(ASTAR, grid, start, goal, movement)
 
 
 class BatchResult(NamedTuple):
-    """What a batch of B searches found; path k is ``cells[offsets[k]:offsets[k + 1]]``.
+    """The paths that a batch of B searches found, and their costs.
 
     Attributes:
-        cells: (M, 2) int64, all paths one after another; a problem without a path has none.
-        offsets: (B + 1,) int64.
+        cells: (M, 2) int64, the cells of all paths one after another.
+        offsets: (B + 1,) int64; path k is ``cells[offsets[k]:offsets[k + 1]]``, which is empty if
+            problem k has no path.
         cost: (B,) float64, -1 without a path.
-        iterations: (B,) int64.
+        iterations: (B,) int64, number of expanded cells.
     """
 
     cells: Ints
@@ -141,48 +147,56 @@ def search_batch(
         grids: (B, H, W), or one (H, W) that all problems share; 0 free, 1 occupied.
         starts: (B, 2) cells.
         goals: (B, 2) cells.
-        movement: how one moves.
+        movement: which moves are legal.
 
     Raises:
-        ValueError: what `bfs` refuses, with the number of the first bad problem; arrays that do not
-            fit together.
+        ValueError: a problem that `bfs` refuses, with the number of the first such problem; arrays
+            that do not fit together.
     """
     check_choice("search", search, SEARCHES)
     return solve_batch(SEARCHES[search], grids, starts, goals, movement)
 
 
 def solve_batch(
-    search: Weights,
+    weights: CostWeights,
     grids: ArrayLike,
     starts: ArrayLike,
     goals: ArrayLike,
     movement: Movement,
-    most: int = 0,
+    allow_occupied_ends: bool = False,
 ) -> BatchResult:
-    """Solve B problems by any ``search``; else as `search_batch`.
+    """Solve B problems by the search with these weights; otherwise as `search_batch`.
 
-    Where ``most`` is 1, an end may be occupied: there is no path, and no cell is expanded.
+    With ``allow_occupied_ends``, a start or goal may be occupied: such a problem has no path, and
+    no cell is expanded.
     """
     array = np.asarray(grids)
-    stack = as_grid(array if array.ndim == 3 else array[None], 3)
-    begins = _whole("starts", starts)
-    ends = _whole("goals", goals)
-    count = len(begins)
-    if len(ends) != count or (array.ndim == 3 and len(stack) != count):
+    grid_stack = as_grid(array if array.ndim == 3 else array[None], 3)
+    start_cells = _as_cells("starts", starts)
+    goal_cells = _as_cells("goals", goals)
+    count = len(start_cells)
+    if len(goal_cells) != count or (array.ndim == 3 and len(grid_stack) != count):
         raise ValueError(
-            f"got {len(stack)} grids, {count} starts and {len(ends)} goals, expected equal numbers"
+            f"got {len(grid_stack)} grids, {count} starts and {len(goal_cells)} goals, expected "
+            "equal numbers"
         )
-    rule = rule_of(movement)
-    path, found, solved = solve_all(
-        stack, begins, ends, most, search, rule, _scratch_memory(stack, rule)
+    rule = move_rule(movement)
+    cells, moves, expansions, offsets, solved = solve_problems(
+        grid_stack,
+        start_cells,
+        goal_cells,
+        int(allow_occupied_ends),
+        weights,
+        rule,
+        _scratch_memory(grid_stack, rule),
     )
     if solved < count:
-        grid = stack[min(solved, len(stack) - 1)]
-        raise ValueError(f"problem {solved}: {_complaint(grid, begins[solved], ends[solved])}")
-    straight, diagonal, iterations, bounds = found.T
-    costs = straight + diagonal * movement.diagonal_cost
-    offsets = np.concatenate(([0], bounds))
-    return BatchResult(path, offsets, costs, iterations.copy())
+        grid = grid_stack[min(solved, len(grid_stack) - 1)]
+        complaint = _problem_complaint(grid, start_cells[solved], goal_cells[solved])
+        raise ValueError(f"problem {solved}: {complaint}")
+    straight, diagonal = moves.T
+    costs = np.where(straight < 0, -1.0, straight + diagonal * movement.diagonal_cost)
+    return BatchResult(cells, offsets, costs, expansions)
 
 
 def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement()) -> Float32s:
@@ -192,21 +206,21 @@ def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement(
         (H, W) float32, in cells; -1 where there is no path.
 
     Raises:
-        ValueError: what `bfs` refuses, and a path of 2,097,152 cells or more.
+        ValueError: a grid or goal that `bfs` refuses, or a path of 2,097,152 cells or more.
 
     >>> distance_field([[0, 1, 0], [0, 0, 0]], (0, 0))
     array([[ 0., -1.,  4.],
            [ 1.,  2.,  3.]], dtype=float32)
     """
     array = as_grid(grid, 2)
-    row, column = _cell("goal", goal, array)
-    out = np.empty(array.shape, np.float32)
-    rule = rule_of(movement)
-    if not write_field(array, row, column, rule, _scratch_memory(array, rule), out):
+    row, column = _as_cell("goal", goal, array)
+    field = np.empty(array.shape, np.float32)
+    rule = move_rule(movement)
+    if not write_field(array, row, column, rule, _scratch_memory(array, rule), field):
         raise ValueError(values_complaint(array))
     if array[row, column]:
         raise ValueError(f"goal: {row, column} is on an occupied cell")
-    return out
+    return field
 
 
 def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()) -> float:
@@ -215,72 +229,82 @@ def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool.
         path: (k, 2) cells, k at least 1.
-        movement: the rule that every step must obey.
+        movement: which moves are legal.
 
     Raises:
         ValueError: the path is empty or not (k, 2); a cell is outside or occupied; a step is not
-            legal. Names the first such cell or step.
+            legal. The message names the first such cell or step.
 
     >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
     2.0
     """
     array = as_grid(grid, 2)
-    cells = _whole("path", path)
+    cells = _as_cells("path", path)
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
-    bad, diagonal = first_bad_cell(array, cells, rule_of(movement)[0])
-    if bad == -1:
+    diagonals, _ = move_rule(movement)
+    bad_cell, diagonal = first_bad_cell(array, cells, diagonals)
+    if bad_cell == -1:
         straight = len(cells) - 1 - diagonal
         return float(straight + diagonal * movement.diagonal_cost)
-    if bad == -2:
+    if bad_cell == -2:
         raise ValueError(values_complaint(array))
-    why = why_not_free(array, cells[bad])
-    if why:
-        raise ValueError(f"path: cell {bad}, {why}")
-    steps = f"from {tuple(cells[bad - 1].tolist())} to {tuple(cells[bad].tolist())}"
-    raise ValueError(f"path: step {bad - 1}, {steps}, is not a move of {movement}")
+    reason = why_not_free(array, cells[bad_cell])
+    if reason:
+        raise ValueError(f"path: cell {bad_cell}, {reason}")
+    step = f"from {tuple(cells[bad_cell - 1].tolist())} to {tuple(cells[bad_cell].tolist())}"
+    raise ValueError(f"path: step {bad_cell - 1}, {step}, is not a move of {movement}")
 
 
 def _search(
-    search: Weights, grid: ArrayLike, start: object, goal: object, movement: Movement
+    weights: CostWeights, grid: ArrayLike, start: object, goal: object, movement: Movement
 ) -> SearchResult:
+    """Check the arguments of `bfs` and `astar`, and search by these weights."""
     array = as_grid(grid, 2)
-    begin = _cell("start", start, array)
-    end = _cell("goal", goal, array)
-    rule = rule_of(movement)
-    path, straight, diagonal, iterations = solve_one(
-        array, *begin, *end, search, rule, _scratch_memory(array, rule)
+    start_cell = _as_cell("start", start, array)
+    goal_cell = _as_cell("goal", goal, array)
+    rule = move_rule(movement)
+    path, straight, diagonal, expansions = solve_problem(
+        array, *start_cell, *goal_cell, weights, rule, _scratch_memory(array, rule)
     )
-    if iterations == 0:  # every search expands its start
-        raise ValueError(_complaint(array, begin, end))
-    cost = straight + diagonal * movement.diagonal_cost
-    return SearchResult(path, cost, iterations)
+    # Every search expands its start, so 0 says that the kernel refused the problem.
+    if expansions == 0:
+        raise ValueError(_problem_complaint(array, start_cell, goal_cell))
+    cost = straight + diagonal * movement.diagonal_cost if len(path) else -1.0
+    return SearchResult(path, cost, expansions)
 
 
-class _Kept(threading.local):
-    """What each thread keeps: kernels run without the GIL, so that threads cannot share it."""
+class _ThreadScratch(threading.local):
+    """Scratch memory of each thread. Kernels run without the GIL, so threads cannot share it."""
 
     memory = np.empty(0, np.uint8)
 
 
-_kept = _Kept()
+_thread_scratch = _ThreadScratch()
 
 
-def _scratch_memory(grid: Bytes, rule: Rule) -> Bytes:
-    """Return room for any search on ``grid``, this thread's own until its next call."""
+def _scratch_memory(grid: Bytes, rule: MoveRule) -> Bytes:
+    """Return scratch memory for any search on ``grid``, which the thread's next call overwrites."""
     rows, columns = grid.shape[-2:]
-    # As `scratch` reckons: 9 bytes a cell of the lattice, and 16 for each of its 4 or 8 pushes.
-    needed = (137 if rule[0] else 73) * (rows + 2) * (columns + 2) + 32
-    memory = _kept.memory
-    if needed > len(memory):
-        memory = np.empty(needed, np.uint8)
-        if needed <= KEPT_BYTES:
-            _kept.memory = memory
+    diagonals, _ = rule
+    max_pushes_per_cell = 8 if diagonals else 4
+    size = plain_scratch_bytes(max_pushes_per_cell, (rows + 2) * (columns + 2))
+    memory = _thread_scratch.memory
+    if size > len(memory):
+        memory = np.empty(size, np.uint8)
+        if size <= MAX_KEPT_BYTES:
+            _thread_scratch.memory = memory
     return memory
 
 
 def as_grid(grid: ArrayLike, rank: int) -> Bytes:
-    """Return ``grid`` as what the kernels are compiled for: writable, contiguous uint8."""
+    """Return ``grid`` as the kernels expect it: writable, contiguous uint8 with ``rank`` axes.
+
+    That its numbers are 0 and 1 is checked only if it has another dtype; kernels check the rest.
+
+    Raises:
+        ValueError: another rank, an empty axis, too many cells, or a dtype that is not numeric.
+    """
     try:
         array = np.asarray(grid)
     except ValueError as error:
@@ -305,17 +329,17 @@ def _as_bytes(array: Array) -> Bytes:
         return array.view(np.uint8)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
-    wide = np.int64 if array.dtype.kind in "iu" else np.float64
-    # contiguous, aligned, writable: one flavour each
-    values = np.require(array, wide, ["C", "A", "W"])
-    narrowed = np.empty(array.shape, np.uint8)
-    if not narrow(values.reshape(-1), narrowed.reshape(-1)):
+    # The kernel is compiled once for each of two dtypes, and for one memory layout.
+    wide_dtype = np.int64 if array.dtype.kind in "iu" else np.float64
+    numbers = np.require(array, wide_dtype, ["C", "A", "W"])
+    narrow = np.empty(array.shape, np.uint8)
+    if not copy_to_bytes(numbers.reshape(-1), narrow.reshape(-1)):
         raise ValueError(values_complaint(array))
-    return narrowed
+    return narrow
 
 
-def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
-    """Return ``cell`` as two ints inside ``grid``."""
+def _as_cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
+    """Return ``cell`` as two ints inside ``grid``; errors call it ``name``."""
     try:
         row, column = cell
         row = index(row)
@@ -330,8 +354,11 @@ def _cell(name: str, cell: Any, grid: Bytes) -> tuple[int, int]:
     return row, column
 
 
-def _whole(name: str, cells: ArrayLike) -> Ints:
-    """Return ``cells`` as what the kernels are compiled for: writable, contiguous (n, 2) int64."""
+def _as_cells(name: str, cells: ArrayLike) -> Ints:
+    """Return ``cells`` as the kernels expect them: writable, contiguous (n, 2) int64.
+
+    Errors call them ``name``.
+    """
     array = np.asarray(cells)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 2), np.int64)
@@ -340,20 +367,22 @@ def _whole(name: str, cells: ArrayLike) -> Ints:
             f"{name}: got shape {array.shape} of {array.dtype}, expected (n, 2) integer cells "
             "(row, col)"
         )
-    whole = array.astype(np.int64, copy=False)
-    return whole if whole.flags.carray else whole.copy()
+    int64s = array.astype(np.int64, copy=False)
+    return int64s if int64s.flags.carray else int64s.copy()
 
 
-def _complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
-    """Return why a problem was refused."""
+def _problem_complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
+    """Return why a problem is refused: for the grid, for the start, or else for the goal."""
     if np.any(grid > 1):
         return values_complaint(grid)
-    why = why_not_free(grid, start)
-    return f"start: {why}" if why else f"goal: {why_not_free(grid, goal)}"
+    reason = why_not_free(grid, start)
+    if reason:
+        return f"start: {reason}"
+    return f"goal: {why_not_free(grid, goal)}"
 
 
 def why_not_free(grid: Bytes, cell: Cell) -> str:
-    """Return why ``cell`` cannot be on a path, or nothing."""
+    """Return why ``cell`` cannot be on a path, or an empty text if it can."""
     row, column = cell
     if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
         return f"({row}, {column}) is outside the map of {_size(grid)} cells"
@@ -361,10 +390,11 @@ def why_not_free(grid: Bytes, cell: Cell) -> str:
 
 
 def values_complaint(grid: Array) -> str:
-    """Return what is wrong with a grid that holds other values than 0 and 1."""
-    other = grid[(grid != 0) & (grid != 1)][0]
-    return f"grid: got the value {other}, expected 0 free and 1 occupied only"
+    """Return the error message for a grid that holds other numbers than 0 and 1."""
+    first_bad_number = grid[(grid != 0) & (grid != 1)][0]
+    return f"grid: got the value {first_bad_number}, expected 0 free and 1 occupied only"
 
 
 def _size(grid: Array) -> str:
+    """Return the size of a grid, or of each grid of a stack, as text."""
     return f"{grid.shape[-2]} x {grid.shape[-1]}"

@@ -1,18 +1,21 @@
-"""Breadth-first search of 4-connected maps, 64 cells at a time.
+"""Breadth-first search of 4-connected maps on bit boards, 64 cells at a time.
 
-In a set of cells, a row of the map is one word or several, with column c in bit c % 64 of word
-c // 64. A level of the search, all cells equally far from where it began, is such a set. The
-next level is the current one shifted by one cell in the four directions, less what was seen
-before.
+A bit board is a set of cells. Each row of the map takes one word of 64 bits or several, and column
+c is bit c % 64 of word c // 64 of its row. A level of the search, which is the set of all cells
+equally far from where it began, is such a set. The next level is the current one shifted by one
+cell in the four directions, without the cells that were seen before.
 
-`search_around` gives all moves that lead nearer to a goal. `bit_search` gives the paths of the
-queue on maps of one word a row. Its order, first in, first out, seems lost in a set of bits, but it
-is not. Within a level, cells stand in the order of their paths, compared move by move (N < E < S <
-W), because a cell's parent is the first of its neighbours and neighbours are seen in the order of
-moves. So the path that the queue finds is the first of all shortest ones, which a descent from the
-start through the levels around the goal meets; and the cells expanded before the goal are all
-nearer ones, and those of its level whose path comes first, a set that can be carried along the
-path.
+`write_optimal_moves` finds all moves that lead nearer to a goal. `bfs_labels_by_bits` finds the
+paths that the queue of breadth-first search finds, on maps with one word a row. The order of the
+queue, first in, first out, seems to be lost in a set of bits, but it can be recovered. Within a
+level, the queue holds cells in the order of their paths, compared move by move (N < E < S < W),
+because a cell's parent is the first of its neighbours in the queue and neighbours are seen in the
+order of moves. Two things follow:
+
+- The path that the queue finds is the first of all shortest paths in that order. A descent from the
+  start through the levels around the goal finds it, if it takes the first move that leads nearer.
+- The cells expanded before the goal are all cells of nearer levels, and those cells of the goal's
+  level whose paths come first. That second set can be carried along the path.
 """
 
 from __future__ import annotations
@@ -25,96 +28,107 @@ from mapdata.arrays import Bytes, Ints, Words
 from mapdata.generators.maps import WORD
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.kernels import Scratch, shortest_costs
-from mapdata.search.lattice import FAR, Lattice, cell_at, load
+from mapdata.search.lattice import INFINITY, NO_DIAGONALS, Lattice, cell_at, load
 
 MAX_SIDE = 64
-"""Most rows and columns of a map that `bit_search` searches."""
+"""Largest number of rows and of columns of a map that `bfs_labels_by_bits` accepts."""
 
-_EDGE = 3
-"""Empty rows above and below: a level reads two beyond what the one before it wrote, and clears a
-third.
+_MARGIN = 3
+"""Empty rows above and below the map. A level reads two rows beyond those that the level before it
+wrote, and clears a third one.
 """
 
-_LEVEL = MAX_SIDE + 2 * _EDGE
-"""Words of a level."""
+_LEVEL_WORDS = MAX_SIDE + 2 * _MARGIN
+"""Words of a level whose rows take one word each."""
 
-_LEVELS = MAX_SIDE * MAX_SIDE + 2
-"""Most levels of a search."""
+_MAX_LEVELS = MAX_SIDE * MAX_SIDE + 2
+"""Largest number of levels of a search."""
 
-_NONE = np.uint64(0)
+_NO_BITS = np.uint64(0)
 _ONE = np.uint64(1)
-_LAST = np.uint64(63)
-_ALL = ~np.uint64(0)
 _TWO = np.uint64(2)
-_PAIRS = np.uint64(0x5555555555555555)
-_FOURS = np.uint64(0x3333333333333333)
-_EIGHTS = np.uint64(0x0F0F0F0F0F0F0F0F)
-_BYTES = np.uint64(0x0101010101010101)
+_TOP_BIT = np.uint64(63)
+_ALL_BITS = ~np.uint64(0)
+_EVEN_BITS = np.uint64(0x5555555555555555)
+_LOW_HALVES_OF_NIBBLES = np.uint64(0x3333333333333333)
+_LOW_HALVES_OF_BYTES = np.uint64(0x0F0F0F0F0F0F0F0F)
+_LOWEST_BITS_OF_BYTES = np.uint64(0x0101010101010101)
 
 _BYTE = 8
 """Bits of a byte."""
 
-_EIGHT_CELLS = np.unpackbits(np.arange(256, dtype=np.uint8), bitorder="little").view(np.uint64)
-"""The bits of each byte, 0 to 255, as eight bytes in a word."""
+_SPREAD_BITS = np.unpackbits(np.arange(256, dtype=np.uint8), bitorder="little").view(np.uint64)
+"""(256,) for each byte, a word whose eight bytes are the byte's bits."""
 
 
 class Board(NamedTuple):
-    """What a search of a map by bits finds; cell (row, 0) is bit 0 of word ``(row + 3) * stride``.
+    """A map as bits, and what a search of it finds.
+
+    Each set below is an array (words,) with an empty margin of 3 rows above and below the map. Cell
+    (row, 0) is bit 0 of word ``(row + 3) * stride``.
 
     Attributes:
         stride: words of a row.
-        carry: all ones where rows have several words, between which bits are carried, else 0.
-        free: (words,) the free cells.
-        reached: (words,) those of them that the search reaches.
-        digit: (words,) those of them whose level has digit 1, the second lowest in binary.
+        carry: all bits set if rows have several words, between which bits are carried; else 0.
+        free: the free cells.
+        reached: the cells that the search reaches.
+        level_bit: the cells of ``reached`` whose level has bit 1 set, the second lowest one.
     """
 
     stride: Int
     carry: np.uint64
     free: Words
     reached: Words
-    digit: Words
+    level_bit: Words
 
 
 @kernel
-def search_around(
-    grid: Bytes, row: Int, column: Int, costs_too: bool, lattice: Lattice, buffers: Scratch
+def write_optimal_moves(
+    grid: Bytes, row: Int, column: Int, needs_costs: bool, lattice: Lattice, scratch: Scratch
 ) -> None:
-    """Write to ``came`` which moves lead to (row, column) by shortest paths, as bit sets.
+    """Write which moves begin shortest paths to (row, column), for every cell.
 
-    With ``costs_too``, their costs go to ``g``, as from `shortest_costs`; else what ``g`` holds is
-    not defined. Moves alone are found by bits on 4-connected maps, where that is faster: not on
-    narrow ones, since `_write_moves` writes eight cells at a time, nor in mazes.
+    Moves alone are found by bits on 4-connected maps, where that is faster. It is not faster in
+    mazes, nor on narrow maps, since `_write_board_moves` writes eight cells at a time.
+
+    Args:
+        grid: (H, W).
+        row: of the goal.
+        column: of the goal.
+        needs_costs: whether ``scratch.g`` becomes the costs of `shortest_costs`; if not, its
+            content is undefined.
+        lattice: of the map.
+        scratch: whose ``came_from`` becomes bit sets of moves, as from `shortest_costs`.
     """
-    by_bits = lattice.diagonals == 0 and not costs_too and grid.shape[1] >= _BYTE
-    if by_bits and grid[row, column] == 0:
-        board = board_of(grid)
-        if search_board(row, column, 5 * sum(grid.shape) // 4, board):
-            _write_moves(row + column, board, lattice, grid.shape, buffers.came)
+    uses_bits = lattice.diagonals == NO_DIAGONALS and not needs_costs and grid.shape[1] >= _BYTE
+    if uses_bits and grid[row, column] == 0:
+        board = build_board(grid)
+        if flood_board(row, column, 5 * sum(grid.shape) // 4, board):
+            _write_board_moves(row + column, board, lattice, grid.shape, scratch.came_from)
             return
-    load(grid, buffers.came)
-    source = np.full(1, cell_at(row, column, lattice))
-    shortest_costs(source, FAR, lattice, buffers)
+    load(grid, scratch.came_from)
+    sources = np.full(1, cell_at(row, column, lattice))
+    shortest_costs(sources, INFINITY, lattice, scratch)
 
 
 @inlined
 def word_at(row: Int, column: Int, stride: Int) -> Int:
-    """Return which word of a board holds a cell."""
-    return (row + _EDGE) * stride + column // WORD
+    """Return the index of the word that holds a cell, on a board with ``stride`` words a row."""
+    return (row + _MARGIN) * stride + column // WORD
 
 
 @inlined
 def bit_at(column: Int) -> Int:
-    """Return the bit of a cell in its word."""
+    """Return a word in which only the bit of a cell in this column is set."""
     return _ONE << np.uint64(column % WORD)
 
 
 @kernel
 def nth_cell(words: Words, stride: Int, number: Int) -> tuple[Int, Int]:
-    """Return cell ``number``, from 0, of a set in row-major order, which has more than so many.
+    """Return (row, column) of cell ``number`` of a set, counted from 0 in row-major order.
 
     Args:
-        words: (words,) the set, a field of a `Board`.
+        words: (words,) the set, an array of a `Board`, with more than ``number`` cells.
         stride: words of a row.
         number: which cell.
     """
@@ -127,439 +141,546 @@ def nth_cell(words: Words, stride: Int, number: Int) -> tuple[Int, Int]:
         if words[k] & bit_at(column):
             number -= 1
         column += 1
-    return k // stride - _EDGE, column
+    return k // stride - _MARGIN, column
 
 
 @kernel
-def board_of(grid: Bytes) -> Board:
-    """Return the board of a map, for searches."""
+def build_board(grid: Bytes) -> Board:
+    """Return a map, (H, W), as a board whose free cells are set, ready for searches."""
     rows, columns = grid.shape
     stride = 1
-    carry = _NONE
+    carry = _NO_BITS
     if columns > WORD:
-        # At least one bit of a row belongs to no cell: it keeps what is carried from row to row.
+        # At least one bit of each row belongs to no cell. It stops bits that are carried from the
+        # end of a row to the next row.
         stride = columns // WORD + 1
-        carry = _ALL
-    sets = np.zeros((3, (rows + 2 * _EDGE) * stride), np.uint64)
+        carry = _ALL_BITS
+    sets = np.zeros((3, (rows + 2 * _MARGIN) * stride), np.uint64)
     flat = grid.reshape(-1)
     for row in range(rows):
-        for first in range(0, columns, WORD):
-            cell = np.uint64(row * columns + first)
-            word = _NONE
-            for k in range(min(WORD, columns - first)):
+        for first_column in range(0, columns, WORD):
+            first_cell = np.uint64(row * columns + first_column)
+            word = _NO_BITS
+            for k in range(min(WORD, columns - first_column)):
                 bit = np.uint64(k)
-                word |= np.uint64(flat[cell + bit] ^ np.uint8(1)) << bit
-            sets[0, word_at(row, first, stride)] = word
+                word |= np.uint64(flat[first_cell + bit] ^ np.uint8(1)) << bit
+            sets[0, word_at(row, first_column, stride)] = word
     return Board(stride, carry, sets[0], sets[1], sets[2])
 
 
 @kernel
-def search_board(row: Int, column: Int, most: Int, board: Board) -> Int:
-    """Search level by level: ``reached`` becomes what is within ``most`` - 1 moves of a cell.
+def flood_board(row: Int, column: Int, max_levels: Int, board: Board) -> Int:
+    """Search level by level from (row, column), at most ``max_levels`` levels with that cell's own.
 
-    Returns whether no further cell can be reached. Callers choose ``most`` so that they can turn to
-    `shortest_costs` in a maze: a level takes its time however few cells it has. With 5/4 of H + W
-    levels that is about 1 goal of 1,000 on preset `paper`.
+    ``board.reached`` becomes the cells within ``max_levels`` - 1 moves, and ``board.level_bit`` one
+    bit of their levels.
+
+    A level takes the same time however few cells it has, so a maze, with its many small levels, is
+    searched faster by `shortest_costs`. Callers choose ``max_levels`` such that they can turn to
+    that. With 5/4 of H + W levels they do so for about 1 goal of 1,000 on preset `paper`.
+
+    Returns:
+        Whether no further cell can be reached.
     """
     stride = board.stride
     unseen = board.free.copy()
-    digit = board.digit
-    digit.fill(0)
+    level_bit = board.level_bit
+    level_bit.fill(0)
     levels = np.zeros((2, len(unseen)), np.uint64)
-    here = levels[0]
-    new = levels[1]
-    low = word_at(row, column, stride)
-    high = low
-    here[low] = bit_at(column)
-    unseen[low] ^= here[low]
-    for level in range(1, most):
-        low, high = _next_level(here, new, unseen, low, high, stride, board.carry)
-        if low > high:
+    current = levels[0]
+    following = levels[1]
+    first_word = word_at(row, column, stride)
+    last_word = first_word
+    current[first_word] = bit_at(column)
+    unseen[first_word] ^= current[first_word]
+    for level in range(1, max_levels):
+        first_word, last_word = _next_level(
+            current, following, unseen, first_word, last_word, stride, board.carry
+        )
+        if first_word > last_word:
             break
         if level & 2:
-            for k in range(low, high + 1):
-                digit[np.uint64(k)] |= new[np.uint64(k)]
-        here, new = new, here
+            for k in range(first_word, last_word + 1):
+                level_bit[np.uint64(k)] |= following[np.uint64(k)]
+        current, following = following, current
     for k in range(len(unseen)):
         board.reached[k] = board.free[k] ^ unseen[k]
-    return low > high
+    return first_word > last_word
 
 
 @kernel
-def is_direct(start: tuple[Int, Int], goal: tuple[Int, Int], lattice: Lattice, free: Words) -> Int:
-    """Return whether a path no longer than on an empty map is found, where a row is one word.
+def has_direct_path(
+    start: tuple[Int, Int], goal: tuple[Int, Int], lattice: Lattice, free: Words
+) -> Int:
+    """Return whether a path as short as on an empty map is found, on a board with one word a row.
 
-    All such paths are followed at once, row by row from the western end. Of diagonal moves only
-    those are tried that cut no corner, and as few as the heuristic counts: under other rules some
-    paths are missed, and none is found wrongly.
+    All such paths are followed at once, row by row from the western end to the eastern one. Only
+    diagonal moves that cut no corner are tried, and only as few as the heuristic counts. So under
+    movements other than 4 neighbours, or 8 without corner cutting at sqrt(2), some paths are
+    missed; but a path that is found always exists.
+
+    Args:
+        start: (row, column).
+        goal: (row, column).
+        lattice: of the map.
+        free: (words,) the free cells, from a `Board`.
     """
     if start[1] > goal[1]:
         start, goal = goal, start
     rows = goal[0] - start[0]
+    # With more rows than columns the straight moves of a direct path are vertical, else they are
+    # horizontal. Without diagonals they are both.
     is_steep = lattice.diagonals and abs(rows) > goal[1] - start[1]
     word = word_at(start[0], 0, 1)
-    last = word_at(goal[0], 0, 1)
-    here = bit_at(start[1])
+    last_word = word_at(goal[0], 0, 1)
+    # The cells of a row that direct paths from the start reach.
+    reached = bit_at(start[1])
     while True:
         row = free[word]
         if not is_steep:
-            here |= row & ~(row + here)  # and eastward: a sum carries through free cells
-        if word == last:
-            return (here & bit_at(goal[1])) != 0
+            # Move eastward through free cells. A run of free cells is a run of ones. Adding a bit
+            # to it carries from that bit to the end of the run and clears all bits on the way.
+            reached |= row & ~(row + reached)
+        if word == last_word:
+            return (reached & bit_at(goal[1])) != 0
         word += np.sign(rows)
-        here &= free[word]
+        # Move vertically, then, for diagonal moves, on to the east. Both cells beside the diagonal
+        # have to be free: the one in the next row, which was tested first, and the one in this row.
+        reached &= free[word]
         if lattice.diagonals:
-            aslant = (here << _ONE) & row & free[word]
-            here = aslant | here if is_steep else aslant
+            diagonally_reached = (reached << _ONE) & row & free[word]
+            reached = diagonally_reached | reached if is_steep else diagonally_reached
 
 
 @kernel
-def _write_moves(
-    goal: Int, board: Board, lattice: Lattice, shape: tuple[Int, Int], came: Bytes
+def _write_board_moves(
+    goal_parity: Int, board: Board, lattice: Lattice, shape: tuple[Int, Int], came_from: Bytes
 ) -> None:
-    """Write which moves lead nearer to a goal whose row and column add up to ``goal``.
+    """Write which moves lead nearer to a goal, after `flood_board` from there.
 
-    A neighbour's level is one more or one less. Digit 0 is as on a chessboard, and digit 1 tells
-    the two apart: from 10 to 01 it changes, from 11 to 10 it does not.
+    The level of a neighbour is that of the cell plus or minus 1. Bit 0 of a level alternates as on
+    a chessboard, so bit 1, which the board holds, tells the two neighbours apart. From an odd level
+    to the next larger one, bit 1 changes (01 to 10), and to the next smaller one it does not (01 to
+    00). From an even level it is the other way round.
+
+    Args:
+        goal_parity: sum of the goal's row and column, or any number of the same parity.
+        board: with the cells that `flood_board` reached.
+        lattice: of the map.
+        shape: (rows, columns) of the map.
+        came_from: (cells,) states, of which those of the map become bit sets of moves.
     """
-    digit = board.digit
+    level_bit = board.level_bit
     reached = board.reached
     carry = board.carry
     stride = np.uint64(board.stride)
     for row in range(shape[0]):
-        # Even columns have the even bits, in whichever word.
-        odd = _PAIRS if (row + goal) % 2 else ~_PAIRS
-        for first in range(0, shape[1], WORD):
-            i = np.uint64(word_at(row, first, board.stride))
-            # What digit 1 of a neighbour is where that is farther away: nearer ones differ.
-            farther = digit[i] ^ odd
-            north = reached[i] & reached[i - stride] & (digit[i - stride] ^ farther)
-            south = reached[i] & reached[i + stride] & (digit[i + stride] ^ farther)
-            east = reached[i] & _eastern(reached, i, carry) & (_eastern(digit, i, carry) ^ farther)
-            west = reached[i] & _western(reached, i, carry) & (_western(digit, i, carry) ^ farther)
-            cell = np.uint64(cell_at(row, first, lattice))
-            # Eight cells at a time, which may go beyond the row: the next one is written later.
-            for k in range(0, min(WORD, shape[1] - first), _BYTE):
+        # Even columns have even bits, whichever the word. So the cells of odd levels are either the
+        # even bits or the odd ones.
+        odd_levels = _EVEN_BITS if (row + goal_parity) % 2 else ~_EVEN_BITS
+        for first_column in range(0, shape[1], WORD):
+            i = np.uint64(word_at(row, first_column, board.stride))
+            # Bit 1 of the level of a neighbour that is farther away; of a nearer one it differs.
+            farther = level_bit[i] ^ odd_levels
+            here = reached[i]
+            north = here & reached[i - stride] & (level_bit[i - stride] ^ farther)
+            south = here & reached[i + stride] & (level_bit[i + stride] ^ farther)
+            east_bit = _east_neighbours(level_bit, i, carry)
+            east = here & _east_neighbours(reached, i, carry) & (east_bit ^ farther)
+            west_bit = _west_neighbours(level_bit, i, carry)
+            west = here & _west_neighbours(reached, i, carry) & (west_bit ^ farther)
+            cell = np.uint64(cell_at(row, first_column, lattice))
+            # Eight cells at a time. They may go beyond the row, since the next row comes later.
+            for k in range(0, min(WORD, shape[1] - first_column), _BYTE):
                 shift = np.uint64(k)
-                low = _eight_cells(north >> shift) | (_eight_cells(east >> shift) << _ONE)
-                high = _eight_cells(south >> shift) | (_eight_cells(west >> shift) << _ONE)
-                eight = low | (high << _TWO)
-                for j in range(_BYTE):  # becomes one store
-                    came[cell + np.uint64(k + j)] = np.uint8(eight >> np.uint64(_BYTE * j))
+                # Eight bytes, of which each gets the moves of one cell: N is bit 0, E 1, S 2, W 3.
+                north_east = _spread_bits(north >> shift) | (_spread_bits(east >> shift) << _ONE)
+                south_west = _spread_bits(south >> shift) | (_spread_bits(west >> shift) << _ONE)
+                moves = north_east | (south_west << _TWO)
+                # The compiler turns this loop into the store of one word.
+                for j in range(_BYTE):
+                    came_from[cell + np.uint64(k + j)] = np.uint8(moves >> np.uint64(_BYTE * j))
 
 
 @inlined
-def _eight_cells(word: np.uint64) -> Int:
-    """Return the lowest eight bits as eight bytes in a word."""
-    return _EIGHT_CELLS[word & np.uint64(255)]
+def _spread_bits(word: np.uint64) -> Int:
+    """Return the lowest eight bits of a word as the eight bytes of another."""
+    return _SPREAD_BITS[word & np.uint64(255)]
 
 
-def bit_search(
+def bfs_labels_by_bits(
     packed: Words,
     columns: int,
     rooms: Ints,
     seed_points: Ints,
-    segments: Ints,
-    pairs: Ints,
-    table: Ints,
-    costs: Ints,
+    first_segments: Ints,
+    first_pairs: Ints,
+    segment_table: Ints,
+    pair_costs: Ints,
     moves: Bytes,
 ) -> int:
-    """Label every map by BFS: packed maps, (N, H, 1), without diagonals, of at most 64 x 64 cells.
+    """Label every map by BFS, as `labels.bfs_labels_by_queue` does, on maps of up to 64 x 64 cells.
 
-    ``seed_points`` are (N, most rooms, 2), all free cells. The other arguments and the result are
-    those of `labels._flood_maps`.
+    Args:
+        packed: (N, H, 1) packed maps, without diagonal moves.
+        columns: of each map, at most 64.
+        rooms: (N,) number of rooms of each map.
+        seed_points: (N, R, 2) cells, all free; -1 beyond the rooms of a map.
+        first_segments: as `labels.bfs_labels_by_queue` takes it, like the arguments below.
+        first_pairs: (N or more,).
+        segment_table: (S, 2), to be filled.
+        pair_costs: (P, 2), to be filled.
+        moves: to be filled.
+
+    Returns:
+        The number of moves.
     """
-    cells_of_a_row = _ALL >> np.uint64(WORD - columns)
-    rows = seed_points[:, :, 0] + _EDGE
-    bits = _ONE << (seed_points[:, :, 1] % WORD).astype(np.uint64)  # those beyond the rooms are -1
-    # The words of level 0, then of level 1, and so on; touched only as far as they are used.
-    levels = np.empty((2, _LEVELS * _LEVEL), np.uint64)
-    free = np.zeros(_LEVEL, np.uint64)
-    unseen = np.empty(_LEVEL, np.uint64)
-    before = np.empty((2, _LEVEL), np.uint64)
-    used: int = _search_maps(
+    row_mask = _ALL_BITS >> np.uint64(WORD - columns)
+    seed_rows = seed_points[:, :, 0] + _MARGIN
+    # Columns of -1, beyond the rooms, give bits that nothing reads.
+    seed_bits = _ONE << (seed_points[:, :, 1] % WORD).astype(np.uint64)
+    # Memory that is not used is not touched, so that it never becomes memory of the process.
+    levels = np.empty((2, _MAX_LEVELS * _LEVEL_WORDS), np.uint64)
+    free = np.zeros(_LEVEL_WORDS, np.uint64)
+    unseen = np.empty(_LEVEL_WORDS, np.uint64)
+    earlier = np.empty((2, _LEVEL_WORDS), np.uint64)
+    used: int = _label_maps(
         packed,
-        cells_of_a_row,
+        row_mask,
         rooms,
-        rows,
-        bits,
-        segments,
-        pairs,
+        seed_rows,
+        seed_bits,
+        first_segments,
+        first_pairs,
         levels,
         free,
         unseen,
-        before,
-        table,
-        costs,
+        earlier,
+        segment_table,
+        pair_costs,
         moves,
     )
     return used
 
 
 @kernel
-def _search_maps(
+def _label_maps(
     packed: Words,
-    cells_of_a_row: np.uint64,
+    row_mask: np.uint64,
     rooms: Ints,
-    rows: Ints,
-    bits: Words,
-    segments: Ints,
-    pairs: Ints,
+    seed_rows: Ints,
+    seed_bits: Words,
+    first_segments: Ints,
+    first_pairs: Ints,
     levels: Words,
     free: Words,
     unseen: Words,
-    before: Words,
-    table: Ints,
-    costs: Ints,
+    earlier: Words,
+    segment_table: Ints,
+    pair_costs: Ints,
     moves: Bytes,
 ) -> Int:
-    """Do the work of `bit_search`.
+    """Do the work of `bfs_labels_by_bits`.
 
     Args:
         packed: (N, H, 1) packed maps.
-        cells_of_a_row: the bits of a word that are cells.
-        rooms: (N,) number of rooms.
-        rows: (N, most rooms) word of each seed point.
-        bits: (N, most rooms) its bit in there.
-        segments: as `bit_search` takes it, like ``pairs``, ``table``, ``costs`` and ``moves``.
-        pairs: the first pair of each map.
-        levels: (2, ...) room for the levels of two searches.
+        row_mask: a word in which the bits that are cells are set.
+        rooms: (N,) number of rooms of each map.
+        seed_rows: (N, R) index of the word of each seed point.
+        seed_bits: (N, R) a word in which the bit of the seed point is set.
+        first_segments: as `bfs_labels_by_bits` takes it, like ``first_pairs``, ``segment_table``,
+            ``pair_costs`` and ``moves``.
+        first_pairs: (N or more,).
+        levels: (2, ...) room for the levels of two searches, level after level.
         free: (words,) zeros, with room for the free cells of a map between empty rows.
         unseen: (words,) room for those of them that a search has not reached.
-        before: (2, words) room for `_trace`.
-        table: (S, 2), filled with number of moves and iterations of each segment.
-        costs: (P, 2), filled with moves between seeds and 0, or (-1, 0).
-        moves: filled with the moves of all segments.
+        earlier: (2, words) room for `_trace_path`.
+        segment_table: (S, 2), to be filled with number of moves and expansions of each segment.
+        pair_costs: (P, 2), to be filled with moves between the seeds of each pair and 0, or (-1,
+            0).
+        moves: to be filled with the moves of all segments.
 
     Returns:
         The number of moves.
     """
-    # A number that is handed on gets its final type at once: else the kernels that take it are
+    # A number that is passed to a kernel gets its final type at once. Otherwise the kernel would be
     # compiled twice.
-    start = np.int64(0)
-    end = np.int64(len(unseen))
+    start_word = np.int64(0)
+    end_word = np.int64(len(unseen))
     used = np.int64(0)
     for m in range(len(packed)):
         for r in range(packed.shape[1]):
-            free[_EDGE + r] = ~packed[m, r, 0] & cells_of_a_row
+            free[_MARGIN + r] = ~packed[m, r, 0] & row_mask
         n = rooms[m]
-        pair = pairs[m]
-        segment = segments[m]
-        count = count_bits(free, start, end)
-        nearer = 0  # cells nearer than the next seed
-        length = np.int64(-1)  # moves from the seed before, where a segment starts; -1 without path
+        pair = first_pairs[m]
+        segment = first_segments[m]
+        free_cells = count_bits(free, start_word, end_word)
+        cells_nearer = 0  # cells that are nearer to seed s than seed s + 1 is
+        path_length = np.int64(-1)  # moves from seed s - 1 to seed s; -1 without a path
         for s in range(n):
-            # Flood around seed s until all later seeds are seen, and the seed before it. The levels
-            # around that one are kept in the other half: `_trace` needs both.
-            level = levels[s & 1]
-            for r in range(end):
+            # Flood around seed s until all later seeds are seen and seed s - 1, too. The levels
+            # around seed s - 1 are kept in the other half: `_trace_path` needs both.
+            level_words = levels[s & 1]
+            for r in range(end_word):
                 unseen[r] = free[r]
-            low = rows[m, s]
+            low = seed_rows[m, s]
             high = low
-            # Level 0 is the seed alone; the rows about it are read by the next level.
-            for r in range(low - _EDGE, low + _EDGE + 1):
-                level[r] = 0
-            level[low] = bits[m, s]
-            unseen[low] ^= bits[m, s]
-            later = n - 1 - s
-            for k in range(later):
-                costs[pair + k, 0] = -1
-                costs[pair + k, 1] = 0
-            pending = later
-            at = 0
-            depth = 0
+            # Level 0 is the seed alone. The next level reads the rows around it.
+            for r in range(low - _MARGIN, low + _MARGIN + 1):
+                level_words[r] = 0
+            level_words[low] = seed_bits[m, s]
+            unseen[low] ^= seed_bits[m, s]
+            later_seeds = n - 1 - s
+            for k in range(later_seeds):
+                pair_costs[pair + k, 0] = -1
+                pair_costs[pair + k, 1] = 0
+            unseen_seeds = later_seeds
+            level = 0
+            level_start = 0
             while True:
-                # A later seed that is not unseen any more, but was at the last level, is in this
-                # one.
-                for k in range(later):
+                # A later seed without a cost that is not unseen any more is in this level.
+                for k in range(later_seeds):
                     seed = s + 1 + k
-                    if costs[pair + k, 0] < 0 and unseen[rows[m, seed]] & bits[m, seed] == 0:
-                        costs[pair + k, 0] = depth
-                        pending -= 1
+                    is_seen = unseen[seed_rows[m, seed]] & seed_bits[m, seed] == 0
+                    if pair_costs[pair + k, 0] < 0 and is_seen:
+                        pair_costs[pair + k, 0] = level
+                        unseen_seeds -= 1
                         if k == 0:  # the next seed, where a segment ends
-                            nearer = count - count_bits(unseen, start, end)
-                            nearer -= count_bits(level, at + low, at + high + 1)
-                if pending == 0 and depth >= length:  # `_trace` needs ``length`` levels
+                            cells_nearer = free_cells - count_bits(unseen, start_word, end_word)
+                            cells_nearer -= count_bits(
+                                level_words, level_start + low, level_start + high + 1
+                            )
+                # `_trace_path` needs as many levels as the path has moves.
+                if unseen_seeds == 0 and level >= path_length:
                     break
-                # With unsigned indices into two views the compiler sees that nothing overlaps, and
-                # takes several words at a time.
-                here = level[at : at + _LEVEL]
-                new = level[at + _LEVEL : at + 2 * _LEVEL]
-                low -= 1
-                high += 1
-                for r in range(low, high + 1):
-                    i = np.uint64(r)
-                    around = (here[i] << _ONE) | (here[i] >> _ONE) | here[i - _ONE] | here[i + _ONE]
-                    reached = around & unseen[i]
-                    new[i] = reached
-                    unseen[i] ^= reached
-                # The level after this one reads two rows beyond it, and the buffer holds an older
-                # level.
-                new[low - 2] = 0
-                new[low - 1] = 0
-                new[high + 1] = 0
-                new[high + 2] = 0
-                while low <= high and new[low] == 0:
-                    low += 1
-                while low <= high and new[high] == 0:
-                    high -= 1
-                if low > high:  # nothing new: all that can be reached is seen
+                next_start = level_start + _LEVEL_WORDS
+                low, high = _next_narrow_level(
+                    level_words[level_start:next_start],
+                    level_words[next_start : next_start + _LEVEL_WORDS],
+                    unseen,
+                    low,
+                    high,
+                )
+                if low > high:  # The level is empty: every cell that can be reached is seen.
                     break
-                depth += 1
-                at += _LEVEL
-            if length >= 0:
-                table[segment - 1, 0] = length
-                table[segment - 1, 1] += _trace(
-                    level,
+                level += 1
+                level_start = next_start
+            if path_length >= 0:
+                segment_table[segment - 1, 0] = path_length
+                segment_table[segment - 1, 1] += _trace_path(
+                    level_words,
                     levels[1 - (s & 1)],
-                    rows[m, s - 1],
-                    bits[m, s - 1],
-                    length,
-                    before,
+                    seed_rows[m, s - 1],
+                    seed_bits[m, s - 1],
+                    path_length,
+                    earlier,
                     moves,
                     used,
                 )
-                used += length
-            if later:
-                length = costs[pair, 0]
-                # The expansions known so far: with a path, those of its level are added by
-                # `_trace`.
-                table[segment, 0] = 0
-                table[segment, 1] = nearer + 1
-                if length < 0:
-                    table[segment, 1] = count - count_bits(unseen, start, end)
+                used += path_length
+            if later_seeds:
+                path_length = pair_costs[pair, 0]
+                segment_table[segment, 0] = 0
+                if path_length < 0:
+                    reached_cells = free_cells - count_bits(unseen, start_word, end_word)
+                    segment_table[segment, 1] = reached_cells
+                else:
+                    # The goal and all nearer cells; `_trace_path` adds those of the goal's level.
+                    segment_table[segment, 1] = cells_nearer + 1
                 segment += 1
-                pair += later
+                pair += later_seeds
     return used
 
 
 @inlined
-def _next_level(
-    here: Words, new: Words, unseen: Words, low: Int, high: Int, stride: Int, carry: np.uint64
+def _next_narrow_level(
+    current: Words, following: Words, unseen: Words, low: Int, high: Int
 ) -> tuple[Int, Int]:
-    """Write the level ``new`` that follows ``here``, whose cells lie in words ``low`` to ``high``.
+    """Write the level that follows ``current``, whose rows ``low`` to ``high`` have one word each.
 
-    Returns the first and last word of the new level; the first is beyond the last if it is empty.
+    Arguments and returned rows are those of `_next_level`, which also carries bits between the
+    words of a row.
     """
-    first = low - stride
-    last = high + stride
-    # With unsigned indices into two views the compiler sees that nothing overlaps, and takes
+    low -= 1
+    high += 1
+    # With unsigned indices into two views the compiler sees that nothing overlaps, and handles
     # several words at a time.
-    for k in range(first, last + 1):
+    for r in range(low, high + 1):
+        i = np.uint64(r)
+        beside = (current[i] << _ONE) | (current[i] >> _ONE)
+        reached = (beside | current[i - _ONE] | current[i + _ONE]) & unseen[i]
+        following[i] = reached
+        unseen[i] ^= reached
+    # The level after this one reads two rows beyond it, and the buffer holds an older level.
+    following[low - 2] = 0
+    following[low - 1] = 0
+    following[high + 1] = 0
+    following[high + 2] = 0
+    while low <= high and following[low] == 0:
+        low += 1
+    while low <= high and following[high] == 0:
+        high -= 1
+    return low, high
+
+
+@inlined
+def _next_level(
+    current: Words,
+    following: Words,
+    unseen: Words,
+    first_word: Int,
+    last_word: Int,
+    stride: Int,
+    carry: np.uint64,
+) -> tuple[Int, Int]:
+    """Write the level that follows ``current``, and remove its cells from ``unseen``.
+
+    Args:
+        current: (words,) the level.
+        following: (words,) filled with the next level.
+        unseen: (words,) free cells that the search has not reached.
+        first_word: the cells of ``current`` lie in the words from this one on ...
+        last_word: ... to this one.
+        stride: words of a row.
+        carry: as in `Board`.
+
+    Returns:
+        The first and last word of the next level; the first is beyond the last if it is empty.
+    """
+    low = first_word - stride
+    high = last_word + stride
+    # With unsigned indices into two views the compiler sees that nothing overlaps, and handles
+    # several words at a time.
+    for k in range(low, high + 1):
         i = np.uint64(k)
-        reached = _beside(here, i, np.uint64(stride), carry) & unseen[i]
-        new[i] = reached
+        reached = _neighbours(current, i, np.uint64(stride), carry) & unseen[i]
+        following[i] = reached
         unseen[i] ^= reached
     # The level after this one reads two rows beyond it, and the buffer holds an older level.
     for k in range(2 * stride):
-        new[first - 1 - k] = 0
-        new[last + 1 + k] = 0
-    while first <= last and new[first] == 0:
-        first += 1
-    while first <= last and new[last] == 0:
-        last -= 1
-    return first, last
+        following[low - 1 - k] = 0
+        following[high + 1 + k] = 0
+    while low <= high and following[low] == 0:
+        low += 1
+    while low <= high and following[high] == 0:
+        high -= 1
+    return low, high
 
 
 @inlined
-def _beside(level: Words, word: np.uint64, stride: np.uint64, carry: np.uint64) -> Int:
-    """Return the cells of a word that are one move away from a cell of ``level``."""
-    beside = _eastern(level, word, carry) | _western(level, word, carry)
-    return beside | level[word - stride] | level[word + stride]
+def _neighbours(cells: Words, word: np.uint64, stride: np.uint64, carry: np.uint64) -> Int:
+    """Return the cells of a word that have any neighbour in the set ``cells``."""
+    beside = _east_neighbours(cells, word, carry) | _west_neighbours(cells, word, carry)
+    return beside | cells[word - stride] | cells[word + stride]
 
 
 @inlined
-def _eastern(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
-    """Return the cells of a word whose neighbour in the east is one of ``cells``."""
-    return (cells[word] >> _ONE) | ((cells[word + _ONE] << _LAST) & carry)
+def _east_neighbours(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
+    """Return the cells of a word whose eastern neighbour is in the set ``cells``.
+
+    Column c + 1 is the next higher bit; that of the top bit is the lowest bit of the next word.
+    """
+    return (cells[word] >> _ONE) | ((cells[word + _ONE] << _TOP_BIT) & carry)
 
 
 @inlined
-def _western(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
-    """Return the cells of a word whose neighbour in the west is one of ``cells``."""
-    return (cells[word] << _ONE) | ((cells[word - _ONE] >> _LAST) & carry)
+def _west_neighbours(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
+    """Return the cells of a word whose western neighbour is in the set ``cells``."""
+    return (cells[word] << _ONE) | ((cells[word - _ONE] >> _TOP_BIT) & carry)
 
 
 @kernel
-def _trace(
+def _trace_path(
     around_goal: Words,
     around_start: Words,
     row: Int,
     bit: np.uint64,
     length: Int,
-    before: Words,
+    earlier: Words,
     moves: Bytes,
     used: Int,
 ) -> Int:
-    """Write the ``length`` moves of the queue's path from a start to the goal to ``moves[used:]``.
+    """Write the moves of the path that the queue finds from a start to a goal.
 
-    The start is ``bit`` of word ``row``. Returns how many cells of the goal's level are expanded
-    before it. ``before`` (2, words) is for two levels in turns: the cells of a level around the
-    start that stand before the path's cell.
+    Args:
+        around_goal: (levels * words,) the levels around the goal, at least ``length`` of them.
+        around_start: (levels * words,) the levels around the start.
+        row: index of the word of the start.
+        bit: a word in which the bit of the start is set.
+        length: number of moves of the path.
+        earlier: (2, words) room for two sets of cells, in turns: those cells of a level around the
+            start that stand before the path's own cell in the queue.
+        moves: to be filled with the moves, from ``moves[used]`` on.
+        used: number of moves that are there already.
+
+    Returns:
+        How many cells of the goal's level are expanded before the goal.
     """
     low = row
     high = row
-    for r in range(_LEVEL):
-        before[0, r] = 0
-        before[1, r] = 0
+    for r in range(_LEVEL_WORDS):
+        earlier[0, r] = 0
+        earlier[1, r] = 0
     for step in range(length):
-        back = (length - step - 1) * _LEVEL
-        now = before[step & 1]
-        then = before[1 - (step & 1)]
-        first = min(low, row) - 1
-        last = max(high, row) + 1
-        level = around_start[(step + 1) * _LEVEL : (step + 2) * _LEVEL]
-        # The children of a cell that stands before the path's cell stand before the path's next.
-        for r in range(first, last + 1):
+        # The level around the goal that the path's next cell belongs to.
+        goal_level_start = (length - step - 1) * _LEVEL_WORDS
+        earlier_here = earlier[step & 1]
+        earlier_next = earlier[1 - (step & 1)]
+        first_row = min(low, row) - 1
+        last_row = max(high, row) + 1
+        next_level = around_start[(step + 1) * _LEVEL_WORDS : (step + 2) * _LEVEL_WORDS]
+        # The children of a cell that stands before the path's cell stand before its next cell.
+        for r in range(first_row, last_row + 1):
             i = np.uint64(r)
-            around = (now[i] << _ONE) | (now[i] >> _ONE) | now[i - _ONE] | now[i + _ONE]
-            then[i] = around & level[i]
-        then[first - 2] = 0
-        then[first - 1] = 0
-        then[last + 1] = 0
-        then[last + 2] = 0
-        # The path takes the first move that leads nearer to the goal. Its cell's neighbours by
-        # earlier moves stand before the next cell, too.
-        if around_goal[back + row - 1] & bit:
+            beside = (earlier_here[i] << _ONE) | (earlier_here[i] >> _ONE)
+            beside |= earlier_here[i - _ONE] | earlier_here[i + _ONE]
+            earlier_next[i] = beside & next_level[i]
+        earlier_next[first_row - 2] = 0
+        earlier_next[first_row - 1] = 0
+        earlier_next[last_row + 1] = 0
+        earlier_next[last_row + 2] = 0
+        # The path takes the first move that leads nearer to the goal. The neighbours of its cell by
+        # earlier moves also stand before the next cell.
+        if around_goal[goal_level_start + row - 1] & bit:
             move = 0
             row -= 1
         else:
-            then[row - 1] |= level[row - 1] & bit
-            if around_goal[back + row] & (bit << _ONE):
+            earlier_next[row - 1] |= next_level[row - 1] & bit
+            if around_goal[goal_level_start + row] & (bit << _ONE):
                 move = 1
                 bit <<= _ONE
             else:
-                then[row] |= level[row] & (bit << _ONE)
-                if around_goal[back + row + 1] & bit:
+                earlier_next[row] |= next_level[row] & (bit << _ONE)
+                if around_goal[goal_level_start + row + 1] & bit:
                     move = 2
                     row += 1
                 else:
-                    then[row + 1] |= level[row + 1] & bit
+                    earlier_next[row + 1] |= next_level[row + 1] & bit
                     move = 3
                     bit >>= _ONE
         moves[used + step] = move
-        low = first
-        high = last
-        while low < high and then[low] == 0:
+        low = first_row
+        high = last_row
+        while low < high and earlier_next[low] == 0:
             low += 1
-        while low < high and then[high] == 0:
+        while low < high and earlier_next[high] == 0:
             high -= 1
-        if then[low] == 0:  # the set is empty: the next rows are those about the path
+        if earlier_next[low] == 0:  # The set is empty: the next rows are those around the path.
             low = row
             high = row
-    return count_bits(before[length & 1], low, high + 1)
+    return count_bits(earlier[length & 1], low, high + 1)
 
 
 @kernel
-def count_bits(words: Words, first: Int, last: Int) -> Int:
-    """Return the number of ones in ``words[first:last]`` (Hacker's Delight, section 5-1)."""
+def count_bits(words: Words, first: Int, end: Int) -> Int:
+    """Return the number of ones in ``words[first:end]`` (Hacker's Delight, section 5-1)."""
     total: Int = 0
-    for k in range(first, last):
-        w = words[k]
-        w -= (w >> _ONE) & _PAIRS  # each two bits count their ones
-        w = (w & _FOURS) + ((w >> _TWO) & _FOURS)  # each four
-        w = (w + (w >> np.uint64(4))) & _EIGHTS  # each byte
-        # modulo 2^64, the top byte of the product is the sum of all bytes
-        total += np.int64((w * _BYTES) >> np.uint64(56))
+    for k in range(first, end):
+        sums = words[k]
+        # Each two bits become the number of their ones, then each four, then each eight.
+        sums -= (sums >> _ONE) & _EVEN_BITS
+        sums = (sums & _LOW_HALVES_OF_NIBBLES) + ((sums >> _TWO) & _LOW_HALVES_OF_NIBBLES)
+        sums = (sums + (sums >> np.uint64(4))) & _LOW_HALVES_OF_BYTES
+        # Modulo 2^64, the top byte of this product is the sum of all eight bytes.
+        total += np.int64((sums * _LOWEST_BITS_OF_BYTES) >> np.uint64(56))
     return total

@@ -1,4 +1,4 @@
-"""Room for a robot: how far each cell lies from the nearest obstacle, and maps for a disc."""
+"""Maps for a robot with a radius: the clearance of each cell, and inflated obstacles."""
 
 from __future__ import annotations
 
@@ -14,44 +14,45 @@ from mapdata.search.api import as_grid, values_complaint
 
 
 def clearance(grid: ArrayLike) -> Float32s:
-    """Return the distance from the middle of each cell to the nearest obstacle.
+    """Return the distance from the middle of each cell to the nearest obstacle, in cells.
 
-    That is the nearest point of an occupied cell or of the border of the map, in cells: exact, and
+    Obstacles are all points of occupied cells and the border of the map. The distance is exact, and
     0 on occupied cells.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool.
 
     Returns:
-        (H, W) float32; times the resolution, it is in metres.
+        (H, W) float32. Multiplied by the resolution, it is in metres.
 
     Raises:
-        ValueError: a grid that is not 2-D or holds other values.
+        ValueError: a grid that is not 2-D or holds other numbers.
 
     >>> clearance([[0, 0, 0], [0, 0, 1], [0, 0, 0]])
     array([[0.5, 0.5, 0.5],
            [0.5, 0.5, 0. ],
            [0.5, 0.5, 0.5]], dtype=float32)
     """
-    found: Float32s = clearances(_binary(grid)[None])[0]
-    return found
+    distances: Float32s = clearances(_binary_grid(grid)[None])[0]
+    return distances
 
 
 def inflate(grid: ArrayLike, radius: float) -> Bytes:
-    """Return the map on which the middle of a disc moves: its configuration space.
+    """Return the map on which the middle of a disc-shaped robot moves: its configuration space.
 
-    A cell is occupied where ``grid`` is, or where its `clearance` is less than ``radius``: the
-    robot may touch an obstacle and the border, but not overlap them.
+    A cell is occupied if it is in ``grid``, or if its `clearance` is less than ``radius``. So the
+    robot may touch obstacles and the border, but not overlap them.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool.
-        radius: of the robot, in cells; 0.15 / 0.1 counts as 1.5.
+        radius: of the robot, in cells. Rounding errors of floats do not matter: 0.15 / 0.1, which
+            is less than 1.5, counts as 1.5.
 
     Returns:
         (H, W) uint8, 0 free and 1 occupied.
 
     Raises:
-        ValueError: what `clearance` refuses, or a radius that is not from 0 to 1,000,000.
+        ValueError: a grid that `clearance` refuses, or a radius that is not from 0 to 1,000,000.
 
     Source: Lozano-Pérez, "Spatial planning: a configuration space approach", 1983,
     https://doi.org/10.1109/TC.1983.1676196.
@@ -61,113 +62,137 @@ def inflate(grid: ArrayLike, radius: float) -> Bytes:
            [1, 0, 0, 1],
            [1, 1, 1, 1]], dtype=uint8)
     """
-    inflated = _binary(grid).copy()
-    inflate_all(inflated[None], least_squared(radius))
+    inflated = _binary_grid(grid).copy()
+    inflate_all(inflated[None], min_squared_clearance(radius))
     return inflated
 
 
-def _binary(grid: ArrayLike) -> Bytes:
+def _binary_grid(grid: ArrayLike) -> Bytes:
+    """Return ``grid`` (H, W) as uint8.
+
+    Raises:
+        ValueError: the grid is not 2-D, or holds other numbers than 0 and 1.
+    """
     cells = as_grid(grid, 2)
     if cells.max() > 1:
         raise ValueError(values_complaint(cells))
     return cells
 
 
-def least_squared(radius: float, resolution: float = 1.0) -> int:
-    """Return the clearance that a robot needs, in half cells, squared: a whole number.
+def min_squared_clearance(radius: float, resolution: float = 1.0) -> int:
+    """Return the clearance that a robot needs, squared, in squared half cells.
 
-    Clearances squared are whole numbers of squared half cells, so a radius that is off by the last
-    bits of a float, as 0.15 / 0.1 is, or of a float32, as a tensor's item is, has to be taken for
-    the number that it stands for.
+    Squared clearances are whole numbers of squared half cells. A radius may differ in the last bits
+    from the number that the user means, as 0.15 / 0.1 does, or as a float32 does that is read from
+    a tensor. So a needed clearance that is larger than a whole number by no more than such an error
+    counts as that number.
 
     Args:
         radius: of the robot.
-        resolution: what a cell measures, in the same unit.
+        resolution: size of a cell, in the same unit.
 
     Raises:
         ValueError: a radius that is not from 0 to 1,000,000 cells.
     """
-    cells = check_number("radius", radius) / resolution
-    if not 0 <= cells < 1e6:  # whose square is a whole number of 64 bits
+    radius_in_cells = check_number("radius", radius) / resolution
+    # Below this bound the square fits into an integer of 64 bits.
+    if not 0 <= radius_in_cells < 1e6:
         raise ValueError(
             f"radius: got {radius}, expected a number of at least 0, below 1,000,000 cells"
         )
-    # float32 numbers are off by 6e-8 of themselves, their squares by twice that
-    return math.ceil((2 * cells) ** 2 * (1 - 3e-7))
+    # The relative error of a float32 is up to 6e-8, and that of its square twice as much.
+    tolerance = 3e-7
+    return math.ceil((2 * radius_in_cells) ** 2 * (1 - tolerance))
 
 
 @kernel
 def clearances(grids: Bytes) -> Float32s:
-    """Return the clearance of each cell of each map, (B, H, W)."""
-    out = np.empty(grids.shape, np.float32)
+    """Return the clearance of each cell of each map, (B, H, W) float32, in cells."""
+    distances = np.empty(grids.shape, np.float32)
     squared = np.empty(grids.shape[1:], np.int32)
     for b in range(len(grids)):
-        _fill_squared(grids[b], squared)
+        _fill_squared_clearances(grids[b], squared)
         for row in range(grids.shape[1]):
             for column in range(grids.shape[2]):
-                out[b, row, column] = math.sqrt(squared[row, column]) / 2
-    return out
+                distances[b, row, column] = math.sqrt(squared[row, column]) / 2
+    return distances
 
 
 @kernel
-def inflate_all(grids: Bytes, least: Int) -> None:
-    """Occupy the cells of each map, (B, H, W), whose clearance is below `least_squared`."""
-    if least <= 1:
-        return  # any free cell has room for half a cell
+def inflate_all(grids: Bytes, min_squared: Int) -> None:
+    """Occupy the cells of each map, (B, H, W), whose clearance is too small.
+
+    ``min_squared`` is the smallest clearance that suffices, as `min_squared_clearance` returns it.
+    """
+    if min_squared <= 1:
+        return  # The clearance of a free cell is at least half a cell.
     squared = np.empty(grids.shape[1:], np.int32)
     for b in range(len(grids)):
-        _fill_squared(grids[b], squared)
+        _fill_squared_clearances(grids[b], squared)
         for row in range(grids.shape[1]):
             for column in range(grids.shape[2]):
-                if squared[row, column] < least:
+                if squared[row, column] < min_squared:
                     grids[b, row, column] = 1
 
 
 @kernel
-def _fill_squared(grid: Bytes, squared: Int32s) -> None:
-    """Write the squared clearance of each cell of a map, (H, W), in half cells.
+def _fill_squared_clearances(grid: Bytes, squared: Int32s) -> None:
+    """Write the squared clearance of each cell of a map, in squared half cells.
 
-    In half cells a cell k steps away begins 2 k - 1 from the middle of this one. So first comes the
-    gap in each column alone, by a pass down and one up, then the best of a row of such gaps: the
-    two passes of Rosenfeld and Pfaltz 1968 and of Saito and Toriwaki 1994, section 3,
+    A cell that is k cells away in the same row or column begins 2 k - 1 half cells from the middle
+    of a cell. First the clearance within each column alone is computed, by a pass down and a pass
+    up. The clearance in the plane is then the minimum over the columns of the map. These are the
+    two phases of Rosenfeld and Pfaltz 1968 and of Saito and Toriwaki 1994, section 3,
     https://doi.org/10.1016/0031-3203(94)90133-3.
+
+    Args:
+        grid: (H, W).
+        squared: (H, W), to be filled.
     """
     rows, columns = grid.shape
-    above = np.zeros(columns, np.int32)  # the border is an obstacle
+    # The clearance of each cell of the row above, from obstacles above it; 0 for the border.
+    clearance_above = np.zeros(columns, np.int32)
     for row in range(rows):
         for column in range(columns):
-            gap = 0 if grid[row, column] else _next(above[column])
-            squared[row, column] = gap
-            above[column] = gap
-    below = np.zeros(columns, np.int32)
+            distance = 0 if grid[row, column] else _next_distance(clearance_above[column])
+            squared[row, column] = distance
+            clearance_above[column] = distance
+    clearance_below = np.zeros(columns, np.int32)
     for row in range(rows - 1, -1, -1):
         for column in range(columns):
-            # no gap that is larger than a row can be the nearest, and its square has its limits
-            gap = min(squared[row, column], _next(below[column]), columns)
-            squared[row, column] = gap * gap
-            below[column] = gap
-    # The gaps of a row between two borders, as wide as any step away from one of its cells.
-    line = np.zeros(3 * columns, np.int32)
+            from_below = _next_distance(clearance_below[column])
+            # The border to the left or right is at most ``columns`` half cells away, so a larger
+            # distance does not matter, and its square might overflow.
+            distance = min(squared[row, column], from_below, columns)
+            squared[row, column] = distance * distance
+            clearance_below[column] = distance
+    # The squared clearances of a row within its columns. On either side zeros stand for the border,
+    # as many as the farthest column that is looked at.
+    padded_row = np.zeros(3 * columns, np.int32)
     for row in range(rows):
-        best = squared[row]
-        farthest = np.int32(0)
+        row_squared = squared[row]
+        max_squared = np.int32(0)
         for column in range(columns):
-            line[columns + column] = best[column]
-            farthest = max(farthest, best[column])
-        away = 1
-        # Farther columns cannot be nearer: their part of the way alone is longer.
-        while (2 * away - 1) ** 2 < farthest:
-            aside = np.int32((2 * away - 1) ** 2)
-            farthest = np.int32(0)
+            padded_row[columns + column] = row_squared[column]
+            max_squared = max(max_squared, row_squared[column])
+        column_distance = 1
+        # Farther columns cannot reduce any clearance: the distance to the column is too large.
+        while (2 * column_distance - 1) ** 2 < max_squared:
+            squared_horizontal = np.int32((2 * column_distance - 1) ** 2)
+            max_squared = np.int32(0)
             for column in range(columns):
-                left = line[columns + column - away]
-                right = line[columns + column + away]
-                best[column] = min(best[column], aside + min(left, right))
-                farthest = max(farthest, best[column])
-            away += 1
+                left = padded_row[columns + column - column_distance]
+                right = padded_row[columns + column + column_distance]
+                through_column = squared_horizontal + min(left, right)
+                row_squared[column] = min(row_squared[column], through_column)
+                max_squared = max(max_squared, row_squared[column])
+            column_distance += 1
 
 
 @inlined
-def _next(gap: Int) -> Int:
-    """Return the gap of a free cell whose neighbour has ``gap``: two half cells more."""
-    return gap + np.int32(2) if gap else np.int32(1)
+def _next_distance(distance: Int) -> Int:
+    """Return the clearance of a free cell within its column, from that of its neighbour.
+
+    It is two half cells more, or one half cell beside an obstacle, whose clearance is 0.
+    """
+    return distance + np.int32(2) if distance else np.int32(1)

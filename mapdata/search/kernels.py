@@ -1,27 +1,30 @@
-"""The search kernels: BFS, two A*, and shortest costs from one cell to all.
+"""The search kernels: BFS, three forms of A*, and the shortest costs from one cell to all.
 
-How they order the cells is part of the data (docs/format.md): BFS is first in, first out; A* pops
-the least f, among equal f the most recently pushed; neighbours come as N, E, S, W, NE, SE, SW, NW;
-a cell's parent changes only for a smaller g.
+The order in which they expand cells is part of the data format (docs/format.md). BFS is first in,
+first out. A* expands the cell of the smallest f, and among equal f the most recently pushed one.
+Neighbours come in the order N, E, S, W, NE, SE, SW, NW. A cell's parent changes only for a smaller
+g.
 
-A grid is a flat array with a wall around it, and a cell is its place in there
-(`mapdata.search.lattice`). A search keeps one byte a cell, in ``came``: WALL, UNSEEN, ROOT, or the
-move that led to the cell, 0 to 7, which gives its parent; A* adds CLOSED, 8, when it expands the
-cell. So ``came[cell] < CLOSED`` means that the cell is in the open list.
+A grid is a flat array with a wall around it, and a cell is its index in that array
+(`mapdata.search.lattice`). A search keeps one byte for each cell, in ``came_from``: WALL, UNSEEN,
+ROOT, or the move from 0 to 7 that led to the cell, from which its parent follows. A* sets the bit
+CLOSED, 8, when it expands the cell. So ``came_from[cell] < CLOSED`` means that the cell is in the
+open list.
 
 Two habits of these kernels look odd and are for speed:
 
 - Hot loops index by unsigned integers. numba lets a signed index count from the end, as Python
-  does, and tests its sign at each access. (uint64 with int64 would give float64, hence constants
-  like _ONE.)
-- A push is written to a log that is never shortened, and links between its entries make the stacks,
-  buckets and heaps. No entry moves or is changed when its cell gets a smaller g: the cell is pushed
-  again, and the older entry is dropped when it is popped. The log also says which cells a search
-  has touched, so `wipe` makes a grid ready for the next search without a pass over all of it.
+  does, and tests its sign at each access. Constants like _ONE exist because uint64 and int64
+  together would give float64.
+- A push is written to a log that is never shortened, and links between its entries form the stacks,
+  buckets and heaps. A push is the index of an entry in that log. No entry moves or changes when its
+  cell gets a smaller g: the cell is pushed again, and the older entry is dropped when it is popped.
+  The log also lists which cells a search has touched, so `wipe` makes a grid ready for the next
+  search without a pass over all of it.
 
-What searches write to, `Scratch`, has room for the most pushes that there can be: up to 137 bytes a
-cell. Only what a search touches becomes memory of the process, mostly 10 to 40 bytes for each cell
-that it expands and 1 for each cell of the grid.
+The memory that searches write to, `Scratch`, has room for the largest possible number of pushes: up
+to 137 bytes a cell. Only what a search touches becomes memory of the process, mostly 10 to 40 bytes
+for each cell that it expands and 1 for each cell of the grid.
 """
 
 from __future__ import annotations
@@ -37,17 +40,21 @@ from mapdata.search.lattice import (
     ASTAR,
     BFS,
     CLOSED,
-    FAR,
-    LONGEST,
+    CORNER_CUTTING,
+    INFINITY,
+    MAX_PATH_COST,
+    NO_CORNER_CUTTING,
+    NO_DIAGONALS,
     ROOT,
     UNIT,
     UNIT_BITS,
     UNSEEN,
     WALL,
+    CostWeights,
     Lattice,
-    Rule,
-    Weights,
+    MoveRule,
     cell_at,
+    count_path_cells,
     heuristic,
     in_cells,
     is_binary,
@@ -59,36 +66,36 @@ from mapdata.search.lattice import (
 
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
+
 _MOVE = np.uint8(7)
-"""The bits of ``came`` that hold the move."""
+"""The bits of ``came_from`` that hold the move."""
 
-_SLICE_BITS = UNIT_BITS - 6
-"""A bucket of `best_first` is a slice of f, 1/64 of a straight move wide."""
+_BUCKET_BITS = UNIT_BITS - 6
+"""A bucket of `best_first_buckets` covers an interval of f 1/64 of a straight move wide."""
 
-_SLICES = 256
-"""So many buckets cover 4 straight moves: more than f grows by at once, 2 sqrt(2)."""
+_BUCKETS = 256
+"""The buckets together cover 4 straight moves, more than f grows by at once, which is 2 sqrt(2)."""
 
 _TOO_LONG = (
-    f"the grid has paths of {LONGEST} cells or more, for which costs are not exact: expected a "
-    "coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
+    f"the grid has paths of {MAX_PATH_COST} cells or more, for which costs are not exact: expected "
+    "a coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
 )
 
 
 class Scratch(NamedTuple):
-    """What searches write to, one after another.
+    """The memory that searches write to, one after another.
 
-    Kernels take its arrays by name: to unpack it counts references of all five.
+    Kernels read its arrays by name, because unpacking it would count references of all five.
 
     Attributes:
-        came: (cells,) uint8: WALL, UNSEEN, or the move that led to a cell.
-        g: (cells,) cost of the best path to a cell so far; valid where ``came`` holds a move.
-        pushed: (pushes,) the log: cells, in the order in which they were pushed.
-        links: (pushes,) a heap of pushes, or for each push the next one of its list.
-        f: (pushes,) priorities of the pushes, or of those in the heap; empty where a search needs
-            none.
+        came_from: (cells,) uint8: WALL, UNSEEN, ROOT, or the move that led to a cell.
+        g: (cells,) cost of the best path to a cell so far; valid where ``came_from`` holds a move.
+        pushed: (pushes,) the log: padded cells, in the order in which they were pushed.
+        links: (pushes,) for each push the next one of its list; or a heap of pushes.
+        f: (pushes,) priorities of the pushes, or of those in the heap; empty if there is no f.
     """
 
-    came: Bytes
+    came_from: Bytes
     g: Ints
     pushed: UInt32s
     links: UInt32s
@@ -99,77 +106,92 @@ class Scratch(NamedTuple):
 
 
 @kernel
-def flood(start: Int, targets: Ints, lattice: Lattice, buffers: Scratch) -> Int:
-    """Breadth-first search from ``start`` until all ``targets`` (if any) are seen.
+def flood(start: Int, targets: Ints, lattice: Lattice, scratch: Scratch) -> Int:
+    """Run breadth-first search from ``start`` until all ``targets``, if any, are seen.
 
-    Returns how many cells are in ``pushed``, in the order in which they are expanded; the last
-    level may be longer than the search for one target needs.
+    Args:
+        start: padded cell.
+        targets: (n,) padded cells; without any, all cells that can be reached are seen.
+        lattice: of the map.
+        scratch: with the map loaded in ``came_from``.
+
+    Returns:
+        How many cells are in ``scratch.pushed``, in the order in which they are expanded. There may
+        be cells of a few more levels than the targets demand.
     """
-    came = buffers.came
-    queue = buffers.pushed
+    came_from = scratch.came_from
+    queue = scratch.pushed
     stride = np.uint64(lattice.stride)
     head = _ZERO
     tail = _ONE
     level = 0
     queue[0] = start
-    came[start] = ROOT
+    came_from[start] = ROOT
     while head < tail:
         # Level by level, so that targets are looked for between levels and not at each cell.
         level_end = tail
         while head < level_end:
             cell = np.uint64(queue[head])
             head += _ONE
-            tail = _enqueue(came, queue, tail, cell - stride, 0)
-            tail = _enqueue(came, queue, tail, cell + _ONE, 1)
-            tail = _enqueue(came, queue, tail, cell + stride, 2)
-            tail = _enqueue(came, queue, tail, cell - _ONE, 3)
+            tail = _enqueue(came_from, queue, tail, cell - stride, 0)
+            tail = _enqueue(came_from, queue, tail, cell + _ONE, 1)
+            tail = _enqueue(came_from, queue, tail, cell + stride, 2)
+            tail = _enqueue(came_from, queue, tail, cell - _ONE, 3)
             if lattice.diagonals:
-                # The corner rule of `is_legal`, with each neighbour read once: a third of the time.
-                north = came[cell - stride] != WALL
-                east = came[cell + _ONE] != WALL
-                south = came[cell + stride] != WALL
-                west = came[cell - _ONE] != WALL
-                cut = lattice.diagonals == 2
-                if cut or (north and east):
-                    tail = _enqueue(came, queue, tail, cell - stride + _ONE, 4)
-                if cut or (south and east):
-                    tail = _enqueue(came, queue, tail, cell + stride + _ONE, 5)
-                if cut or (south and west):
-                    tail = _enqueue(came, queue, tail, cell + stride - _ONE, 6)
-                if cut or (north and west):
-                    tail = _enqueue(came, queue, tail, cell - stride - _ONE, 7)
+                # This copy of the corner rule of `is_legal` reads each neighbour once, which takes
+                # a third of the time.
+                north_free = came_from[cell - stride] != WALL
+                east_free = came_from[cell + _ONE] != WALL
+                south_free = came_from[cell + stride] != WALL
+                west_free = came_from[cell - _ONE] != WALL
+                may_cut = lattice.diagonals == CORNER_CUTTING
+                if may_cut or (north_free and east_free):
+                    tail = _enqueue(came_from, queue, tail, cell - stride + _ONE, 4)
+                if may_cut or (south_free and east_free):
+                    tail = _enqueue(came_from, queue, tail, cell + stride + _ONE, 5)
+                if may_cut or (south_free and west_free):
+                    tail = _enqueue(came_from, queue, tail, cell + stride - _ONE, 6)
+                if may_cut or (north_free and west_free):
+                    tail = _enqueue(came_from, queue, tail, cell - stride - _ONE, 7)
         level += 1
-        # After every eighth level only: a few levels too many cost less than to look each time.
-        if level & 7 == 0 and len(targets) and _all_seen(came, targets):
+        # Targets are looked for after every eighth level: a few levels too many cost less than to
+        # look after each.
+        if level & 7 == 0 and len(targets) and _all_seen(came_from, targets):
             break
     return np.int64(tail)
 
 
 @inlined
-def _enqueue(came: Bytes, queue: UInt32s, tail: np.uint64, cell: np.uint64, move: Int) -> np.uint64:
+def _enqueue(
+    came_from: Bytes, queue: UInt32s, tail: np.uint64, cell: np.uint64, move: Int
+) -> np.uint64:
     """Append ``cell`` to the queue if it is unseen; return the new tail.
 
-    Without a branch, which the processor would often guess wrong: the cell is always stored, and
-    the next one overwrites it unless the tail moves on.
+    There is no branch, which the processor would often predict wrongly: the cell is always stored,
+    and the next one overwrites it unless the tail moves on.
     """
-    before = came[cell]
-    unseen = before == UNSEEN
+    state = came_from[cell]
+    is_unseen = state == UNSEEN
     queue[tail] = cell
-    came[cell] = np.uint8(move) if unseen else before
-    return tail + (_ONE if unseen else _ZERO)
+    came_from[cell] = np.uint8(move) if is_unseen else state
+    return tail + (_ONE if is_unseen else _ZERO)
 
 
 @inlined
-def _all_seen(came: Bytes, targets: Ints) -> Int:
+def _all_seen(came_from: Bytes, targets: Ints) -> Int:
+    """Return whether the search has seen all ``targets`` (n,), padded cells."""
     for target in targets:  # noqa: SIM110  (numba has no all() over a generator)
-        if came[target] == UNSEEN:
+        if came_from[target] == UNSEEN:
             return False
     return True
 
 
 @kernel
 def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
-    """Return how many of the ``count`` cells in ``queue`` are expanded up to ``goal``, or all."""
+    """Return how many of the first ``count`` cells in ``queue`` BFS expands to find ``goal``.
+
+    That is the goal's position in the queue, counted from 1, or ``count`` if it is not there.
+    """
     for k in range(count):
         if queue[np.uint64(k)] == goal:
             return k + 1
@@ -177,237 +199,328 @@ def expansions_until(queue: UInt32s, count: Int, goal: Int) -> Int:
 
 
 @kernel
-def astar_manhattan(start: Int, goal: Int, lattice: Lattice, buffers: Scratch) -> tuple[Int, Int]:
-    """A* with 4-connected moves and the Manhattan heuristic; return (iterations, pushes).
+def astar_manhattan(start: Int, goal: Int, lattice: Lattice, scratch: Scratch) -> tuple[Int, Int]:
+    """Run A* with 4-connected moves and the Manhattan heuristic.
 
-    Two stacks are the open list, and no heap is needed. A step adds 1 to g and changes h by 1, so f
-    stays as it is (a step closer to the goal) or grows by 2 (a step away). While cells of one f are
-    expanded, the open list holds only that f (``near``) and f + 2 (``far``); once ``near`` is
-    empty, ``far`` takes its place. Within one f the top of the stack is the latest push, so the
-    order is exactly that of a heap which prefers the latest push among equal f.
+    Two stacks are the open list, and no heap is needed. A move adds 1 to g and changes h by 1, so f
+    either stays as it is, after a move closer to the goal, or grows by 2, after a move away from
+    it. While cells of one f are expanded, the open list holds only that f, in the ``near`` stack,
+    and f + 2, in the ``far`` stack. Once the near stack is empty, the far stack takes its place.
+    Within one f the top of the stack is the latest push, so the order is exactly that of a heap
+    which prefers the latest push among equal f.
 
-    Both stacks are lists through the log: ``near`` and ``far`` are the numbers of their top pushes,
-    ``links`` leads from a push to the one below it. Push 0 does not exist, so that a link of 0 ends
-    a list. ``g`` counts moves and needs no content before.
+    Both stacks are lists through the log: ``near_top`` and ``far_top`` are pushes, and ``links``
+    leads from a push to the one below it. Push 0 does not exist, so a link of 0 ends a list. ``g``
+    counts moves and needs no content before the search.
+
+    Args:
+        start: padded cell, free.
+        goal: padded cell, free.
+        lattice: of the map, without diagonals.
+        scratch: with the map loaded in ``came_from``.
+
+    Returns:
+        The number of expansions, and the number of pushes plus 1, as `wipe` takes it.
     """
-    came = buffers.came
-    g = buffers.g
-    pushed = buffers.pushed
-    links = buffers.links
-    # 32 bits hold every cell, and are divided faster than 64.
+    came_from = scratch.came_from
+    g = scratch.g
+    pushed = scratch.pushed
+    links = scratch.links
+    # Every cell fits into 32 bits, whose division is faster than that of 64 bits.
     stride = np.uint32(lattice.stride)
     target = np.uint32(goal)
     goal_row = target // stride
     goal_column = target - goal_row * stride
-    near = np.uint32(1)
-    far = np.uint32(0)
+    near_top = np.uint32(1)
+    far_top = np.uint32(0)
     pushes = np.uint32(2)
     expansions = 0
     pushed[1] = start
     links[1] = 0
-    came[start] = 0  # any move: a path is traced back only as far as its start
+    came_from[start] = 0  # Any move will do: a path is traced back only as far as its start.
     g[start] = 0
     while True:
-        if near == 0:
-            if far == 0:
+        if near_top == 0:
+            if far_top == 0:
                 return expansions, np.int64(pushes)
-            near = far
-            far = np.uint32(0)
-        cell = pushed[near]
-        near = links[near]
-        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
-        if came[cell] & CLOSED:
+            near_top = far_top
+            far_top = np.uint32(0)
+        cell = pushed[near_top]
+        near_top = links[near_top]
+        # A closed cell was pushed again with a smaller f and expanded then.
+        if came_from[cell] & CLOSED:
             continue
-        came[cell] |= CLOSED
+        came_from[cell] |= CLOSED
         expansions += 1
         if cell == target:
             return expansions, np.int64(pushes)
-        tentative = g[cell] + 1
+        tentative_g = g[cell] + 1
         row = cell // stride
         column = cell - row * stride
         for move in range(4):
             if move == 0:
-                to = cell - stride
-                closer = row > goal_row
+                neighbour = cell - stride
+                is_closer = row > goal_row
             elif move == 1:
-                to = cell + np.uint32(1)
-                closer = column < goal_column
+                neighbour = cell + np.uint32(1)
+                is_closer = column < goal_column
             elif move == 2:
-                to = cell + stride
-                closer = row < goal_row
+                neighbour = cell + stride
+                is_closer = row < goal_row
             else:
-                to = cell - np.uint32(1)
-                closer = column > goal_column
-            before = came[to]
-            if before == UNSEEN or (before < CLOSED and g[to] > tentative):
-                came[to] = move
-                g[to] = tentative
-                pushed[pushes] = to
-                if closer:
-                    links[pushes] = near
-                    near = pushes
+                neighbour = cell - np.uint32(1)
+                is_closer = column > goal_column
+            state = came_from[neighbour]
+            if state == UNSEEN or (state < CLOSED and g[neighbour] > tentative_g):
+                came_from[neighbour] = move
+                g[neighbour] = tentative_g
+                pushed[pushes] = neighbour
+                if is_closer:
+                    links[pushes] = near_top
+                    near_top = pushes
                 else:
-                    links[pushes] = far
-                    far = pushes
+                    links[pushes] = far_top
+                    far_top = pushes
                 pushes += np.uint32(1)
 
 
 @inlined
-def wipe(buffers: Scratch, pushes: Int) -> None:
-    """Make ``came`` fresh again after an A*: every cell that it changed is in the log."""
-    came = buffers.came
-    pushed = buffers.pushed
+def wipe(scratch: Scratch, pushes: Int) -> None:
+    """Make ``came_from`` fresh again after an A*, whose log lists every cell that it changed.
+
+    ``pushes`` is the second number that the search returned: one past the last entry of the log.
+    """
+    came_from = scratch.came_from
+    pushed = scratch.pushed
     for k in range(1, pushes):
-        came[np.uint64(pushed[np.uint64(k)])] = UNSEEN
+        came_from[np.uint64(pushed[np.uint64(k)])] = UNSEEN
 
 
 @kernel
-def best_first(
-    start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch
+def best_first_buckets(
+    start: Int, goal: Int, lattice: Lattice, scratch: Scratch
 ) -> tuple[Int, Int]:
-    """A* with any moves and weights; return (iterations, pushes). ``g`` is in 1 / UNIT.
+    """Run A* with diagonal moves: the open list is a ring of buckets.
 
-    With weights, f may fall, and the open list is the textbook's binary heap: ``links``, of the
-    numbers of pushes, and ``f``, their priorities.
+    With an admissible and consistent heuristic f never falls along a path, so no heap is needed, as
+    in `astar_manhattan`. A move adds one of few numbers to f: 0, 2 - sqrt(2), 2 sqrt(2) - 2,
+    sqrt(2), 2 or 2 sqrt(2); where diagonals cost 1, it adds 0, 1 or 2. So a push goes
 
-    Without, f never falls, and as in `astar_manhattan` no heap is needed. A move adds one of few
-    values to f: 0, 2 - sqrt(2), 2 sqrt(2) - 2, sqrt(2), 2 or 2 sqrt(2); where diagonals cost 1, 0,
-    1 or 2. So a push goes
+    - on top of the current stack, which holds the pushes whose f is being expanded, if it has that
+      f: being the latest push, it is the next to be expanded;
+    - else on top of the bucket of its f. A bucket is a stack of pushes in a narrow interval of f,
+      so narrow that such a push never belongs to the interval that is being expanded.
 
-    - on top of ``near``, the stack of pushes whose f is being expanded, if it has that f: being the
-      latest, it is the next to be expanded;
-    - else on top of the bucket of its f, one of a ring. A bucket is the stack of a slice of f, thin
-      enough that such a push never belongs to the slice that is being expanded.
+    Once the current stack is empty, the pushes of the smallest f in the next bucket become it, in
+    their order. Mostly they are the whole bucket, since few values of f are closer to each other
+    than an interval is wide.
 
-    Once ``near`` is empty, those of the least f in the nearest bucket become it, in their order.
-    Mostly they are the whole bucket, since few values of f are closer than a slice is wide.
+    Stacks are lists through the log, as in `astar_manhattan`. ``g`` and ``f`` are in 1 / UNIT.
+
+    Args:
+        start: padded cell, free.
+        goal: padded cell, free.
+        lattice: of the map.
+        scratch: with the map loaded in ``came_from``.
+
+    Returns:
+        The number of expansions, and the number of pushes plus 1, as `wipe` takes it.
+
+    Raises:
+        ValueError: a path is too long for exact costs.
     """
-    came = buffers.came
-    g = buffers.g
-    pushed = buffers.pushed
-    links = buffers.links
-    f = buffers.f
-    g_weight, h_weight = search
+    came_from = scratch.came_from
+    g = scratch.g
+    pushed = scratch.pushed
+    links = scratch.links
+    f = scratch.f
     goal_row, goal_column = position(goal, lattice)
     row, column = position(start, lattice)
-    least = heuristic(row - goal_row, column - goal_column, lattice)  # the f of ``near``
-    slot = np.uint8(least >> _SLICE_BITS)  # the bucket of that f: 8 bits go around the ring
-    buckets = np.zeros(_SLICES, np.uint32)
-    size = 0  # of the heap
-    came[start] = 0  # any move: a path is traced back only as far as its start
+    current_f = heuristic(row - goal_row, column - goal_column, lattice)
+    bucket = np.uint8(current_f >> _BUCKET_BITS)  # Arithmetic with 8 bits goes around the ring.
+    bucket_tops = np.zeros(_BUCKETS, np.uint32)
+    came_from[start] = 0  # Any move will do: a path is traced back only as far as its start.
     g[start] = 0
     pushed[1] = start
     links[1] = 0
-    near = np.uint32(1)
+    current_top = np.uint32(1)
     pushes = np.uint32(2)
     expansions = 0
     while True:
-        if near:
-            cell = pushed[near]
-            near = links[near]
-        elif search != ASTAR:
-            if size == 0:
+        if current_top == 0:
+            empty_buckets = 0
+            while empty_buckets < _BUCKETS and bucket_tops[bucket] == 0:
+                bucket = np.uint8(bucket + 1)
+                empty_buckets += 1
+            if empty_buckets == _BUCKETS:
                 break
-            cell = pushed[np.uint64(links[0])]
-            size -= 1
-            _remove_top(links, f, size)
-        else:
-            empty = 0
-            while empty < _SLICES and buckets[slot] == 0:
-                slot = np.uint8(slot + 1)
-                empty += 1
-            if empty == _SLICES:
-                break
-            near, buckets[slot], least = _split(buckets[slot], links, f)
+            current_top, bucket_tops[bucket], current_f = _split_bucket(
+                bucket_tops[bucket], links, f
+            )
+        cell = pushed[current_top]
+        current_top = links[current_top]
+        # A closed cell was pushed again with a smaller f and expanded then.
+        if came_from[cell] & CLOSED:
             continue
-        # It was pushed again with a smaller g, and so a smaller f, and expanded then.
-        if came[cell] & CLOSED:
-            continue
-        came[cell] |= CLOSED
+        came_from[cell] |= CLOSED
         expansions += 1
         if cell == goal:
             break
         cost = g[cell]
-        if cost >= LONGEST * UNIT:
+        if cost >= MAX_PATH_COST * UNIT:
             raise ValueError(_TOO_LONG)
         row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
-            to = np.uint64(cell + lattice.offsets[move])
-            tentative = cost + (UNIT if move < 4 else lattice.step)
-            before = came[to]
-            # First what most neighbours fail: only the corners of the others need a look.
-            if before == WALL or (before != UNSEEN and g[to] <= tentative):
+            neighbour = np.uint64(cell + lattice.offsets[move])
+            tentative_g = cost + (UNIT if move < 4 else lattice.diagonal_cost)
+            state = came_from[neighbour]
+            # Most neighbours fail this test, so that corners are looked at for few of them. Closed
+            # cells always fail it, because the heuristic is consistent.
+            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
                 continue
-            if not is_legal(came, cell, move, lattice):
+            if not is_legal(came_from, cell, move, lattice):
                 continue
-            if before != UNSEEN and before >= CLOSED:
-                # Expanded before a shorter way to it was found, which happens under other weights
-                # than those of A*: it takes the shorter way, and is not expanded again.
-                came[to] = move | CLOSED
-                g[to] = tentative
-                continue
-            rows = row + STEPS[move, 0] - goal_row
-            columns = column + STEPS[move, 1] - goal_column
-            h = heuristic(rows, columns, lattice)
-            came[to] = move
-            g[to] = tentative
-            pushed[pushes] = to
-            if search != ASTAR:
-                if h_weight != 1:  # a float would round large h
-                    h = np.int64(h_weight * h)
-                _insert(links, f, size, pushes, g_weight * tentative + h)
-                size += 1
-            elif tentative + h == least:
-                links[pushes] = near
-                near = pushes
+            rows_to_goal = row + STEPS[move, 0] - goal_row
+            columns_to_goal = column + STEPS[move, 1] - goal_column
+            neighbour_f = tentative_g + heuristic(rows_to_goal, columns_to_goal, lattice)
+            came_from[neighbour] = move
+            g[neighbour] = tentative_g
+            pushed[pushes] = neighbour
+            if neighbour_f == current_f:
+                links[pushes] = current_top
+                current_top = pushes
             else:
-                f[pushes] = tentative + h
-                ahead = np.uint8((tentative + h) >> _SLICE_BITS)
-                links[pushes] = buckets[ahead]
-                buckets[ahead] = pushes
+                f[pushes] = neighbour_f
+                neighbour_bucket = np.uint8(neighbour_f >> _BUCKET_BITS)
+                links[pushes] = bucket_tops[neighbour_bucket]
+                bucket_tops[neighbour_bucket] = pushes
+            pushes += np.uint32(1)
+    return expansions, np.int64(pushes)
+
+
+@kernel
+def best_first_heap(
+    start: Int, goal: Int, weights: CostWeights, lattice: Lattice, scratch: Scratch
+) -> tuple[Int, Int]:
+    """Run best-first search with any moves and weights: the open list is a binary heap.
+
+    With weights f may fall along a path, so the buckets of `best_first_buckets` do not serve. The
+    heap is the textbook's: ``links`` holds its pushes, and ``f`` their priorities. ``g`` is in 1 /
+    UNIT.
+
+    Args:
+        start: padded cell, free.
+        goal: padded cell, free.
+        weights: of g and h in f; not BFS.
+        lattice: of the map.
+        scratch: with the map loaded in ``came_from``.
+
+    Returns:
+        The number of expansions, and the number of pushes plus 1, as `wipe` takes it.
+
+    Raises:
+        ValueError: a path is too long for exact costs.
+    """
+    came_from = scratch.came_from
+    g = scratch.g
+    pushed = scratch.pushed
+    heap = scratch.links
+    f = scratch.f
+    g_weight, h_weight = weights
+    goal_row, goal_column = position(goal, lattice)
+    came_from[start] = 0  # Any move will do: a path is traced back only as far as its start.
+    g[start] = 0
+    pushed[1] = start
+    heap[0] = 1
+    f[0] = 0  # The start is alone in the heap, so its priority does not matter.
+    heap_size = 1
+    pushes = np.uint32(2)
+    expansions = 0
+    while heap_size:
+        cell = pushed[np.uint64(heap[0])]
+        heap_size -= 1
+        _remove_top(heap, f, heap_size)
+        # A closed cell was pushed again with a smaller f and expanded then.
+        if came_from[cell] & CLOSED:
+            continue
+        came_from[cell] |= CLOSED
+        expansions += 1
+        if cell == goal:
+            break
+        cost = g[cell]
+        if cost >= MAX_PATH_COST * UNIT:
+            raise ValueError(_TOO_LONG)
+        row, column = position(cell, lattice)
+        for move in range(len(lattice.offsets)):
+            neighbour = np.uint64(cell + lattice.offsets[move])
+            tentative_g = cost + (UNIT if move < 4 else lattice.diagonal_cost)
+            state = came_from[neighbour]
+            # Most neighbours fail this test, so that corners are looked at for few of them.
+            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
+                continue
+            if not is_legal(came_from, cell, move, lattice):
+                continue
+            if state != UNSEEN and state >= CLOSED:
+                # The cell was expanded before a shorter path to it was found, which happens under
+                # weights other than those of A*. It takes the shorter path and is not expanded
+                # again.
+                came_from[neighbour] = move | CLOSED
+                g[neighbour] = tentative_g
+                continue
+            rows_to_goal = row + STEPS[move, 0] - goal_row
+            columns_to_goal = column + STEPS[move, 1] - goal_column
+            h = heuristic(rows_to_goal, columns_to_goal, lattice)
+            if h_weight != 1:  # Multiplied by the float 1.0, a large h would be rounded.
+                h = np.int64(h_weight * h)
+            came_from[neighbour] = move
+            g[neighbour] = tentative_g
+            pushed[pushes] = neighbour
+            _insert(heap, f, heap_size, pushes, g_weight * tentative_g + h)
+            heap_size += 1
             pushes += np.uint32(1)
     return expansions, np.int64(pushes)
 
 
 @inlined
-def _split(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
-    """Split the stack below push ``top`` into pushes of the least f and others, both in order.
+def _split_bucket(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
+    """Split the stack below push ``top`` into the pushes of the smallest f and all others.
 
-    Returns the top of each, 0 if it is empty, and the least f.
+    Both stacks keep the order of the pushes. Returns the top of each, 0 if it is empty, and the
+    smallest f.
     """
-    # Turned upside down first, so that moving push by push restores the order.
-    least = f[top]
-    bottom = np.uint32(0)
+    # Moving the pushes to other stacks reverses their order, so the stack is reversed first.
+    min_f = f[top]
+    reversed_top = np.uint32(0)
     while top:
-        below = links[top]
-        least = min(least, f[top])
-        links[top] = bottom
-        bottom = top
-        top = below
-    near = np.uint32(0)
-    rest = np.uint32(0)
-    while bottom:
-        above = links[bottom]
-        if f[bottom] == least:
-            links[bottom] = near
-            near = bottom
+        next_push = links[top]
+        min_f = min(min_f, f[top])
+        links[top] = reversed_top
+        reversed_top = top
+        top = next_push
+    min_f_top = np.uint32(0)
+    larger_f_top = np.uint32(0)
+    while reversed_top:
+        next_push = links[reversed_top]
+        if f[reversed_top] == min_f:
+            links[reversed_top] = min_f_top
+            min_f_top = reversed_top
         else:
-            links[bottom] = rest
-            rest = bottom
-        bottom = above
-    return near, rest, least
+            links[reversed_top] = larger_f_top
+            larger_f_top = reversed_top
+        reversed_top = next_push
+    return min_f_top, larger_f_top, min_f
 
 
 @inlined
 def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
     """Remove the top of a heap, in which ``size`` entries are left.
 
-    The last entry goes to the top and sinks to its place. An entry is above another if its f is
-    less, or equal and its push later.
+    The last entry moves to the top and sinks to its position. An entry belongs above another one if
+    its f is smaller, or if f is equal and its push is later.
     """
-    last = heap[size]
-    key = f[size]
-    at = 0
+    last_push = heap[size]
+    last_f = f[size]
+    hole = 0
     child = 1
     while child < size:
         right = child + 1
@@ -415,41 +528,47 @@ def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
             f[right] < f[child] or (f[right] == f[child] and heap[right] > heap[child])
         ):
             child = right
-        if key < f[child] or (key == f[child] and last > heap[child]):
+        if last_f < f[child] or (last_f == f[child] and last_push > heap[child]):
             break
-        f[at] = f[child]
-        heap[at] = heap[child]
-        at = child
+        f[hole] = f[child]
+        heap[hole] = heap[child]
+        hole = child
         child = 2 * child + 1
-    f[at] = key
-    heap[at] = last
+    f[hole] = last_f
+    heap[hole] = last_push
 
 
 @inlined
-def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, key: Int) -> None:
-    """Insert the latest ``push`` into a heap of ``size`` entries: it rises past equal f, too."""
-    at = size
-    while at:
-        above = (at - 1) >> 1
-        if f[above] < key:
+def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, push_f: Int) -> None:
+    """Insert ``push``, the latest of all, into a heap of ``size`` entries.
+
+    It also rises past entries of equal f, since it is later than they are.
+    """
+    hole = size
+    while hole:
+        parent = (hole - 1) >> 1
+        if f[parent] < push_f:
             break
-        f[at] = f[above]
-        heap[at] = heap[above]
-        at = above
-    f[at] = key
-    heap[at] = push
+        f[hole] = f[parent]
+        heap[hole] = heap[parent]
+        hole = parent
+    f[hole] = push_f
+    heap[hole] = push
 
 
 @kernel
-def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[Int, Int]:
-    """Return how many straight and diagonal moves led from ``start`` to ``goal``, or (-1, 0)."""
-    if came[goal] == UNSEEN:
+def count_moves(came_from: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[Int, Int]:
+    """Return how many straight and diagonal moves led from ``start`` to ``goal``.
+
+    Without a path, that is (-1, 0).
+    """
+    if came_from[goal] == UNSEEN:
         return -1, 0
     straight: Int = 0
     diagonal: Int = 0
     cell = goal
     while cell != start:
-        move = np.uint64(came[np.uint64(cell)] & _MOVE)
+        move = np.uint64(came_from[np.uint64(cell)] & _MOVE)
         if move < 4:
             straight += 1
         else:
@@ -460,34 +579,37 @@ def count_moves(came: Bytes, start: Int, goal: Int, lattice: Lattice) -> tuple[I
 
 @kernel
 def write_moves(
-    came: Bytes, goal: Int, length: Int, lattice: Lattice, moves: Bytes, used: Int
+    came_from: Bytes, goal: Int, length: Int, lattice: Lattice, moves: Bytes, used: Int
 ) -> None:
     """Write the ``length`` moves of a path that ends at ``goal`` to ``moves[used:]``."""
     cell = goal
     for k in range(used + length - 1, used - 1, -1):
-        move = np.uint64(came[np.uint64(cell)] & _MOVE)
+        move = np.uint64(came_from[np.uint64(cell)] & _MOVE)
         moves[k] = move
         cell -= lattice.offsets[move]
 
 
 @kernel
-def write_cells(came: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
-    """Write the cells of a path that ends at ``goal``, as many as ``path`` (k, 2) holds."""
+def write_cells(came_from: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
+    """Write the cells of a path that ends at ``goal`` to ``path`` (k, 2), k of them."""
     cell = goal
     for k in range(len(path) - 1, -1, -1):
         path[k, 0], path[k, 1] = position(cell, lattice)
         if k:
-            cell -= lattice.offsets[np.uint64(came[np.uint64(cell)] & _MOVE)]
+            cell -= lattice.offsets[np.uint64(came_from[np.uint64(cell)] & _MOVE)]
 
 
 @kernel
-def with_capacity(cells: Ints, used: Int, more: Int) -> Ints:
-    """Return ``cells`` (n, 2), or a larger copy of the ``used`` ones with room for ``more``."""
-    if used + more <= len(cells):
+def with_capacity(cells: Ints, used: Int, extra: Int) -> Ints:
+    """Return ``cells`` (n, 2) if it has room for ``extra`` rows after the first ``used`` ones.
+
+    Otherwise return a larger array that begins with a copy of the used rows.
+    """
+    if used + extra <= len(cells):
         return cells
-    larger = np.empty((2 * (used + more), 2), np.int64)
+    larger = np.empty((2 * (used + extra), 2), np.int64)
     for k in range(used):
-        # To assign whole rows would compile numba's error message about shapes, for two seconds.
+        # Assigning whole rows would compile numba's error message about shapes, for two seconds.
         larger[k, 0] = cells[k, 0]
         larger[k, 1] = cells[k, 1]
     return larger
@@ -496,293 +618,368 @@ def with_capacity(cells: Ints, used: Int, more: Int) -> Ints:
 # --- kernels: whole grids -----------------------------------------------------------------------
 
 
-def plain_scratch_in(memory: Bytes, lattice: Lattice) -> Scratch:
-    """Return what searches write to, in ``memory``: with room for as many pushes as fit in.
+def plain_scratch_view(memory: Bytes, lattice: Lattice) -> Scratch:
+    """Return a `Scratch` in ``memory`` with room for as many pushes as fit, without compiling.
 
-    Nothing is written yet: `load` makes ``came`` ready, and the rest needs no content.
+    Nothing is written yet: `load` fills ``came_from``, and the other arrays need no content.
     """
     cells = lattice.cells
+    # Each cell takes 1 byte in ``came_from`` and 8 in ``g``, each push 4 bytes in ``pushed``, 4 in
+    # ``links`` and 8 in ``f``.
     pushes = (len(memory) - 9 * cells) // 16
     # The widest items come first, so that all are aligned.
-    lists = 8 * (cells + pushes)
-    came = lists + 8 * pushes
-    wide = memory[:lists].view(np.int64)
-    narrow = memory[lists:came].view(np.uint32)
+    uint32s_begin = 8 * (cells + pushes)
+    bytes_begin = uint32s_begin + 8 * pushes
+    int64s = memory[:uint32s_begin].view(np.int64)
+    uint32s = memory[uint32s_begin:bytes_begin].view(np.uint32)
     return Scratch(
-        memory[came : came + cells], wide[:cells], narrow[:pushes], narrow[pushes:], wide[cells:]
+        memory[bytes_begin : bytes_begin + cells],
+        int64s[:cells],
+        uint32s[:pushes],
+        uint32s[pushes:],
+        int64s[cells:],
     )
 
 
-scratch_in = kernel(plain_scratch_in)
-"""The same for kernels; `plain_scratch_in` needs no compiling."""
+scratch_view = kernel(plain_scratch_view)
+"""`plain_scratch_view` as a kernel."""
 
 
-@kernel
-def scratch(search: Weights, lattice: Lattice) -> Scratch:
-    """Return what `find` writes to; for `shortest_costs`, that of ASTAR.
+def plain_scratch_bytes(max_pushes_per_cell: Int, cells: Int) -> Int:
+    """Return how many bytes a `Scratch` takes in which each cell is pushed up to so many times.
 
-    It is one block: of several, malloc would give some back to the system after each call.
+    `plain_scratch_view` explains the sizes. The last 32 bytes are for two more pushes: the start,
+    and push 0, which does not exist.
     """
-    # A cell is pushed at most once for each neighbour; 32 bytes are for the start, and for the
-    # entry 0 that does not exist.
-    pushes = 1 if search == BFS else len(lattice.offsets)
-    return scratch_in(np.empty((9 + 16 * pushes) * lattice.cells + 32, np.uint8), lattice)
+    return (9 + 16 * max_pushes_per_cell) * cells + 32
 
 
-def plain_scratch(lattice: Lattice) -> Scratch:
-    """Return what any search writes to, as `scratch` does, without compiling."""
-    pushes = len(lattice.offsets)
-    return plain_scratch_in(np.empty((9 + 16 * pushes) * lattice.cells + 32, np.uint8), lattice)
+scratch_bytes = inlined(plain_scratch_bytes)
+"""`plain_scratch_bytes` as a part of kernels."""
 
 
 @kernel
-def find(
-    start: Int, goal: Int, search: Weights, lattice: Lattice, buffers: Scratch
+def new_scratch(weights: CostWeights, lattice: Lattice) -> Scratch:
+    """Return memory for `solve_loaded` with these weights; for `shortest_costs`, use ASTAR.
+
+    It is one block, because malloc would give some of several blocks back to the system after each
+    call.
+    """
+    # BFS pushes a cell once, the other searches at most once from each neighbour.
+    max_pushes_per_cell = 1 if weights == BFS else len(lattice.offsets)
+    size = scratch_bytes(max_pushes_per_cell, lattice.cells)
+    return scratch_view(np.empty(size, np.uint8), lattice)
+
+
+def plain_new_scratch(lattice: Lattice) -> Scratch:
+    """Return memory for any search, as `new_scratch` does, without compiling."""
+    size = plain_scratch_bytes(len(lattice.offsets), lattice.cells)
+    return plain_scratch_view(np.empty(size, np.uint8), lattice)
+
+
+@kernel
+def solve_loaded(
+    start: Int, goal: Int, weights: CostWeights, lattice: Lattice, scratch: Scratch
 ) -> tuple[Int, Int, Int, Int]:
-    """Search one problem on a grid that is loaded.
+    """Search a path from ``start`` to ``goal``, padded cells, on a grid that is loaded.
 
-    Returns straight and diagonal moves or (-1, 0), iterations, pushes. BFS, which does not weigh
-    moves, counts all as straight. No cell is expanded if an end is occupied.
+    Returns:
+        Straight and diagonal moves, or (-1, 0) without a path; BFS, which does not weigh moves,
+        counts all of them as straight. Then expansions, 0 if an end is occupied, and pushes plus 1,
+        as `wipe` takes it.
     """
-    if buffers.came[start] == WALL or buffers.came[goal] == WALL:
-        return -1, 0, 0, 1  # nothing is pushed beside the entry 0
-    pushes = np.int64(0)
-    if search == BFS:
-        count = flood(start, np.full(1, goal), lattice, buffers)
-        expansions = expansions_until(buffers.pushed, count, goal)
-    elif search == ASTAR and lattice.diagonals == 0:
-        expansions, pushes = astar_manhattan(start, goal, lattice, buffers)
+    if scratch.came_from[start] == WALL or scratch.came_from[goal] == WALL:
+        return -1, 0, 0, 1
+    if weights == BFS:
+        queue_length = flood(start, np.full(1, goal), lattice, scratch)
+        expansions = expansions_until(scratch.pushed, queue_length, goal)
+        straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
+        return straight + diagonal, 0, expansions, np.int64(1)
+    if weights != ASTAR:
+        expansions, pushes = best_first_heap(start, goal, weights, lattice, scratch)
+    elif lattice.diagonals == NO_DIAGONALS:
+        expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
     else:
-        expansions, pushes = best_first(start, goal, search, lattice, buffers)
-    straight, diagonal = count_moves(buffers.came, start, goal, lattice)
-    if search == BFS:
-        return straight + diagonal, 0, expansions, pushes
+        expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
+    straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
     return straight, diagonal, expansions, pushes
 
 
 @kernel
-def solve_one(
+def solve_problem(
     grid: Bytes,
     start_row: Int,
     start_column: Int,
     goal_row: Int,
     goal_column: Int,
-    search: Weights,
-    rule: Rule,
+    weights: CostWeights,
+    rule: MoveRule,
     memory: Bytes,
 ) -> tuple[Ints, Int, Int, Int]:
-    """Search one problem; return its path, straight and diagonal moves, and iterations.
+    """Search one problem on ``grid`` (H, W), with ``memory`` for its `Scratch`.
 
-    The iterations are 0 if ``grid`` holds other values than 0 and 1, or if an end is occupied.
+    Returns:
+        The cells of the path, (k, 2) int64; straight and diagonal moves, (-1, 0) without a path;
+        expansions, 0 if an end is occupied or ``grid`` holds other numbers than 0 and 1.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch_in(memory, lattice)
-    bad = not load(grid, buffers.came)
-    if bad or grid[start_row, start_column] or grid[goal_row, goal_column]:
+    scratch = scratch_view(memory, lattice)
+    is_valid = load(grid, scratch.came_from)
+    if not is_valid or grid[start_row, start_column] or grid[goal_row, goal_column]:
         return np.empty((0, 2), np.int64), -1, 0, 0
     start = cell_at(start_row, start_column, lattice)
     goal = cell_at(goal_row, goal_column, lattice)
-    straight, diagonal, expansions, _ = find(start, goal, search, lattice, buffers)
-    path = np.empty((straight + diagonal + 1, 2), np.int64)
-    write_cells(buffers.came, goal, lattice, path)
+    straight, diagonal, expansions, _ = solve_loaded(start, goal, weights, lattice, scratch)
+    path = np.empty((count_path_cells(straight, diagonal), 2), np.int64)
+    write_cells(scratch.came_from, goal, lattice, path)
     return path, straight, diagonal, expansions
 
 
 @kernel
-def solve_all(
-    grids: Bytes, starts: Ints, goals: Ints, most: Int, search: Weights, rule: Rule, memory: Bytes
-) -> tuple[Ints, Ints, Int]:
-    """Search each problem k from ``starts[k]`` to ``goals[k]`` on ``grids[k]``, or on the one grid.
+def solve_problems(
+    grids: Bytes,
+    starts: Ints,
+    goals: Ints,
+    max_end_state: Int,
+    weights: CostWeights,
+    rule: MoveRule,
+    memory: Bytes,
+) -> tuple[Ints, Ints, Ints, Ints, Int]:
+    """Search problem b from ``starts[b]`` to ``goals[b]`` on ``grids[b]``, for B problems.
+
+    Args:
+        grids: (B, H, W), or (1, H, W) for a grid that all problems share.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        max_end_state: 0 if starts and goals have to be free, 1 if they may be occupied.
+        weights: which search.
+        rule: which moves are legal.
+        memory: for the `Scratch` of the search.
 
     Returns:
-        cells (M, 2), all paths one after another; found (B, 4): straight and diagonal moves or (-1,
-        0), iterations, and the end of the path in ``cells``; the number of problems solved before
-        one was found bad: an end outside or of a value above ``most``, other values than 0 and 1.
+        The cells (M, 2) of all paths, one after another; (B, 2) straight and diagonal moves, (-1,
+        0) without a path; (B,) expansions; (B + 1,) offsets of the paths in the cells; and the
+        number of problems solved, less than B if the next one is refused: an end is outside or
+        above ``max_end_state``, or the grid holds other numbers than 0 and 1.
     """
+    count = len(starts)
     lattice = lattice_of(grids.shape[1:], rule)
-    buffers = scratch_in(memory, lattice)
-    found = np.empty((len(starts), 4), np.int64)
-    path = np.empty((64 * len(starts) + 64, 2), np.int64)
+    scratch = scratch_view(memory, lattice)
+    moves = np.empty((count, 2), np.int64)
+    expansions = np.empty(count, np.int64)
+    offsets = np.zeros(count + 1, np.int64)
+    cells = np.empty((64 * count + 64, 2), np.int64)
     used = 0
-    for k in range(len(starts)):
-        grid = grids[k if len(grids) > 1 else 0]
-        # A* wipes what it wrote. BFS touches most of a grid, and copying it anew costs less.
-        stale = k == 0 or len(grids) > 1 or search == BFS
-        if stale and not load(grid, buffers.came):
-            return path, found, k
-        if not (is_inside(grid, starts[k], most) and is_inside(grid, goals[k], most)):
-            return path, found, k
-        start = cell_at(starts[k, 0], starts[k, 1], lattice)
-        goal = cell_at(goals[k, 0], goals[k, 1], lattice)
-        straight, diagonal, expansions, pushes = find(start, goal, search, lattice, buffers)
-        length = straight + diagonal + 1  # no path: -1 + 0 + 1 cells
-        path = with_capacity(path, used, length)
-        write_cells(buffers.came, goal, lattice, path[used : used + length])
+    for b in range(count):
+        grid = grids[b if len(grids) > 1 else 0]
+        # A* wipes what it wrote. BFS touches most of a grid, so that copying it anew costs less.
+        must_load = b == 0 or len(grids) > 1 or weights == BFS
+        if must_load and not load(grid, scratch.came_from):
+            return cells, moves, expansions, offsets, b
+        if not is_usable_end(grid, starts[b], max_end_state) or not is_usable_end(
+            grid, goals[b], max_end_state
+        ):
+            return cells, moves, expansions, offsets, b
+        start = cell_at(starts[b, 0], starts[b, 1], lattice)
+        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
+        moves[b, 0], moves[b, 1], expansions[b], pushes = solve_loaded(
+            start, goal, weights, lattice, scratch
+        )
+        length = count_path_cells(moves[b, 0], moves[b, 1])
+        cells = with_capacity(cells, used, length)
+        write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
         used += length
-        found[k, 0] = straight
-        found[k, 1] = diagonal
-        found[k, 2] = expansions
-        found[k, 3] = used
-        if search != BFS:
-            wipe(buffers, pushes)
-    return path[:used], found, len(starts)
+        offsets[b + 1] = used
+        if weights != BFS:
+            wipe(scratch, pushes)
+    return cells[:used], moves, expansions, offsets, count
 
 
 @inlined
-def is_inside(grid: Bytes, cell: Ints, most: Int) -> Int:
-    """Return whether ``cell`` (row, col) is inside ``grid``, with a value of at most ``most``."""
-    row = cell[0]  # to unpack an array takes long to compile
+def is_usable_end(grid: Bytes, cell: Ints, max_state: Int) -> Int:
+    """Return whether ``cell`` (row, col) is inside ``grid`` and holds at most ``max_state``."""
+    row = cell[0]  # Unpacking an array takes long to compile.
     column = cell[1]
-    return 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] <= most
+    is_inside = 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]
+    return is_inside and grid[row, column] <= max_state
 
 
 @kernel
-def narrow(values: Any, out: Bytes) -> Int:
-    """Copy flat ``values``, integers or floats, into ``out``; return whether all are 0 or 1."""
-    good = True
-    for k in range(len(values)):
-        value = values[np.uint64(k)]
-        out[np.uint64(k)] = value != 0
-        good &= (value == 0) | (value == 1)  # without a branch: by vector instructions
-    return good
+def copy_to_bytes(numbers: Any, out: Bytes) -> Int:
+    """Copy flat ``numbers``, integers or floats, into ``out``; return whether all are 0 or 1."""
+    are_binary = True
+    for k in range(len(numbers)):
+        number = numbers[np.uint64(k)]
+        out[np.uint64(k)] = number != 0
+        # Bitwise operators need no branch, so that the compiler can use vector instructions.
+        are_binary &= (number == 0) | (number == 1)
+    return are_binary
 
 
 @kernel
 def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
-    """Return where ``path`` breaks the rule, and how many of its moves are diagonal.
+    """Return the first cell where ``path`` breaks the rules, and how many moves are diagonal.
 
-    The first is the least k whose cell is not free or not one move from cell k - 1; -1 when all is
-    well; -2 when ``grid`` is not of 0 and 1.
+    Args:
+        grid: (H, W).
+        path: (k, 2) cells.
+        diagonals: which diagonal moves are legal, as in `Lattice`.
+
+    Returns:
+        The smallest index of a cell that is not free, or that no legal move reaches from the cell
+        before; -1 if the whole path is legal; -2 if ``grid`` holds other numbers than 0 and 1.
+        Then the number of diagonal moves before that cell.
     """
-    diagonal = 0
+    diagonal_moves = 0
     if not is_binary(grid):
         return -2, 0
     for k in range(len(path)):
-        if not is_inside(grid, path[k], 0):
-            return k, diagonal
+        if not is_usable_end(grid, path[k], 0):
+            return k, diagonal_moves
         if k == 0:
             continue
         row = path[k, 0]
         column = path[k, 1]
-        row_before = path[k - 1, 0]
-        column_before = path[k - 1, 1]
-        rows = abs(row - row_before)
-        columns = abs(column - column_before)
-        if max(rows, columns) != 1:
-            return k, diagonal
-        if rows and columns:
-            diagonal += 1
-            # The rule of `is_legal` on the grid itself: to load it would take most of the time.
-            cuts = grid[row_before, column] or grid[row, column_before]
-            if diagonals == 0 or (diagonals == 1 and cuts):
-                return k, diagonal
-    return -1, diagonal
+        previous_row = path[k - 1, 0]
+        previous_column = path[k - 1, 1]
+        row_distance = abs(row - previous_row)
+        column_distance = abs(column - previous_column)
+        if max(row_distance, column_distance) != 1:
+            return k, diagonal_moves
+        if row_distance and column_distance:
+            diagonal_moves += 1
+            # This copy of the rule of `is_legal` works on the grid itself: loading the grid would
+            # take most of the time.
+            cuts_corner = grid[previous_row, column] or grid[row, previous_column]
+            if diagonals == NO_DIAGONALS or (diagonals == NO_CORNER_CUTTING and cuts_corner):
+                return k, diagonal_moves
+    return -1, diagonal_moves
 
 
 @kernel
 def write_field(
-    grid: Bytes, row: Int, column: Int, rule: Rule, memory: Bytes, out: Float32s
+    grid: Bytes, row: Int, column: Int, rule: MoveRule, memory: Bytes, field: Float32s
 ) -> Int:
-    """Write the cost from every cell to (row, column) into ``out``, -1 where there is no path.
+    """Write the cost from every cell to (row, column) into ``field``, -1 where there is no path.
 
-    Returns whether ``grid`` is of 0 and 1.
+    Args:
+        grid: (H, W).
+        row: of the goal.
+        column: of the goal.
+        rule: which moves are legal.
+        memory: for the `Scratch` of the search.
+        field: (H, W), to be filled with costs in cells.
+
+    Returns:
+        Whether all cells of ``grid`` are 0 or 1. If not, nothing is written.
     """
     lattice = lattice_of(grid.shape, rule)
-    buffers = scratch_in(memory, lattice)
-    if not load(grid, buffers.came):
+    scratch = scratch_view(memory, lattice)
+    if not load(grid, scratch.came_from):
         return False
-    source = np.full(1, cell_at(row, column, lattice))
-    shortest_costs(source, FAR, lattice, buffers)
-    for k in range(grid.shape[0]):
+    sources = np.full(1, cell_at(row, column, lattice))
+    shortest_costs(sources, INFINITY, lattice, scratch)
+    for i in range(grid.shape[0]):
         for j in range(grid.shape[1]):
-            out[k, j] = cost_at(cell_at(k, j, lattice), buffers)
+            field[i, j] = cost_at(cell_at(i, j, lattice), scratch)
     return True
 
 
 @inlined
-def cost_at(cell: Int, buffers: Scratch) -> float:
-    """Return what `shortest_costs` found for a cell, in cells; -1 without a path."""
-    cost = buffers.g[cell]
-    return in_cells(cost) if 0 <= cost < FAR else -1.0
+def cost_at(cell: Int, scratch: Scratch) -> float:
+    """Return the cost of a padded cell after `shortest_costs`, in cells; -1 without a path."""
+    cost = scratch.g[cell]
+    return in_cells(cost) if 0 <= cost < INFINITY else -1.0
 
 
 @kernel
-def shortest_costs(sources: Ints, most: Int, lattice: Lattice, buffers: Scratch) -> None:
+def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scratch) -> None:
     """Write the costs of shortest paths from every cell to the nearest source, and their moves.
 
-    ``came`` is as `load` leaves it. The costs go to ``g``, FAR without a path and -1 in walls; the
-    moves that start a shortest path go to ``came``, as bit sets. The search stops at the cost
-    ``most``, in cells (FAR: never): cells from there on have no moves, and perhaps too high a cost.
+    This is Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A move
+    costs at least UNIT, so it leads out of its bucket, and no cell of the nearest bucket can become
+    cheaper, whatever the order within the bucket. So when a cell of it is expanded, all nearer
+    cells have their final costs, and those of its neighbours show which moves are optimal.
 
-    Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A step costs at
-    least UNIT, so it leads out of its bucket, and what lies in the nearest bucket cannot become
-    cheaper, whatever the order within. So once a cell of it is expanded, all nearer cells have
-    their costs, and the moves that lead to them tell which are optimal.
+    A move is handled without branches, which the processor would often predict wrongly. A
+    neighbour's cost is always stored and the neighbour always pushed, and the next push overwrites
+    it unless its cost became smaller. A wall has the cost -1, which no cost is below.
 
-    Its steps go without branches, which the processor would often guess wrong: a neighbour's cost
-    is always stored and the neighbour always pushed, and the next push overwrites it unless it was
-    cheaper this way. A wall costs -1, so that nothing is.
+    Args:
+        sources: (n,) padded cells; those that are occupied are ignored.
+        max_cost: the cost, in cells, at which the search stops; INFINITY for a search of all cells.
+            Cells from this cost on have no moves, and perhaps too high a cost.
+        lattice: of the map.
+        scratch: with the map loaded in ``came_from``. Afterwards ``g`` (cells,) holds costs in 1 /
+            UNIT, INFINITY without a path and -1 in walls; ``came_from`` (cells,) holds bit sets, in
+            which bit k is set if move k begins a shortest path from the cell to a source.
+
+    Raises:
+        ValueError: a path is too long for exact costs.
     """
-    came = buffers.came
-    costs = buffers.g
-    # The cells of a bucket, and those pushed meanwhile: each neighbour pushes a cell at most once.
-    here = buffers.pushed
-    ahead = buffers.links
+    optimal_moves = scratch.came_from
+    costs = scratch.g
+    # The cells of the current bucket, and those pushed for later ones. There is room for both,
+    # because each neighbour pushes a cell at most once.
+    bucket_cells = scratch.pushed
+    later_cells = scratch.links
     for k in range(lattice.cells):
-        costs[k] = FAR if came[k] == UNSEEN else -1
-        came[k] = 0
-    waiting = _ZERO
+        costs[k] = INFINITY if optimal_moves[k] == UNSEEN else -1
+        optimal_moves[k] = 0
+    bucket_size = _ZERO
     for source in sources:
-        if costs[source] == FAR:  # not in a wall
-            here[waiting] = source
-            waiting += _ONE
+        if costs[source] == INFINITY:  # The source is free, and no repetition of an earlier one.
+            bucket_cells[bucket_size] = source
+            bucket_size += _ONE
             costs[source] = 0
     stride = np.uint64(lattice.stride)
-    cut = lattice.diagonals == 2
+    may_cut = lattice.diagonals == CORNER_CUTTING
     bucket = 0
-    while waiting and bucket < most:
-        if bucket >= LONGEST:
+    while bucket_size and bucket < max_cost:
+        if bucket >= MAX_PATH_COST:
             raise ValueError(_TOO_LONG)
-        pushed = _ZERO
-        while waiting:
-            waiting -= _ONE
-            cell = np.uint64(here[waiting])
+        later_size = _ZERO
+        while bucket_size:
+            bucket_size -= _ONE
+            cell = np.uint64(bucket_cells[bucket_size])
             cost = costs[cell]
-            distance = (cost >> UNIT_BITS) - bucket
-            if distance:
-                # A step of sqrt(2) may end two buckets ahead; or the cell was pushed again with a
-                # smaller cost, and has been expanded.
-                ahead[pushed] = cell
-                pushed += _ONE if distance > 0 else _ZERO
+            buckets_ahead = (cost >> UNIT_BITS) - bucket
+            if buckets_ahead:
+                # Either a diagonal move led to the bucket after the next one, so that the cell
+                # waits; or the cell was pushed again with a smaller cost and has been expanded.
+                later_cells[later_size] = cell
+                later_size += _ONE if buckets_ahead > 0 else _ZERO
                 continue
             moves: Int = 0
-            there = cost + UNIT
-            for move, to in enumerate((cell - stride, cell + _ONE, cell + stride, cell - _ONE)):
-                before = costs[to]
-                moves |= np.int64(before + UNIT == cost) << move
-                costs[to] = min(there, before)
-                ahead[pushed] = to
-                pushed += _ONE if there < before else _ZERO
+            new_cost = cost + UNIT
+            straight_neighbours = (cell - stride, cell + _ONE, cell + stride, cell - _ONE)
+            for move, neighbour in enumerate(straight_neighbours):
+                old_cost = costs[neighbour]
+                moves |= np.int64(old_cost + UNIT == cost) << move
+                costs[neighbour] = min(new_cost, old_cost)
+                later_cells[later_size] = neighbour
+                later_size += _ONE if new_cost < old_cost else _ZERO
             if lattice.diagonals:
-                # The corner rule of `is_legal`, without its branches.
-                north = cut | (costs[cell - stride] >= 0)
-                east = cut | (costs[cell + _ONE] >= 0)
-                south = cut | (costs[cell + stride] >= 0)
-                west = cut | (costs[cell - _ONE] >= 0)
-                there = cost + lattice.step
-                for move, to, legal in (
-                    (4, cell - stride + _ONE, north & east),
-                    (5, cell + stride + _ONE, south & east),
-                    (6, cell + stride - _ONE, south & west),
-                    (7, cell - stride - _ONE, north & west),
+                # This copy of the corner rule of `is_legal` has no branches.
+                north_free = may_cut | (costs[cell - stride] >= 0)
+                east_free = may_cut | (costs[cell + _ONE] >= 0)
+                south_free = may_cut | (costs[cell + stride] >= 0)
+                west_free = may_cut | (costs[cell - _ONE] >= 0)
+                new_cost = cost + lattice.diagonal_cost
+                for move, neighbour, is_allowed in (
+                    (4, cell - stride + _ONE, north_free & east_free),
+                    (5, cell + stride + _ONE, south_free & east_free),
+                    (6, cell + stride - _ONE, south_free & west_free),
+                    (7, cell - stride - _ONE, north_free & west_free),
                 ):
-                    before = costs[to]
-                    moves |= np.int64(legal & (before + lattice.step == cost)) << move
-                    cheaper = legal & (there < before)
-                    costs[to] = there if cheaper else before
-                    ahead[pushed] = to
-                    pushed += _ONE if cheaper else _ZERO
-            came[cell] = moves
-        here, ahead = ahead, here
-        waiting = pushed
+                    old_cost = costs[neighbour]
+                    is_optimal = is_allowed & (old_cost + lattice.diagonal_cost == cost)
+                    moves |= np.int64(is_optimal) << move
+                    is_cheaper = is_allowed & (new_cost < old_cost)
+                    costs[neighbour] = new_cost if is_cheaper else old_cost
+                    later_cells[later_size] = neighbour
+                    later_size += _ONE if is_cheaper else _ZERO
+            optimal_moves[cell] = moves
+        bucket_cells, later_cells = later_cells, bucket_cells
+        bucket_size = later_size
         bucket += 1

@@ -1,10 +1,11 @@
-"""What the paper computes of a map: routes by BFS and A*, their iterations, connection matrices."""
+"""The paper's labels of a map: routes by BFS and A*, their iterations and connection matrices."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,60 +15,61 @@ from mapdata.generators.maps import Maps, unpacked
 from mapdata.jit import Int, kernel
 from mapdata.movement import STEPS
 from mapdata.search.api import SEARCHES
-from mapdata.search.bitboard import MAX_SIDE as BIT_SIDE
-from mapdata.search.bitboard import bit_search
+from mapdata.search.bitboard import MAX_SIDE as MAX_BITBOARD_SIDE
+from mapdata.search.bitboard import bfs_labels_by_bits
 from mapdata.search.kernels import (
     Scratch,
     astar_manhattan,
-    best_first,
+    best_first_buckets,
     count_moves,
     expansions_until,
     flood,
-    plain_scratch,
+    plain_new_scratch,
     shortest_costs,
     wipe,
     write_moves,
 )
 from mapdata.search.lattice import (
-    ASTAR,
-    FAR,
+    INFINITY,
     UNIT,
     UNSEEN,
     WALL,
     Lattice,
     load,
-    parts,
+    move_rule,
     plain_lattice,
-    rule_of,
+    split_cost,
 )
 
-_MANY = 3
-"""From so many remaining rooms on, one search of the whole map costs less than an A* to each."""
+_MIN_CELLS_FOR_FLOOD = 3
+"""Number of goals from which on one search of the whole map takes less time than an A* to each."""
 
 _CELLS_AT_ONCE = 2**22
-"""Cells that are labelled between two reports of progress: 1024 maps of 64 x 64. Pieces of 64 maps
+"""Cells that are labelled between two reports of progress: 1024 maps of 64 x 64. Batches of 64 maps
 would cost 7 % more time.
 """
 
-_LEAST_AT_ONCE = 8
-"""Maps between two reports, however large they are: each piece needs new buffers."""
+_MIN_MAPS_AT_ONCE = 8
+"""Smallest number of maps between two reports, however large they are: each batch of maps needs new
+memory.
+"""
 
 
 @dataclass(frozen=True)
-class SearchLabels:
-    """What one search finds on N maps with S segments and P pairs of rooms.
+class RouteLabels:
+    """What BFS or A* finds on N maps with S segments and P pairs of rooms.
 
-    Segment q of a map leads from room q to room q + 1, pairs are i < j in the order of
-    `numpy.triu_indices` (scipy's condensed form); `Maps.segment_offsets` and `Maps.pair_offsets`
-    say where those of a map begin.
+    Segment q of a map leads from room q to room q + 1. Pairs are i < j in the order of
+    `numpy.triu_indices`, which is scipy's condensed form. `Maps.segment_offsets` and
+    `Maps.pair_offsets` say where the segments and pairs of a map begin.
 
     Attributes:
-        moves: (M,) uint8, the moves of all segments one after another, numbered as `STEPS`.
-        offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves,
-            like one from a cell to itself.
+        moves: (M,) uint8, the moves of all segments one after another, numbered as in `STEPS`.
+        offsets: (S + 1,) int64, first move of each segment. A segment without a path has no moves;
+            neither has one from a cell to itself.
         iterations: (S,) int64, cells expanded.
-        costs: (P, 2) int64, straight and diagonal moves between the seeds of each pair (BFS: all
-            moves, and 0), (-1, 0) without a path.
+        costs: (P, 2) int64, straight and diagonal moves between the seed points of each pair, (-1,
+            0) without a path. BFS counts all moves as straight.
     """
 
     moves: Bytes
@@ -80,11 +82,17 @@ class SearchLabels:
 
 @dataclass(frozen=True)
 class Labels:
-    """The paper's characterization (its section 4) of a batch of maps, by both searches."""
+    """The paper's characterization (its section 4) of a batch of maps, by both searches.
+
+    Attributes:
+        maps: the maps that are labelled.
+        bfs: the labels by breadth-first search.
+        astar: the labels by A*.
+    """
 
     maps: Maps
-    bfs: SearchLabels
-    astar: SearchLabels
+    bfs: RouteLabels
+    astar: RouteLabels
 
     @cached_property
     def reachable(self) -> Flags:
@@ -94,54 +102,57 @@ class Labels:
     @cached_property
     def all_connected(self) -> Flags:
         """(N,) bool: paths exist between all rooms of a map."""
-        paths_before = offsets_of(self.reachable)
-        paths = np.diff(paths_before[self.maps.segment_offsets])
-        return np.asarray(paths == self.maps.rooms - 1)
+        paths_before_segment = offsets_of(self.reachable)
+        path_counts = np.diff(paths_before_segment[self.maps.segment_offsets])
+        return np.asarray(path_counts == self.maps.rooms - 1)
 
     def segment(self, search: str, i: int, q: int) -> Ints:
         """Return the cells of segment q of map i of the batch, (k, 2) int64.
 
         ``search`` is "bfs" or "astar"; a segment without a path has no cell, (0, 2).
+
+        Raises:
+            IndexError: no such map or segment.
         """
-        labels = self.of(search)
-        if not 0 <= q < self._rooms(i) - 1:
+        labels = self.by_search(search)
+        if not 0 <= q < self._room_count(i) - 1:
             raise IndexError(f"map {i} of the batch has no segment {q}")
-        s = self.maps.segment_offsets[i] + q
-        if not self.reachable[s]:
+        segment = self.maps.segment_offsets[i] + q
+        if not self.reachable[segment]:
             return np.empty((0, 2), np.int64)
-        moves = labels.moves[labels.offsets[s] : labels.offsets[s + 1]]
+        moves = labels.moves[labels.offsets[segment] : labels.offsets[segment + 1]]
         start = self.maps.seed_points[i, q]
         return np.cumsum(np.vstack((start, STEPS[moves])), axis=0)
 
     def route(self, search: str, i: int) -> list[Ints]:
         """Return the path through all rooms of map i in their order, as its segments (k, 2)."""
-        return [self.segment(search, i, q) for q in range(self._rooms(i) - 1)]
+        return [self.segment(search, i, q) for q in range(self._room_count(i) - 1)]
 
     def iterations(self, search: str, i: int) -> Ints:
-        """Return (n - 1,) int64, the iterations of each segment of map i."""
+        """Return (n - 1,) int64, the iterations of each segment of map i with n rooms."""
         first = self.maps.segment_offsets[i]
-        return self.of(search).iterations[first : first + self._rooms(i) - 1]
+        return self.by_search(search).iterations[first : first + self._room_count(i) - 1]
 
     def matrix(self, search: str, i: int) -> Floats:
-        """Return the connection matrix of map i, (n, n) float64.
+        """Return the connection matrix of map i with n rooms, (n, n) float64.
 
         It holds path costs (BFS: moves), 0 on the diagonal, -1 where there is no path.
         """
-        n = self._rooms(i)
+        n = self._room_count(i)
         first, end = self.maps.pair_offsets[i : i + 2]
-        straight, diagonal = self.of(search).costs[first:end].T
-        matrix = np.zeros((n, n))
-        # BFS counts all moves as straight ones
-        matrix[pairs_of(n)] = straight + diagonal * self.maps.movement.diagonal_cost
-        return matrix + matrix.T
+        straight, diagonal = self.by_search(search).costs[first:end].T
+        costs = straight + diagonal * self.maps.movement.diagonal_cost
+        upper_triangle = np.zeros((n, n))
+        upper_triangle[pairs_of(n)] = np.where(straight < 0, -1.0, costs)
+        return upper_triangle + upper_triangle.T
 
-    def _rooms(self, i: int) -> int:
+    def _room_count(self, i: int) -> int:
         """Return the number of rooms of map i of the batch."""
         if not 0 <= i < len(self.maps):
             raise IndexError(f"map {i} of a batch of {len(self.maps)}")
         return int(self.maps.rooms[i])
 
-    def of(self, search: str) -> SearchLabels:
+    def by_search(self, search: str) -> RouteLabels:
         """Return the labels by ``search``, "bfs" or "astar"."""
         check_choice("search", search, SEARCHES)
         return self.bfs if search == "bfs" else self.astar
@@ -149,27 +160,52 @@ class Labels:
 
 @cache
 def pairs_of(rooms: int) -> tuple[Ints, Ints]:
-    """Return rooms i < j of each pair, in the order of labels.
+    """Return the rooms (i, j) of all pairs i < j, in the order of labels, as two arrays.
 
-    Kept, since `numpy.triu_indices` takes longer than to fill a matrix.
+    They are cached, because `numpy.triu_indices` takes longer than filling a matrix.
     """
     return np.triu_indices(rooms, 1)
+
+
+class _MapBatch(NamedTuple):
+    """The maps that kernels label in one call, and the memory that they use.
+
+    Attributes:
+        grids: (N, H, W) uint8.
+        rooms: (N,) number of rooms of each map.
+        cells: (N, R) padded cells of the seed points; cell 0, a wall, for those outside of the map.
+        first_segments: (N or more,) the first segment of each map, a row of a segment table.
+        first_pairs: (N or more,) the first pair of each map, a row of pair costs.
+        lattice: of the maps.
+        scratch: memory of the searches.
+    """
+
+    grids: Bytes
+    rooms: Ints
+    cells: Ints
+    first_segments: Ints
+    first_pairs: Ints
+    lattice: Lattice
+    scratch: Scratch
 
 
 def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     """Return routes, iterations and connection matrices of ``maps`` by BFS and by A*.
 
     One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
-    the iterations. A* searches each segment. Its costs of the other pairs are those of BFS on
-    4-connected maps; with diagonals at sqrt(2), where shortest paths of a pair have one number of
-    straight and of diagonal moves, one search a room gives three or more; else A* searches each
-    pair.
+    the iterations. A* searches each segment. How the costs of the other pairs by A* are found
+    depends on the movement:
+
+    - On 4-connected maps they are those of BFS.
+    - With diagonals at sqrt(2), all shortest paths of a pair have the same numbers of straight and
+      of diagonal moves, so one search from a room gives its costs if there are three or more.
+    - Otherwise A* searches each pair.
 
     Source: arXiv 2110.13242, section 4 (Characterization).
 
     Args:
-        maps: what to label.
-        advance: called with numbers of maps as they are done.
+        maps: the maps to label.
+        advance: called with the number of maps labelled since its last call.
 
     Raises:
         ValueError: a seed point that is not a free cell of its map.
@@ -183,233 +219,301 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     bfs_table = np.empty((maps.segment_offsets[-1], 2), np.int64)
     bfs_costs = np.empty((maps.pair_offsets[-1], 2), np.int64)
     astar_table = np.empty_like(bfs_table)
-    # Without diagonals both searches are optimal, and each move costs 1: the costs of A* are those
-    # of BFS.
-    astar_costs = np.empty_like(bfs_costs) if maps.movement.connectivity == 8 else None
+    # Without diagonals both searches are optimal and each move costs 1, so the costs of A* are
+    # those of BFS.
+    has_diagonals = maps.movement.connectivity == 8
+    astar_costs = np.empty_like(bfs_costs) if has_diagonals else None
     size = maps.packed.shape[1], maps.columns
-    lattice = plain_lattice(size, rule_of(maps.movement))
-    buffers = plain_scratch(lattice)
-    walls = np.full(lattice.cells, WALL)
+    lattice = plain_lattice(size, move_rule(maps.movement))
+    scratch = plain_new_scratch(lattice)
+    all_walls = np.full(lattice.cells, WALL)
     bfs_moves = []
     astar_moves = []
-    most = max(_LEAST_AT_ONCE, _CELLS_AT_ONCE // (size[0] * size[1]))
-    for first in range(0, max(len(maps), 1), most):  # once for no maps, too
-        part = slice(first, first + most)
-        packed = maps.packed[part]
-        grids = unpacked(packed, maps.columns)
-        rooms = maps.rooms[part]
-        seed_points = maps.seed_points[part]
-        cells = _padded_cells(seed_points, size, lattice)
-        where = (maps.segment_offsets[first:], maps.pair_offsets[first:])
-        work = (grids, rooms, cells, *where, lattice, buffers)
-        # Enough but for mazes; what is not used takes no memory.
-        moves = np.empty(4 * lattice.stride * int(rooms.sum()), np.uint8)
-        done = used = 0
-        # A* first: it checks the seed points, on which the others rely.
-        while done < len(packed):
-            done, used, bad = _astar_maps(*work, astar_table, astar_costs, walls, moves, done, used)
-            if bad >= 0:
-                cell = tuple(seed_points[done, bad].tolist())
-                number = maps.index[first + done]
-                raise ValueError(f"seed_points: {cell} of map {number} is not a free cell")
-            if done < len(packed):
-                moves = np.concatenate((moves, np.empty_like(moves)))
-        astar_moves.append(moves[:used].copy())
-        moves = np.empty(used, np.uint8)  # no path has fewer moves than that of BFS
-        if astar_costs is None and max(size) <= BIT_SIDE:
-            used = bit_search(
-                packed, maps.columns, rooms, seed_points, *where, bfs_table, bfs_costs, moves
+    batch_size = max(_MIN_MAPS_AT_ONCE, _CELLS_AT_ONCE // (size[0] * size[1]))
+    # Without any maps there is one empty batch, so that there are moves to concatenate.
+    for first in range(0, max(len(maps), 1), batch_size):
+        rows = slice(first, first + batch_size)
+        packed = maps.packed[rows]
+        seed_points = maps.seed_points[rows]
+        batch = _MapBatch(
+            unpacked(packed, maps.columns),
+            maps.rooms[rows],
+            _padded_cells(seed_points, size, lattice),
+            maps.segment_offsets[first:],
+            maps.pair_offsets[first:],
+            lattice,
+            scratch,
+        )
+        # A* comes first, since it checks the seed points, on which BFS relies.
+        moves, bad_seed_point = _collect_astar_labels(batch, astar_table, astar_costs, all_walls)
+        if bad_seed_point is not None:
+            m, room = bad_seed_point
+            cell = tuple(seed_points[m, room].tolist())
+            number = maps.index[first + m]
+            raise ValueError(f"seed_points: {cell} of map {number} is not a free cell")
+        astar_moves.append(moves)
+        # No path has fewer moves than that of BFS, so there is room for those of BFS.
+        moves = np.empty(len(moves), np.uint8)
+        if not has_diagonals and max(size) <= MAX_BITBOARD_SIDE:
+            used = bfs_labels_by_bits(
+                packed,
+                maps.columns,
+                batch.rooms,
+                seed_points,
+                batch.first_segments,
+                batch.first_pairs,
+                bfs_table,
+                bfs_costs,
+                moves,
             )
         else:
-            used = _flood_maps(*work, bfs_table, bfs_costs, moves)
+            used = bfs_labels_by_queue(*batch, bfs_table, bfs_costs, moves)
         bfs_moves.append(moves[:used])
         if advance:
             advance(len(packed))
     if astar_costs is None:
         astar_costs = bfs_costs.copy()
-    bfs = _search_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
-    astar = _search_labels(np.concatenate(astar_moves), astar_table, astar_costs)
+    bfs = _route_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
+    astar = _route_labels(np.concatenate(astar_moves), astar_table, astar_costs)
     return Labels(maps, bfs, astar)
 
 
 def _padded_cells(seed_points: Ints, size: tuple[int, int], lattice: Lattice) -> Ints:
-    """Return the padded cells of seed points, (N, R); cell 0, a wall, for those outside of maps."""
-    rows, columns = seed_points[:, :, 0], seed_points[:, :, 1]
-    cells: Ints = (rows + 1) * lattice.stride + columns + 1  # as `cell_at` gives them
+    """Return the padded cells (N, R) of seed points (N, R, 2).
+
+    A seed point outside of the map becomes cell 0, which is a wall.
+    """
+    rows = seed_points[:, :, 0]
+    columns = seed_points[:, :, 1]
+    cells: Ints = (rows + 1) * lattice.stride + columns + 1  # as `cell_at` computes them
     is_outside = (rows < 0) | (rows >= size[0]) | (columns < 0) | (columns >= size[1])
     cells[is_outside] = 0
     return cells
 
 
-def _search_labels(moves: Bytes, table: Ints, costs: Ints) -> SearchLabels:
-    """Return the labels of one search from what its kernel gave."""
-    return SearchLabels(moves, offsets_of(table[:, 0]), np.ascontiguousarray(table[:, 1]), costs)
+def _collect_astar_labels(
+    batch: _MapBatch, segment_table: Ints, pair_costs: Ints | None, all_walls: Bytes
+) -> tuple[Bytes, tuple[int, int] | None]:
+    """Label a batch by A*, with as much memory for its moves as it turns out to need.
+
+    Arguments are those of `_astar_labels`. Returns the moves of all segments, and None; or, if a
+    seed point is not a free cell, its map in the batch and its room.
+    """
+    # This is enough except for mazes. Memory that is not used does not become memory of the
+    # process.
+    capacity = 4 * batch.lattice.stride * int(batch.rooms.sum())
+    moves = np.empty(capacity, np.uint8)
+    done = used = 0
+    while done < len(batch.grids):
+        done, used, bad_room = _astar_labels(
+            *batch, segment_table, pair_costs, all_walls, moves, done, used
+        )
+        if bad_room >= 0:
+            return moves[:used], (done, bad_room)
+        if done < len(batch.grids):
+            moves = np.concatenate((moves, np.empty_like(moves)))
+    return moves[:used].copy(), None
+
+
+def _route_labels(moves: Bytes, segment_table: Ints, pair_costs: Ints) -> RouteLabels:
+    """Return labels from ``moves`` (M,) and the tables (S, 2) and (P, 2) that a kernel filled."""
+    offsets = offsets_of(segment_table[:, 0])
+    iterations = np.ascontiguousarray(segment_table[:, 1])
+    return RouteLabels(moves, offsets, iterations, pair_costs)
 
 
 @kernel
-def _flood_maps(
+def bfs_labels_by_queue(
     grids: Bytes,
     rooms: Ints,
     cells: Ints,
-    segments: Ints,
-    pairs: Ints,
+    first_segments: Ints,
+    first_pairs: Ints,
     lattice: Lattice,
-    buffers: Scratch,
-    table: Ints,
-    costs: Ints,
+    scratch: Scratch,
+    segment_table: Ints,
+    pair_costs: Ints,
     moves: Bytes,
 ) -> Int:
-    """Label every map by BFS, which floods from each seed until all later ones are seen.
+    """Label every map by BFS, which floods from each seed point until all later ones are seen.
 
     Args:
         grids: (N, H, W).
-        rooms: (N,) number of rooms.
-        cells: (N, most rooms) padded cells of the seed points, all free.
-        segments: (N or more,) the first segment of each map.
-        pairs: (N or more,) the first pair of each map.
+        rooms: (N,) number of rooms of each map.
+        cells: (N, R) padded cells of the seed points, all free.
+        first_segments: (N or more,) the first segment of each map.
+        first_pairs: (N or more,) the first pair of each map.
         lattice: of the maps.
-        buffers: what searches write to.
-        table: (S, 2), filled with number of moves and iterations of each segment.
-        costs: (P, 2), filled with moves between the seeds of each pair and 0, or (-1, 0).
-        moves: with room for all moves, filled with those of all segments.
+        scratch: memory of the searches.
+        segment_table: (S, 2), to be filled with number of moves and expansions of each segment.
+        pair_costs: (P, 2), to be filled with moves between the seed points of each pair and 0, or
+            (-1, 0) without a path.
+        moves: with room for all moves, to be filled with those of all segments.
 
     Returns:
         The number of moves.
     """
-    came = buffers.came
-    # A number that is handed on gets its final type at once: else the kernels that take it are
+    came_from = scratch.came_from
+    # A number that is passed to a kernel gets its final type at once. Otherwise the kernel would be
     # compiled twice.
     used = np.int64(0)
     for m in range(len(grids)):
         n = rooms[m]
-        pair = pairs[m]
+        pair = first_pairs[m]
         for q in range(n - 1):
             start = cells[m, q]
             goal = cells[m, q + 1]
-            load(grids[m], came)
-            count = flood(start, cells[m, q + 1 : n], lattice, buffers)
-            to_next = pair
-            for k in range(q + 1, n):
-                straight, diagonal = count_moves(came, start, cells[m, k], lattice)
-                costs[pair, 0] = straight + diagonal
-                costs[pair, 1] = 0
+            load(grids[m], came_from)
+            queue_length = flood(start, cells[m, q + 1 : n], lattice, scratch)
+            next_room_pair = pair
+            for later_room in range(q + 1, n):
+                later_cell = cells[m, later_room]
+                straight, diagonal = count_moves(came_from, start, later_cell, lattice)
+                pair_costs[pair, 0] = straight + diagonal
+                pair_costs[pair, 1] = 0
                 pair += 1
-            length = max(costs[to_next, 0], 0)
-            table[segments[m] + q, 0] = length
-            table[segments[m] + q, 1] = expansions_until(buffers.pushed, count, goal)
-            write_moves(came, goal, length, lattice, moves, used)
+            segment = first_segments[m] + q
+            length = max(pair_costs[next_room_pair, 0], 0)  # without a path, no moves
+            segment_table[segment, 0] = length
+            segment_table[segment, 1] = expansions_until(scratch.pushed, queue_length, goal)
+            write_moves(came_from, goal, length, lattice, moves, used)
             used += length
     return used
 
 
 @kernel
-def connected_components(cells: Ints, lattice: Lattice, buffers: Scratch) -> Ints:
+def connected_components(cells: Ints, lattice: Lattice, scratch: Scratch) -> Ints:
     """Return which of some cells a path connects, on a grid that is loaded.
 
     Args:
         cells: (n,) padded cells.
-        lattice: of the grid and the moves.
-        buffers: of BFS; ``came`` is not fresh afterwards.
+        lattice: of the map.
+        scratch: memory for BFS, with the map loaded; ``came_from`` is not fresh afterwards.
 
     Returns:
-        (n,) int64, a number for each cell: cells of one connected component have the same one, the
-        place of the first of them in ``cells``; an occupied cell has -1.
+        (n,) int64, the component of each cell: the index in ``cells`` of the first cell to which it
+        is connected, itself included; -1 for an occupied cell.
     """
-    came = buffers.came
+    came_from = scratch.came_from
     components = np.full(len(cells), -1)
     for k in range(len(cells)):
-        if came[cells[k]] != UNSEEN:
-            continue  # occupied, or in the component of an earlier cell
-        flood(cells[k], cells[k:], lattice, buffers)
+        if came_from[cells[k]] != UNSEEN:
+            continue  # The cell is occupied, or in the component of an earlier one.
+        flood(cells[k], cells[k:], lattice, scratch)
         for j in range(k, len(cells)):
-            # What floods reach is below UNSEEN, which is below WALL.
-            if components[j] < 0 and came[cells[j]] < UNSEEN:
+            # The states of cells that floods have reached are below UNSEEN, which is below WALL.
+            if components[j] < 0 and came_from[cells[j]] < UNSEEN:
                 components[j] = k
     return components
 
 
 @kernel
-def _astar_maps(
+def _astar_labels(
     grids: Bytes,
     rooms: Ints,
     cells: Ints,
-    segments: Ints,
-    pairs: Ints,
+    first_segments: Ints,
+    first_pairs: Ints,
     lattice: Lattice,
-    buffers: Scratch,
-    table: Ints,
-    costs: Ints | None,
-    fresh: Bytes,
+    scratch: Scratch,
+    segment_table: Ints,
+    pair_costs: Ints | None,
+    loaded: Bytes,
     moves: Bytes,
-    first: Int,
+    first_map: Int,
     used: Int,
 ) -> tuple[Int, Int, Int]:
-    """Label every map by A*, and check that seed points are free cells.
+    """Label maps by A*, and check that seed points are free cells.
 
-    Arguments are those of `_flood_maps`, but ``costs`` are straight and diagonal moves, or None
-    without diagonals: then numba compiles no branch that needs them, which shortens what a first
-    build of such maps waits for. ``fresh`` (cells,) is all wall. Maps before ``first`` are done,
-    and have ``used`` moves.
+    Args:
+        grids: as `bfs_labels_by_queue` takes it, like the arguments up to ``segment_table``.
+        rooms: (N,).
+        cells: (N, R) padded cells of the seed points; cell 0, a wall, if outside of the map.
+        first_segments: (N or more,).
+        first_pairs: (N or more,).
+        lattice: of the maps.
+        scratch: memory of the searches.
+        segment_table: (S, 2), to be filled with number of moves and expansions of each segment.
+        pair_costs: (P, 2), to be filled with straight and diagonal moves between the seed points of
+            each pair; None without diagonals. numba then compiles no branch that fills it, so that
+            a first build of such maps waits less.
+        loaded: (cells,) memory for the states of a map that is loaded; all WALL at the first call.
+        moves: to be filled with the moves of all segments.
+        first_map: the maps before this one are labelled already.
+        used: the number of their moves.
 
     Returns:
-        Up to which map all are done; the number of their moves; why it stopped there: -1 if all are
-        done or ``moves`` has no room for the next map, else which seed point is no free cell.
+        The map before which all are labelled, the number of their moves, and the reason why it
+        stopped there: the room of that map whose seed point is not a free cell, or -1 if all maps
+        are labelled or ``moves`` has no room for the next one.
     """
-    came = buffers.came
+    came_from = scratch.came_from
     _, rows, columns = grids.shape
-    for m in range(first, len(grids)):
-        # What `load` does, but for the wall around the grid, which is there, and for its check.
+    for m in range(first_map, len(grids)):
+        # This loads the grid as `load` does, except for the wall around it, which is there, and the
+        # check of its numbers.
         for row in range(rows):
             cell = np.uint64((row + 1) * lattice.stride + 1)
             for column in range(columns):
-                fresh[cell + np.uint64(column)] = UNSEEN | grids[m, row, np.uint64(column)]
+                loaded[cell + np.uint64(column)] = UNSEEN | grids[m, row, np.uint64(column)]
         for q in range(rooms[m]):
-            if fresh[cells[m, q]] == WALL:
+            if loaded[cells[m, q]] == WALL:
                 return m, used, q
-        used_before = used
-        pair = pairs[m]
+        used_before_map = used
+        pair = first_pairs[m]
         for q in range(rooms[m] - 1):
             start = cells[m, q]
             goal = cells[m, q + 1]
             for k in range(lattice.cells):
-                came[k] = fresh[k]
-            if costs is None:
-                expansions, _ = astar_manhattan(start, goal, lattice, buffers)
+                came_from[k] = loaded[k]
+            if pair_costs is None:
+                expansions, _ = astar_manhattan(start, goal, lattice, scratch)
             else:
-                expansions, pushes = best_first(start, goal, ASTAR, lattice, buffers)
-            straight, diagonal = count_moves(came, start, goal, lattice)
-            length = max(straight + diagonal, 0)
-            table[segments[m] + q, 0] = length
-            table[segments[m] + q, 1] = expansions
+                expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
+            straight, diagonal = count_moves(came_from, start, goal, lattice)
+            length = max(straight + diagonal, 0)  # without a path, no moves
+            segment = first_segments[m] + q
+            segment_table[segment, 0] = length
+            segment_table[segment, 1] = expansions
             if used + length > len(moves):
-                return m, used_before, -1
-            write_moves(came, goal, length, lattice, moves, used)
+                return m, used_before_map, -1
+            write_moves(came_from, goal, length, lattice, moves, used)
             used += length
-            if costs is not None:
-                costs[pair, 0] = straight
-                costs[pair, 1] = diagonal
-                wipe(buffers, pushes)
-                others = cells[m, q + 2 : rooms[m]]
-                _fill_costs(cells[m, q : q + 1], others, lattice, buffers, costs[pair + 1 :])
-                pair += 1 + len(others)
+            if pair_costs is not None:
+                pair_costs[pair, 0] = straight
+                pair_costs[pair, 1] = diagonal
+                wipe(scratch, pushes)
+                later_cells = cells[m, q + 2 : rooms[m]]
+                later_costs = pair_costs[pair + 1 :]
+                _fill_costs(cells[m, q : q + 1], later_cells, lattice, scratch, later_costs)
+                pair += 1 + len(later_cells)
     return len(grids), used, -1
 
 
 @kernel
-def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, buffers: Scratch, costs: Ints) -> None:
-    """Write the costs of A* from ``source`` (1,) to each of ``cells``, by the least work."""
-    if lattice.step != UNIT and len(cells) >= _MANY:
-        # sqrt(2) is irrational: only one pair of numbers of straight and diagonal moves has the
-        # least cost, so that any optimal search finds that of A*.
-        shortest_costs(source, FAR, lattice, buffers)
+def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, scratch: Scratch, costs: Ints) -> None:
+    """Write the costs of A* from a source to each of ``cells``, by the search that is fastest.
+
+    Args:
+        source: (1,) padded cell.
+        cells: (n,) padded cells.
+        lattice: of the map, with diagonals.
+        scratch: with the map loaded in ``came_from``.
+        costs: (n or more, 2), to be filled with straight and diagonal moves, (-1, 0) without a
+            path.
+    """
+    if lattice.diagonal_cost != UNIT and len(cells) >= _MIN_CELLS_FOR_FLOOD:
+        # Since sqrt(2) is irrational, only one pair of numbers of straight and diagonal moves has
+        # the smallest cost. So any optimal search finds that of A*.
+        shortest_costs(source, INFINITY, lattice, scratch)
         for k in range(len(cells)):
-            cost = buffers.g[cells[k]]
+            cost = scratch.g[cells[k]]
             costs[k, 0] = -1
             costs[k, 1] = 0
-            if cost != FAR:
-                costs[k, 0], costs[k, 1] = parts(cost)
+            if cost != INFINITY:
+                costs[k, 0], costs[k, 1] = split_cost(cost)
     else:
         for k in range(len(cells)):
-            _, pushes = best_first(source[0], cells[k], ASTAR, lattice, buffers)
-            costs[k, 0], costs[k, 1] = count_moves(buffers.came, source[0], cells[k], lattice)
-            wipe(buffers, pushes)
+            _, pushes = best_first_buckets(source[0], cells[k], lattice, scratch)
+            costs[k, 0], costs[k, 1] = count_moves(scratch.came_from, source[0], cells[k], lattice)
+            wipe(scratch, pushes)

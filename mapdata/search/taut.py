@@ -100,7 +100,7 @@ class Robot(NamedTuple):
 def robot_of(radius: float, resolution: float = 1.0) -> Robot:
     """Return a disc as kernels take it.
 
-    Like `mapdata.search.least_squared`, it takes 0.15 / 0.1 and a float32 of 1.5 for 1.5.
+    Like `mapdata.inflate`, it takes 0.15 / 0.1 and a float32 of 1.5 for 1.5.
 
     Args:
         radius: at least 0, below ``MAX_TAUT_SIDE`` cells.

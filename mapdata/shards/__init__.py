@@ -7,7 +7,6 @@ from mapdata.shards.errors import DatasetNotFoundError, ShardError
 from mapdata.shards.files import write_file, write_output
 from mapdata.shards.manifest import MANIFEST, PROVENANCE, Manifest, read_manifest
 from mapdata.shards.reader import open_shard, read_shard
-from mapdata.shards.recipe import Recipe
 from mapdata.shards.root import Root
 
 __all__ = [
@@ -15,7 +14,6 @@ __all__ = [
     "PROVENANCE",
     "DatasetNotFoundError",
     "Manifest",
-    "Recipe",
     "Root",
     "ShardError",
     "build",

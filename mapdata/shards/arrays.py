@@ -1,4 +1,4 @@
-"""The arrays of a shard: labels to arrays and back, moves packed into bits."""
+"""The arrays of a shard: converting labels to arrays and back, and packing moves into bits."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.generators.maps import Maps
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
-from mapdata.search.labels import Labels, SearchLabels
+from mapdata.search.labels import Labels, RouteLabels
 from mapdata.shards.header import Header
 
 
 class StoredDataset(NamedTuple):
-    """One HDF5 dataset of a shard, with the attributes that explain it in the file."""
+    """An HDF5 dataset of a shard, with the attributes that explain it to readers of the file."""
 
     name: str
     dtype: str
@@ -27,45 +27,52 @@ class StoredDataset(NamedTuple):
     encoding: str
 
 
-_CELL = "cells, (row, col), origin upper left"
+# Parts of descriptions, which are stored in the files.
 
-_OR_UNKNOWN = "a row a room; -1 unknown"
+_CELL_UNITS = "cells, (row, col), origin upper left"
 
-_BITS = "bits: column c is bit c % 8 of byte c // 8 of its row"
+_ROOM_ROWS = "a row a room; -1 unknown"
 
-_LEGS = "1 horizontal, 0 vertical, -1 no passage"
+_BIT_ENCODING = "bits: column c is bit c % 8 of byte c // 8 of its row"
 
-_PAIRS = (
+_LEG_CODES = "1 horizontal, 0 vertical, -1 no passage"
+
+_PAIR_ORDER = (
     "pairs i < j of a map in row-major order "
     "(the condensed form of scipy.spatial.distance.squareform)"
 )
 
-_MOVES = (
+_MOVE_ENCODING = (
     "packed, lowest bits first: 2 bits a move under 4-connectivity, else 4; "
     "0..7 = N E S W NE SE SW NW"
 )
 
 
-def _search_fields(search: str, name: str) -> tuple[StoredDataset, ...]:
-    """Return the datasets that hold what one search found; ``name`` is its name in words."""
+def _search_datasets(search: str, name: str) -> tuple[StoredDataset, ...]:
+    """Return the datasets with the labels of a search.
+
+    ``search`` is the prefix of their names, ``name`` the search's name in the descriptions.
+    """
     offsets = f"first move of each segment by {name}"
     moves = f"moves from room q to room q + 1 by {name}"
     iterations = f"iterations of {name}, a segment"
     straight = f"straight moves of {name}"
     return (
         StoredDataset(f"{search}_offsets", "<i8", 1, offsets, "moves", "S + 1 offsets"),
-        StoredDataset(f"{search}_moves", "u1", 1, moves, "code", _MOVES),
+        StoredDataset(f"{search}_moves", "u1", 1, moves, "code", _MOVE_ENCODING),
         StoredDataset(f"{search}_iterations", "<i4", 1, iterations, "cells taken", "plain"),
-        StoredDataset(f"{search}_straight", "<i4", 1, straight, "moves", f"{_PAIRS}; -1 no path"),
+        StoredDataset(
+            f"{search}_straight", "<i4", 1, straight, "moves", f"{_PAIR_ORDER}; -1 no path"
+        ),
     )
 
 
-_DIAGONAL = f"{_PAIRS}; empty under 4-connectivity"
+_DIAGONAL_ENCODING = f"{_PAIR_ORDER}; empty under 4-connectivity"
 
-_PAIR_OFFSETS = f"N + 1 offsets; {_PAIRS}"
+_PAIR_OFFSETS = f"N + 1 offsets; {_PAIR_ORDER}"
 
 DATASETS = (
-    StoredDataset("maps", "u1", 3, "occupancy", "1 occupied, 0 free", _BITS),
+    StoredDataset("maps", "u1", 3, "occupancy", "1 occupied, 0 free", _BIT_ENCODING),
     StoredDataset("split", "u1", 1, "split of each map", "code", "0 train, 1 val, 2 test"),
     StoredDataset(
         "passage_width", "<i2", 1, "width of the passages of each map", "cells", "-1 unknown"
@@ -74,20 +81,27 @@ DATASETS = (
     StoredDataset(
         "pair_offsets", "<i8", 1, "first pair of rooms of each map", "pairs", _PAIR_OFFSETS
     ),
-    StoredDataset("seeds", "<i2", 2, "seed point of each room", _CELL, "a row a room"),
+    StoredDataset("seeds", "<i2", 2, "seed point of each room", _CELL_UNITS, "a row a room"),
+    StoredDataset("sizes", "<i2", 2, "rows and columns of each room as drawn", "cells", _ROOM_ROWS),
+    StoredDataset("directions", "i1", 2, "legs at A and B of each passage", "code", _LEG_CODES),
+    *_search_datasets("bfs", "breadth-first search"),
+    *_search_datasets("astar", "A*"),
     StoredDataset(
-        "sizes", "<i2", 2, "rows and columns of each room as drawn", "cells", _OR_UNKNOWN
+        "astar_diagonal", "<i4", 1, "diagonal moves of A*, a pair", "moves", _DIAGONAL_ENCODING
     ),
-    StoredDataset("directions", "i1", 2, "legs at A and B of each passage", "code", _LEGS),
-    *_search_fields("bfs", "breadth-first search"),
-    *_search_fields("astar", "A*"),
-    StoredDataset("astar_diagonal", "<i4", 1, "diagonal moves of A*, a pair", "moves", _DIAGONAL),
 )
-"""All datasets of a shard, in the order of the file. Under BFS "straight" counts all moves."""
+"""All datasets of a shard, in the order of the file. ``bfs_straight`` counts all moves of BFS."""
 
 
 class Shard(NamedTuple):
-    """A checked shard: its header and its arrays, views of one memory mapping."""
+    """A checked shard.
+
+    Attributes:
+        path: the file.
+        header: which maps the shard holds.
+        content_hash: of its maps and labels, as the file states it.
+        arrays: the arrays of `DATASETS` by name, views of a memory mapping of the file.
+    """
 
     path: Path
     header: Header
@@ -101,29 +115,33 @@ class Shard(NamedTuple):
 def encode(labels: Labels) -> dict[str, Array]:
     """Return labelled maps as the arrays of a shard."""
     maps = labels.maps
-    # tables are padded to the most rooms of the batch; a file holds the rows of rooms alone
-    used = np.arange(maps.seed_points.shape[1]) < maps.rooms[:, None]
+    # The rows of a map are padded to the largest number of rooms; a file has no padding.
+    max_rooms = maps.seed_points.shape[1]
+    is_room = np.arange(max_rooms) < maps.rooms[:, None]
+    is_passage = is_room[:, 1:]
     arrays: dict[str, Array] = {
         "maps": maps.packed.astype("<u8", copy=False).view(np.uint8),
         "split": maps.split,
         "passage_width": maps.passage_width,
         "room_offsets": maps.segment_offsets + np.arange(len(maps) + 1),
         "pair_offsets": maps.pair_offsets,
-        "seeds": maps.seed_points[used],
-        "sizes": maps.sizes[used],
-        "directions": maps.directions[used[:, 1:]],
+        "seeds": maps.seed_points[is_room],
+        "sizes": maps.sizes[is_room],
+        "directions": maps.directions[is_passage],
     }
     for name in SEARCHES:
-        search = labels.of(name)
+        search = labels.by_search(name)
         arrays |= {
             f"{name}_offsets": search.offsets,
-            f"{name}_moves": pack_moves(search.moves, bits_of(maps.movement)),
+            f"{name}_moves": pack_moves(search.moves, bits_per_move(maps.movement)),
             f"{name}_iterations": search.iterations,
             f"{name}_straight": search.costs[:, 0],
         }
-    # BFS counts moves, so it needs no second number; nor does a search without diagonals
-    diagonals = labels.astar.costs[:, 1]
-    arrays["astar_diagonal"] = diagonals if maps.movement.connectivity == 8 else diagonals[:0]
+    # BFS counts moves of any direction, so only A* has a number of diagonal moves.
+    diagonal_moves = labels.astar.costs[:, 1]
+    if maps.movement.connectivity == 4:
+        diagonal_moves = np.empty(0, diagonal_moves.dtype)
+    arrays["astar_diagonal"] = diagonal_moves
     return arrays
 
 
@@ -132,8 +150,10 @@ def decode(shard: Shard) -> Labels:
     arrays = shard.arrays
     header = shard.header
     rooms = np.diff(arrays["room_offsets"])
-    most = rooms.max(initial=2)
-    used = np.arange(most) < rooms[:, None]
+    # The rows of a map are padded to the largest number of rooms, as in labels that are not stored.
+    max_rooms = rooms.max(initial=2)
+    is_room = np.arange(max_rooms) < rooms[:, None]
+    is_passage = is_room[:, 1:]
     maps = Maps(
         movement=header.movement,
         columns=header.map_size[1],
@@ -141,23 +161,26 @@ def decode(shard: Shard) -> Labels:
         packed=np.array(arrays["maps"]).view("<u8"),
         rooms=rooms,
         passage_width=arrays["passage_width"].astype(np.int64),
-        seed_points=_padded(arrays["seeds"], used),
-        sizes=_padded(arrays["sizes"], used),
-        directions=_padded(arrays["directions"], used[:, 1:]),
+        seed_points=_padded(arrays["seeds"], is_room),
+        sizes=_padded(arrays["sizes"], is_room),
+        directions=_padded(arrays["directions"], is_passage),
         split=np.array(arrays["split"]),
     )
     return Labels(maps, _search_labels(shard, "bfs"), _search_labels(shard, "astar"))
 
 
-def _padded(rows: Array, used: Flags) -> Ints:
-    """Return rows of two numbers where ``used``, (N, R), says; -1 elsewhere."""
-    table = np.full((*used.shape, 2), -1, np.int64)
-    table[used] = rows
-    return table
+def _padded(rows: Array, is_used: Flags) -> Ints:
+    """Return an array (N, R, 2) with the ``rows``, (K, 2), where ``is_used``, (N, R), is True.
+
+    The other rows are -1.
+    """
+    padded = np.full((*is_used.shape, 2), -1, np.int64)
+    padded[is_used] = rows
+    return padded
 
 
-def _search_labels(shard: Shard, search: str) -> SearchLabels:
-    """Return what one search found on the maps of a shard."""
+def _search_labels(shard: Shard, search: str) -> RouteLabels:
+    """Return the labels of a search, "bfs" or "astar", on the maps of a shard."""
     arrays = shard.arrays
     movement = shard.header.movement
     offsets = np.array(arrays[f"{search}_offsets"])
@@ -166,31 +189,32 @@ def _search_labels(shard: Shard, search: str) -> SearchLabels:
     costs[:, 0] = straight
     if search == "astar" and movement.connectivity == 8:
         costs[:, 1] = arrays["astar_diagonal"]
-    return SearchLabels(
-        moves=unpack_moves(arrays[f"{search}_moves"], offsets[-1], bits_of(movement)),
+    return RouteLabels(
+        moves=unpack_moves(arrays[f"{search}_moves"], offsets[-1], bits_per_move(movement)),
         offsets=offsets,
         iterations=arrays[f"{search}_iterations"].astype(np.int64),
         costs=costs,
     )
 
 
-def bits_of(movement: Movement) -> int:
-    """Return how many bits a stored move takes."""
+def bits_per_move(movement: Movement) -> int:
+    """Return the number of bits of a stored move."""
     return 2 if movement.connectivity == 4 else 4
 
 
 def pack_moves(moves: Bytes, bits: int) -> Bytes:
-    """Pack moves, the first one in the lowest bits of a byte."""
-    each = 8 // bits
-    padded = np.pad(moves, (0, -len(moves) % each))
-    packed = np.zeros(len(padded) // each, np.uint8)
-    for k in range(each):
-        packed |= padded[k::each] << bits * k
+    """Pack moves of ``bits`` bits into bytes; the first move is in the lowest bits of a byte."""
+    moves_per_byte = 8 // bits
+    padding = -len(moves) % moves_per_byte
+    padded = np.pad(moves, (0, padding))
+    packed = np.zeros(len(padded) // moves_per_byte, np.uint8)
+    for k in range(moves_per_byte):
+        packed |= padded[k::moves_per_byte] << bits * k
     return packed
 
 
 def unpack_moves(packed: Bytes, count: int, bits: int) -> Bytes:
-    """Undo `pack_moves` for ``count`` moves."""
+    """Return ``count`` moves that `pack_moves` packed."""
     shifts = np.arange(0, 8, bits, dtype=np.uint8)
     moves: Bytes = (packed[:, None] >> shifts) & (2**bits - 1)
     return moves.reshape(-1)[:count]

@@ -1,4 +1,4 @@
-"""Dask, for builds on many machines, whose workers may come and go. Needs the extra ``dask``."""
+"""Building on a Dask cluster, whose workers may come and go. Needs the extra ``dask``."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def executor_of(scheduler: str) -> Iterator[Executor]:
+def dask_executor(scheduler: str) -> Iterator[Executor]:
     """Yield an executor for `mapdata.build` that runs on a Dask cluster.
 
-    The shards of a worker that dies are built again by another one.
+    If a worker dies, other workers build its shards.
 
     Args:
-        scheduler: address of a running scheduler, as tcp://host:8786.
+        scheduler: address of a running scheduler, such as tcp://host:8786.
 
     Raises:
-        ValueError: no address, or Dask is not installed.
-        OSError: no scheduler answers there, or it gave up.
+        ValueError: it is not an address, or Dask is not installed.
+        OSError: no scheduler answers at this address, or it gave up.
     """
     if "://" not in scheduler:
         raise ValueError(f"scheduler: got {scheduler!r}, expected tcp://HOST:PORT of a scheduler")
@@ -30,5 +30,6 @@ def executor_of(scheduler: str) -> Iterator[Executor]:
         try:
             yield client.get_executor(pure=False)
         except (CancelledError, KilledWorker) as error:
-            what = str(error).partition(". ")[0] or "the scheduler is gone"
-            raise OSError(f"scheduler: {what}; run the same again to go on") from None
+            first_sentence = str(error).partition(". ")[0]
+            reason = first_sentence or "the scheduler is gone"
+            raise OSError(f"scheduler: {reason}; run the same again to go on") from None

@@ -1,8 +1,9 @@
-"""The content hash: what maps and labels say, whatever file, shard size or HDF5 version holds them.
+"""The content hash of maps and labels, whatever file, shard size or HDF5 version stores them.
 
-The hash of one map is the SHA-256 of its record, which docs/format.md describes. The hash of many
-maps is the sum of theirs modulo 2**256, so that shards of any size combine, in any order. It tells
-equal data from unequal data and finds corruption; it is no signature against an adversary.
+The hash of one map is the SHA-256 of its record, which docs/format.md describes. The hash of
+several maps is the sum of their hashes modulo 2**256, so that shards of any size can be combined in
+any order. It tells whether two datasets are equal and detects corruption; it is no signature
+against an adversary.
 """
 
 from __future__ import annotations
@@ -20,27 +21,35 @@ from mapdata.search.labels import Labels
 
 def content_hash(labels: Labels) -> str:
     """Return the content hash of labelled maps: 64 hexadecimal digits."""
-    records, offsets = _pack(labels)
-    view = memoryview(records)  # type: ignore[arg-type]  # its slices are not copied
-    bounds = pairwise(offsets.tolist())
-    return combine([hashlib.sha256(view[first:last]).hexdigest() for first, last in bounds])
+    records, offsets = _pack_records(labels)
+    view = memoryview(records)  # type: ignore[arg-type]  # slices of a memoryview are not copied
+    hashes = [
+        hashlib.sha256(view[start:stop]).hexdigest() for start, stop in pairwise(offsets.tolist())
+    ]
+    return combine(hashes)
 
 
 def combine(hashes: list[str]) -> str:
-    """Return the content hash of all maps that ``hashes`` stand for."""
-    total = sum(int(value, 16) for value in hashes)
+    """Return the content hash of the maps of several content hashes."""
+    total = sum(int(digits, 16) for digits in hashes)
     return f"{total % 2**256:064x}"
 
 
-def _pack(labels: Labels) -> tuple[Bytes, Ints]:
-    """Return the records of all maps, one after another, and (N + 1,) where each begins."""
+def _pack_records(labels: Labels) -> tuple[Bytes, Ints]:
+    """Return the records of N maps, concatenated, and the offset (N + 1,) of each record.
+
+    A record consists of words (int32) and bytes: a header; seed point and size of each room;
+    directions of each passage; for either search, length and iterations of each segment and the
+    cost of each pair of rooms; the cells of the map; the moves of all segments by either search;
+    and zeros up to a whole number of words.
+    """
     maps = labels.maps
     rooms = maps.rooms
     passages = rooms - 1
     pairs = np.diff(maps.pair_offsets)
-    count, rows, words_a_row = maps.packed.shape
-    packed = maps.packed.view(np.uint8).reshape(count, rows * words_a_row * 8)
-    columns = np.broadcast_arrays(
+    count, rows, words_per_row = maps.packed.shape
+    cells = maps.packed.view(np.uint8).reshape(count, rows * words_per_row * 8)
+    header_columns = np.broadcast_arrays(
         rows,
         maps.columns,
         maps.index & 0xFFFFFFFF,
@@ -49,49 +58,55 @@ def _pack(labels: Labels) -> tuple[Bytes, Ints]:
         maps.passage_width,
         rooms,
     )
-    header = np.stack(columns, axis=1)
-    # After the header two words each: of a room, seed point and size; of a passage, directions;
-    # then for either search, length and iterations of a segment, and the cost of a pair.
-    lengths = header.shape[1] + 2 * (2 * rooms + passages) + 2 * 2 * (passages + pairs)
-    move_offsets = labels.bfs.offsets + labels.astar.offsets  # in the moves of both
-    moves = np.diff(move_offsets[maps.segment_offsets])
-    padded_moves = (moves + 3) // 4 * 4  # a record is a whole number of words
-    sizes = 4 * lengths + packed.shape[1] + padded_moves
-    offsets = offsets_of(sizes)
+    header = np.stack(header_columns, axis=1)
+
+    header_words = header.shape[1]
+    room_words = 2 * 2 * rooms + 2 * passages  # two words for each seed point, size and direction
+    search_words = 2 * (passages + pairs)  # two words for each segment and each pair
+    word_counts = header_words + room_words + 2 * search_words
+    # Moves of both searches together, since the offsets of both add up.
+    move_counts = np.diff((labels.bfs.offsets + labels.astar.offsets)[maps.segment_offsets])
+    padded_move_counts = (move_counts + 3) // 4 * 4
+    offsets = offsets_of(4 * word_counts + cells.shape[1] + padded_move_counts)
+
     records = np.zeros(offsets[-1], np.uint8)
     words = records.view(np.int32)
-    at = offsets[:-1] // 4  # where the next word of each record goes
-    words[at[:, None] + np.arange(header.shape[1])] = header
-    at += header.shape[1]
-    for points, points_a_map in (
+    position = offsets[:-1] // 4  # index in ``words`` of the next word of each record
+    words[position[:, None] + np.arange(header_words)] = header
+    position += header_words
+    for points, point_counts in (
         (maps.seed_points, rooms),
         (maps.sizes, rooms),
         (maps.directions, passages),
     ):
-        first = np.arange(count) * prod(points.shape[1:])
-        _copy_runs(points.reshape(-1), first, first + 2 * points_a_map, words, at)
+        # The rows of a map are padded to the same length, and only the first of them are copied.
+        start = np.arange(count) * prod(points.shape[1:])
+        _copy_runs(points.reshape(-1), start, start + 2 * point_counts, words, position)
     for search in (labels.bfs, labels.astar):
         segments = np.stack((np.diff(search.offsets), search.iterations), axis=1)
-        for pairs, bounds in (
+        for number_pairs, bounds in (
             (segments, 2 * maps.segment_offsets),
             (search.costs, 2 * maps.pair_offsets),
         ):
-            _copy_runs(pairs.reshape(-1), bounds[:-1], bounds[1:], words, at)
-    at *= 4  # from here on the next byte of each record
-    first = np.arange(count) * packed.shape[1]
-    _copy_runs(packed.reshape(-1), first, first + packed.shape[1], records, at)
+            _copy_runs(number_pairs.reshape(-1), bounds[:-1], bounds[1:], words, position)
+    position *= 4  # from here on, index in ``records`` of the next byte of each record
+    start = np.arange(count) * cells.shape[1]
+    _copy_runs(cells.reshape(-1), start, start + cells.shape[1], records, position)
     for search in (labels.bfs, labels.astar):
         bounds = search.offsets[maps.segment_offsets]
-        _copy_runs(search.moves, bounds[:-1], bounds[1:], records, at)
+        _copy_runs(search.moves, bounds[:-1], bounds[1:], records, position)
     return records, offsets
 
 
 @kernel
-def _copy_runs(values: Array, first: Ints, end: Ints, out: Array, at: Ints) -> None:
-    """Copy ``values[first[m]:end[m]]`` of each map m to ``out[at[m]:]``; ``at`` moves behind it."""
-    for m in range(len(at)):
-        place = at[m]
-        for k in range(first[m], end[m]):
-            out[place] = values[k]
-            place += 1
-        at[m] = place
+def _copy_runs(source: Array, start: Ints, stop: Ints, target: Array, position: Ints) -> None:
+    """Copy ``source[start[m]:stop[m]]`` of each map m to ``target[position[m]:]``.
+
+    Afterwards ``position[m]`` is the index behind the copied numbers.
+    """
+    for m in range(len(position)):
+        index = position[m]
+        for k in range(start[m], stop[m]):
+            target[index] = source[k]
+            index += 1
+        position[m] = index

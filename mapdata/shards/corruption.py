@@ -1,6 +1,6 @@
-"""Finding corrupt files of a dataset, and repairing them.
+"""Finding damaged and missing files of a dataset, and repairing them.
 
-A shard that is damaged or missing is made again from the recipe, a manifest from the shards.
+A shard is built again from the recipe of its dataset, a manifest from the shards.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ from pathlib import Path
 
 from mapdata.generators.generator import MapGenerator, UnknownFamily, why_unknown
 from mapdata.shards.arrays import decode
-from mapdata.shards.builder import headers, make_shard
+from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.content import content_hash
-from mapdata.shards.errors import REPAIRS, DatasetNotFoundError, ShardError
-from mapdata.shards.files import StrPath, write_file
+from mapdata.shards.dataset_files import load_manifest, local_shard_path, read_dataset_file
+from mapdata.shards.errors import REPAIRS, UNSOUND, DatasetNotFoundError, ShardError
+from mapdata.shards.files import StrPath, file_hash, write_file
 from mapdata.shards.header import Header, Span, is_shard_name, limits_of
 from mapdata.shards.image import shard_image
+from mapdata.shards.locations import Locations, is_url, locations, target_folder
 from mapdata.shards.manifest import (
     MANIFEST,
-    MOST_SHARDS,
+    MAX_SHARDS,
     PROVENANCE,
     Entry,
     Manifest,
@@ -36,47 +38,39 @@ from mapdata.shards.manifest import (
     provenance_text,
 )
 from mapdata.shards.merging import checked_entry, is_known, load_shard, merge, union
-from mapdata.shards.reader import UNSOUND, map_shard, sound_labels
-from mapdata.shards.remote import is_url
-from mapdata.shards.root import (
-    Places,
-    file_hash,
-    folder_of,
-    local_file,
-    manifest_at,
-    places,
-    read_file,
-)
-from mapdata.shards.workers import bar, finished, threads
+from mapdata.shards.reader import map_shard, sound_labels
+from mapdata.shards.workers import bar, completed, thread_pool
 
-_STRANGE = "no file of this dataset: keep it elsewhere"
+_NOT_OURS = "no file of this dataset: keep it elsewhere"
 
 _REPLACED = "replaced by a shard of more maps: the next build removes it"
 
 
-def _unlisted(spec: MapGenerator | None) -> str:
-    """Return what is said of a sound shard that a build or import left before it was listed."""
+def _unlisted_text(spec: MapGenerator | None) -> str:
+    """Return the description of a sound shard that a build or import left before it was listed."""
     command = "import" if spec is None else "build"
     return f"finished, not listed yet: {command} again"
 
 
 @dataclass(frozen=True)
 class Corruption:
-    """One file that is not what it should be.
+    """One file that is not as it should be.
 
     Attributes:
         path: the file, or its URL.
-        what: what is wrong with it.
-        header: of the shard that belongs there; None if it is no shard, or belongs nowhere.
+        description: what is wrong with it.
+        header: header of the shard that the file should be; None if it should be no shard.
     """
 
     path: str
-    what: str
+    description: str
     header: Header | None = None
 
     def __str__(self) -> str:
         """Return one line."""
-        return self.what if self.path in self.what else f"{self.path}: {self.what}"
+        if self.path in self.description:
+            return self.description
+        return f"{self.path}: {self.description}"
 
 
 @dataclass(frozen=True)
@@ -84,34 +78,34 @@ class Inspection:
     """What is wrong with one dataset.
 
     Attributes:
-        place: its folder or URL.
-        manifest: what its manifest says, or, where that is damaged, what its sound shards say; None
-            if there is none.
+        location: its folder or URL.
+        manifest: its manifest. If that is damaged, a manifest that was gathered from the sound
+            shards; None if there is none.
         faults: in the order of the maps.
     """
 
-    place: str
+    location: str
     manifest: Manifest | None
     faults: tuple[Corruption, ...]
 
     @property
     def unchecked(self) -> str | None:
-        """What could not be checked, and why, on one line; None if all was."""
+        """What could not be checked, and why, on one line; None if everything was checked."""
         spec = None if self.manifest is None else self.manifest.spec
         if not isinstance(spec, UnknownFamily):
             return None
         return (
-            f"{self.place}: the parameters of its recipe were not checked, since "
+            f"{self.location}: the parameters of its recipe were not checked, since "
             f"{why_unknown(spec.name)}"
         )
 
 
-def verify(root: Places, *, progress: bool = False) -> list[str]:
+def verify(root: Locations, *, progress: bool = False) -> list[str]:
     """Return what is wrong with a dataset, one line per fault; an empty list if nothing is.
 
-    Every file is checked and hashed, and its content hash is computed again. Of a family of maps
-    whose module is not imported all is checked but the family's own parameters, and a warning says
-    so.
+    Every file is checked and hashed, and its content hash is computed again. If the maps are of a
+    family whose module is not imported, all is checked but the family's own parameters, and a
+    warning says so.
 
     Args:
         root: folder or URL of a dataset, or several.
@@ -121,19 +115,19 @@ def verify(root: Places, *, progress: bool = False) -> list[str]:
         DatasetNotFoundError: there is no dataset under ``root``.
     """
     faults = []
-    for place in places(root):
-        findings = inspect(place, progress=progress)
-        faults += [str(fault) for fault in findings.faults]
-        if findings.unchecked:
-            warnings.warn(findings.unchecked, stacklevel=2)
+    for location in locations(root):
+        inspection = inspect(location, progress=progress)
+        faults += [str(fault) for fault in inspection.faults]
+        if inspection.unchecked:
+            warnings.warn(inspection.unchecked, stacklevel=2)
     return faults
 
 
-def repair(root: Places, *, progress: bool = False) -> list[str]:
-    """Make again what `verify` finds damaged or missing; return the faults that are left.
+def repair(root: Locations, *, progress: bool = False) -> list[str]:
+    """Repair what `verify` finds damaged or missing; return the faults that remain.
 
-    Imported maps have no recipe, so their shards cannot be made again; those of a family can where
-    its module is imported.
+    Imported maps have no recipe, so their shards cannot be built again. Maps of a family can be
+    built again if its module is imported.
 
     Args:
         root: folder of a dataset, or several.
@@ -142,128 +136,158 @@ def repair(root: Places, *, progress: bool = False) -> list[str]:
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ValueError: it lies at a URL.
-        OSError: the disk is full or may not be written to.
+        OSError: the disk is full, or the folder may not be written to.
     """
-    folders = [folder_of(place) for place in places(root)]  # a URL is refused before any repair
-    return [
-        str(fault)
-        for folder in folders
-        for fault in repair_found(inspect(folder, progress=progress), progress=progress)
-    ]
+    # All locations are checked first, so that a URL is refused before anything is repaired.
+    folders = [target_folder(location) for location in locations(root)]
+    remaining = []
+    for folder in folders:
+        inspection = inspect(folder, progress=progress)
+        remaining += [str(fault) for fault in repair_faults(inspection, progress=progress)]
+    return remaining
 
 
-def inspect(place: StrPath, *, progress: bool = False) -> Inspection:
+def inspect(location: StrPath, *, progress: bool = False) -> Inspection:
     """Check every file of the dataset of one folder or URL.
 
     Raises:
         DatasetNotFoundError: there is no dataset.
     """
-    (place,) = places(place)
+    (location,) = locations(location)
     try:
-        manifest = manifest_at(place)
+        manifest = load_manifest(location)
     except (ShardError, DatasetNotFoundError) as error:
-        return _inspect_unlisted(place, error, progress)
+        return _inspect_without_manifest(location, error, progress)
     faults = []
-    # the hash inside the manifest is of its values, so its text is checked too
-    text = read_file(place, MANIFEST)
+    # The hash inside the manifest covers its values but not their layout, so the text is compared.
+    text = read_dataset_file(location, MANIFEST)
     if text != f"{json.dumps(json.loads(text), indent=1)}\n".encode():
-        what = "damaged (its text is not as it was written)"
-        faults.append(Corruption(f"{place}/{MANIFEST}", what))
-    faults += _check_files(place, manifest, True, progress)
-    return Inspection(place, manifest, tuple(faults))
+        description = "damaged (its text is not as it was written)"
+        faults.append(Corruption(f"{location}/{MANIFEST}", description))
+    faults += _check_files(location, manifest, is_listed=True, progress=progress)
+    return Inspection(location, manifest, tuple(faults))
 
 
-def _inspect_unlisted(place: str, error: OSError | ShardError, progress: bool) -> Inspection:
-    """Check a dataset whose manifest could not be read, which ``error`` says, by its shards alone.
+def _inspect_without_manifest(
+    location: str, error: OSError | ShardError, progress: bool
+) -> Inspection:
+    """Check a dataset by its shards alone, because reading its manifest raised ``error``.
 
     Raises:
         DatasetNotFoundError: it has no manifest and no shards.
     """
-    shards = [path for path in sorted(Path(place).glob("maps-*.h5")) if is_shard_name(path.name)]
-    missing = isinstance(error, DatasetNotFoundError)
-    if missing and not shards:
+    paths = [path for path in sorted(Path(location).glob("maps-*.h5")) if is_shard_name(path.name)]
+    is_missing = isinstance(error, DatasetNotFoundError)
+    if is_missing and not paths:
         raise error
-    faults = [Corruption(f"{place}/{MANIFEST}", "missing" if missing else str(error))]
-    manifest = _gather(Path(place), shards, progress)
+    faults = [Corruption(f"{location}/{MANIFEST}", "missing" if is_missing else str(error))]
+    manifest = _gather_manifest(Path(location), paths, progress)
     if manifest is None:
-        faults += [Corruption(str(path), "damaged, or its place is lost") for path in shards]
+        faults += [Corruption(str(path), "damaged, or its place is lost") for path in paths]
     else:
-        faults += _check_files(place, manifest, False, progress)
-    return Inspection(place, manifest, tuple(faults))
+        faults += _check_files(location, manifest, is_listed=False, progress=progress)
+    return Inspection(location, manifest, tuple(faults))
 
 
-def repair_found(findings: Inspection, *, progress: bool = False) -> list[Corruption]:
-    """Make again what can be made; return what is still wrong.
+def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Corruption]:
+    """Repair the files that can be repaired; return the faults that remain.
 
     Raises:
         ValueError: the dataset lies at a URL.
-        OSError: the disk is full or may not be written to.
+        OSError: the disk is full, or the folder may not be written to.
     """
-    root = folder_of(findings.place)
-    manifest = findings.manifest
+    root = target_folder(inspection.location)
+    manifest = inspection.manifest
     if manifest is None:
-        why = "no sound shard says what it was: delete it and run the same build again"
-        return [replace(fault, what=f"{fault.what}; {why}") for fault in findings.faults]
-    left = []
-    again = {}  # faults of shards by header
-    relisted = False
-    for fault in findings.faults:
+        hint = "no sound shard says what it was: delete it and run the same build again"
+        return [
+            replace(fault, description=f"{fault.description}; {hint}")
+            for fault in inspection.faults
+        ]
+    remaining = []
+    repairable: dict[Header, Corruption] = {}
+    manifest_is_damaged = False
+    for fault in inspection.faults:
         spec = None if fault.header is None else fault.header.spec
         if isinstance(spec, UnknownFamily):
-            what = f"{fault.what}; it cannot be made again: {why_unknown(spec.name)}"
-            left.append(replace(fault, what=what))
+            hint = f"it cannot be made again: {why_unknown(spec.name)}"
+            remaining.append(replace(fault, description=f"{fault.description}; {hint}"))
         elif fault.header is not None:
-            again[fault.header] = fault
+            repairable[fault.header] = fault
         elif fault.path.endswith(MANIFEST):
-            relisted = True
+            manifest_is_damaged = True
         elif fault.path.endswith(PROVENANCE):
-            left.append(_import_again(fault))
+            remaining.append(_ask_for_import(fault))
         else:
-            left.append(fault)
-    stated = {entry.name: entry.content_hash for entry in manifest.shards}
-    unlisted = _unlisted(manifest.spec)
-    damaged = {header.limits for header, fault in again.items() if fault.what != unlisted}
-    made = []
-    with bar(progress, sum(header.maps for header in again)) as advance, threads() as pool:
-        make = partial(_make_again, root, stated, damaged)
-        for header, entry in finished(pool, make, again):
-            if entry is None:
-                left.append(_import_again(again[header]))
-                continue
-            before = stated.get(entry.name, entry.content_hash)
-            if entry.content_hash != before:
-                what = (
-                    f"made again with content hash {entry.content_hash}, the manifest said {before}"
-                )
-                left.append(Corruption(str(root / entry.name), what, header))
-            else:  # the manifest keeps what it said of the others
-                made.append(entry)
-            advance(header.maps)
-    repaired = replace(manifest, shards=tuple(made))
-    if relisted:
-        # not merged, since the manifest on disk cannot be read
+            remaining.append(fault)
+    repaired_entries, shard_faults = _repair_shards(root, manifest, repairable, progress)
+    remaining += shard_faults
+    # The manifest keeps the entries of the shards that were not repaired.
+    repaired = replace(manifest, shards=tuple(repaired_entries))
+    if manifest_is_damaged:
+        # This is not merged, since the manifest on disk cannot be read.
         write_file(root / MANIFEST, union(repaired, manifest).to_json().encode())
-    elif made:
+    elif repaired_entries:
         merge(root, repaired)
-    return left
+    return remaining
 
 
-def _make_again(
-    root: Path, stated: Mapping[str, str], damaged: Set[Span], header: Header
-) -> Entry | None:
-    """Make a shard from its recipe, or write imported maps anew where the file still holds them.
+def _repair_shards(
+    root: Path, manifest: Manifest, faults: Mapping[Header, Corruption], progress: bool
+) -> tuple[list[Entry], list[Corruption]]:
+    """Replace the shards that have faults.
 
     Args:
         root: folder of the dataset.
-        stated: content hash of the shards that the manifest lists, by name.
-        damaged: (start, stop) of the shards that may not be kept as they are.
+        manifest: of the dataset.
+        faults: the fault of each shard that can be repaired.
+        progress: show a progress bar.
+
+    Returns:
+        The entries of the repaired shards, and the faults that remain.
+    """
+    stated_hashes = {entry.name: entry.content_hash for entry in manifest.shards}
+    unlisted = _unlisted_text(manifest.spec)
+    # The file of a shard that is only not listed is sound, and is kept.
+    damaged = {header.limits for header, fault in faults.items() if fault.description != unlisted}
+    entries = []
+    remaining = []
+    map_count = sum(header.maps for header in faults)
+    with bar(progress, map_count) as advance, thread_pool() as pool:
+        repair_header = partial(_repair_shard, root, stated_hashes, damaged)
+        for header, entry in completed(pool, repair_header, faults):
+            if entry is None:
+                remaining.append(_ask_for_import(faults[header]))
+                continue
+            stated_hash = stated_hashes.get(entry.name, entry.content_hash)
+            if entry.content_hash == stated_hash:
+                entries.append(entry)
+            else:
+                description = (
+                    f"made again with content hash {entry.content_hash}, the manifest said "
+                    f"{stated_hash}"
+                )
+                remaining.append(Corruption(str(root / entry.name), description, header))
+            advance(header.maps)
+    return entries, remaining
+
+
+def _repair_shard(
+    root: Path, stated_hashes: Mapping[str, str], damaged: Set[Span], header: Header
+) -> Entry | None:
+    """Build a shard from its recipe, or rewrite imported maps if the file still holds them.
+
+    Args:
+        root: folder of the dataset.
+        stated_hashes: content hash of the shards that the manifest lists, by name.
+        damaged: (start, stop) of the shards whose files may not be kept as they are.
         header: of the shard.
 
     Returns:
         The entry of the new shard; None if imported maps are lost.
     """
     if header.spec is not None:
-        return make_shard(root, header, damaged=damaged)
+        return build_shard(root, header, damaged=damaged)
     if header.limits not in damaged:
         return load_shard(root, header)
     try:
@@ -272,139 +296,187 @@ def _make_again(
         labels = sound_labels(shard)
     except (OSError, ShardError):
         return None
-    expected = stated.get(header.file_name, shard.content_hash)
-    if (shard.header, shard.content_hash) != (header, expected):
+    expected_hash = stated_hashes.get(header.file_name, shard.content_hash)
+    if shard.header != header or shard.content_hash != expected_hash:
         return None
     image, content = shard_image(labels, header)
     write_file(path, image)
     return entry_of(header, content, labels, image)
 
 
-def _import_again(fault: Corruption) -> Corruption:
-    """Return the fault of a file of imported maps that is left after a repair."""
-    what = fault.what.removesuffix(f"; {REPAIRS}")
-    why = "it cannot be made again, imported maps have no recipe: delete it and import again"
-    return replace(fault, what=f"{what}; {why}")
+def _ask_for_import(fault: Corruption) -> Corruption:
+    """Return the fault of a file of imported maps with the advice to import the maps again."""
+    description = fault.description.removesuffix(f"; {REPAIRS}")
+    hint = "it cannot be made again, imported maps have no recipe: delete it and import again"
+    return replace(fault, description=f"{description}; {hint}")
 
 
-def _check_files(place: str, manifest: Manifest, listed: bool, progress: bool) -> list[Corruption]:
-    """Check the shards that a manifest lists, name those that it should list, check an import.
+def _check_files(
+    location: str, manifest: Manifest, *, is_listed: bool, progress: bool
+) -> list[Corruption]:
+    """Return the faults of all files of a dataset but its manifest.
 
-    Without ``listed`` the manifest was gathered from the sound shards.
+    Args:
+        location: folder or URL of the dataset.
+        manifest: of the dataset.
+        is_listed: whether ``manifest`` is the one on disk; otherwise it was gathered from the
+            sound shards, which does not tell a lost shard from one that was never built.
+        progress: show a progress bar.
     """
-    faults = _check_provenance(place) if manifest.spec is None else []
-    with bar(progress, manifest.done) as advance, threads() as pool:
-        check = partial(_fault, place, manifest)
-        for entry, what in finished(pool, check, manifest.shards):
-            if what:
+    faults = _check_provenance(location) if manifest.spec is None else []
+    faults += _check_listed_shards(location, manifest, progress)
+    faults += _check_planned_shards(location, manifest, is_listed)
+    if not is_url(location):
+        faults += _check_folder(Path(location), manifest)
+    return faults
+
+
+def _check_listed_shards(location: str, manifest: Manifest, progress: bool) -> list[Corruption]:
+    """Return the faults of the shards that the manifest lists, in the order of their maps."""
+    faults = []
+    with bar(progress, manifest.done) as advance, thread_pool() as pool:
+        check = partial(_shard_fault, location, manifest)
+        for entry, description in completed(pool, check, manifest.shards):
+            if description:
                 header = manifest.header(*entry.limits)
-                faults.append(Corruption(f"{place}/{entry.name}", what, header))
+                faults.append(Corruption(f"{location}/{entry.name}", description, header))
             advance(entry.maps)
-    faults.sort(key=lambda fault: fault.path)
-    names = {entry.name for entry in manifest.shards}
-    for header in headers(manifest):
+    return sorted(faults, key=lambda fault: fault.path)
+
+
+def _check_planned_shards(location: str, manifest: Manifest, is_listed: bool) -> list[Corruption]:
+    """Return a fault for each shard that is planned but not listed.
+
+    See `_check_files` for the arguments.
+    """
+    listed_names = {entry.name for entry in manifest.shards}
+    missing = "missing (the build did not finish)" if is_listed else "missing"
+    faults = []
+    for header in planned_headers(manifest):
         name = header.file_name
-        if name not in names:
-            names.add(name)
-            what = "missing (the build did not finish)" if listed else "missing"
-            if not is_url(place) and os.path.lexists(Path(place) / name):
-                what = _why_unlisted(Path(place), header)
-            faults.append(Corruption(f"{place}/{name}", what, header))
-    if not is_url(place):
-        # what hides is other programs'; folders may be other datasets
-        for path in sorted(Path(place).iterdir()):
-            name = path.name
-            is_hidden = name.startswith(".") and not name.endswith(".tmp")
-            is_listed = name in names or (is_known(name) and not is_shard_name(name))
-            if not (is_hidden or is_listed or path.is_dir()):
-                faults.append(Corruption(str(path), _why_strange(manifest, path)))
+        if name not in listed_names:
+            has_file = not is_url(location) and os.path.lexists(Path(location) / name)
+            description = _why_unlisted(Path(location), header) if has_file else missing
+            faults.append(Corruption(f"{location}/{name}", description, header))
+    return faults
+
+
+def _check_folder(folder: Path, manifest: Manifest) -> list[Corruption]:
+    """Return the files of a folder that do not belong to the dataset.
+
+    Hidden files are those of other programs, and folders may be other datasets: both are skipped.
+    """
+    shard_names = {entry.name for entry in manifest.shards}
+    shard_names |= {header.file_name for header in planned_headers(manifest)}
+    faults = []
+    for path in sorted(folder.iterdir()):
+        name = path.name
+        is_hidden = name.startswith(".") and not name.endswith(".tmp")
+        belongs = name in shard_names or (is_known(name) and not is_shard_name(name))
+        if not (is_hidden or belongs or path.is_dir()):
+            faults.append(Corruption(str(path), _why_unplanned(manifest, path)))
     return faults
 
 
 def _why_unlisted(root: Path, header: Header) -> str:
-    """Return why the shard of ``header``, whose file is there, is not listed."""
+    """Return why the manifest does not list the shard of ``header``, although its file exists."""
     try:
         checked_entry(root, header)
     except (OSError, ShardError) as error:
         return str(error)
-    return _unlisted(header.spec)
+    return _unlisted_text(header.spec)
 
 
-def _why_strange(manifest: Manifest, path: Path) -> str:
-    """Return what is said of a file that the plan of a dataset does not name."""
+def _why_unplanned(manifest: Manifest, path: Path) -> str:
+    """Return the description of a file that the manifest of its dataset does not plan."""
     if is_shard_name(path.name):
         start, stop = limits_of(path)
-        fits = start % manifest.shard_size == 0 and 0 < stop - start <= manifest.shard_size
-        # A build that makes the dataset larger lists its shards after it has made some.
-        if fits and load_shard(path.parent, manifest.header(start, stop)) is not None:
-            longer = any(entry.start == start and stop < entry.stop for entry in manifest.shards)
-            return _REPLACED if longer else _unlisted(manifest.spec)
-    return _STRANGE
+        fits_plan = start % manifest.shard_size == 0 and 0 < stop - start <= manifest.shard_size
+        # A build that extends the dataset lists its shards only after it has built some.
+        if fits_plan and load_shard(path.parent, manifest.header(start, stop)) is not None:
+            is_replaced = any(
+                entry.start == start and stop < entry.stop for entry in manifest.shards
+            )
+            return _REPLACED if is_replaced else _unlisted_text(manifest.spec)
+    return _NOT_OURS
 
 
-def _gather(root: Path, shards: Sequence[Path], progress: bool) -> Manifest | None:
-    """Return the manifest of the dataset that most shards are of, with the sound ones; or None."""
-    found = {}
-    with bar(progress, len(shards), unit=" shards") as advance:
-        for path in shards:
+def _gather_manifest(root: Path, paths: Sequence[Path], progress: bool) -> Manifest | None:
+    """Return a manifest of the sound shards among ``paths``.
+
+    The dataset is the one that most shards belong to. Return None if no header can be read, or if
+    the names of the files fit no shard size.
+    """
+    entries: dict[Header, Entry | None] = {}  # None where the arrays are damaged
+    with bar(progress, len(paths), unit=" shards") as advance:
+        for path in paths:
             with suppress(OSError, ShardError):
                 header = map_shard(path_in(root, path.name)).shard.header
-                found[header] = load_shard(root, header)
+                entries[header] = load_shard(root, header)
             advance(1)
-    if not found:
+    if not entries:
         return None
-    # all shards of a dataset have one header but for their limits
-    votes = Counter(replace(header, start=0, stop=0) for header in found)
-    ((header, _),) = votes.most_common(1)
-    limits = [limits_of(path) for path in shards]
-    maps = max(stop for _, stop in limits)
-    # A build takes 1,000 maps by default. An import takes less of large ones: its shard that is
-    # alone is taken for a whole one.
-    size = _shard_size(root, limits, 1000 if header.spec else maps)
-    if size is None or maps > MOST_SHARDS * size:
+    # All shards of a dataset have the same header, except for their limits.
+    votes = Counter(replace(header, start=0, stop=0) for header in entries)
+    ((common_header, _),) = votes.most_common(1)
+    spans = [limits_of(path) for path in paths]
+    maps = max(stop for _, stop in spans)
+    # A build takes shards of 1,000 maps by default. An import takes smaller ones for large maps,
+    # so its only shard is assumed to be a whole one.
+    default_size = maps if common_header.spec is None else 1000
+    shard_size = _guess_shard_size(root, spans, default_size)
+    if shard_size is None or maps > MAX_SHARDS * shard_size:
         return None
-    manifest = Manifest(**header.origin(), maps=maps, shard_size=size)
-    sound = filter(None, map(found.get, headers(manifest)))
-    return replace(manifest, shards=tuple(sound))
+    manifest = Manifest(**common_header.origin(), maps=maps, shard_size=shard_size)
+    planned_entries = [entries.get(header) for header in planned_headers(manifest)]
+    sound_entries = tuple(entry for entry in planned_entries if entry is not None)
+    return replace(manifest, shards=sound_entries)
 
 
-def _shard_size(root: Path, limits: Sequence[Span], default: int) -> int | None:
-    """Return the shard size of a dataset with shards of these limits, or None if none fits."""
-    sizes = [max(stop - start for start, stop in limits)]
-    if limits == [(0, sizes[0])]:
-        sizes.insert(0, default)  # a shard that is alone may be a partial one
-    # what a damaged manifest still says comes first
+def _guess_shard_size(root: Path, spans: Sequence[Span], default: int) -> int | None:
+    """Return the shard size of a dataset with shards of these spans, or None if none fits.
+
+    Args:
+        root: folder of the dataset.
+        spans: (start, stop) of its shards, sorted.
+        default: the size to assume if the only shard may be a partial one.
+    """
+    largest = max(stop - start for start, stop in spans)
+    candidates = []
     with suppress(OSError, ShardError), open(path_in(root, MANIFEST), "rb") as file:
-        # it stands before the list of shards
+        # A damaged manifest may still state the size, which stands before the list of shards.
         stated = re.search(rb'"shard_size": (\d{1,9})\b', file.read(2**20))
         if stated:
-            sizes.insert(0, int(stated[1]))
-    for size in sizes:
-        if size >= sizes[-1] and all(start % size == 0 for start, _ in limits):
+            candidates.append(int(stated[1]))
+    if list(spans) == [(0, largest)]:
+        candidates.append(default)
+    candidates.append(largest)
+    for size in candidates:
+        if size >= largest and all(start % size == 0 for start, _ in spans):
             return size
     return None
 
 
-def _check_provenance(place: str) -> list[Corruption]:
-    """Check the file that says where imported maps came from."""
+def _check_provenance(location: str) -> list[Corruption]:
+    """Return the fault, if any, of the file that says where imported maps came from."""
     try:
-        text = read_file(place, PROVENANCE).decode()
-        values = json.loads(text)
-        del values["hash"]
-        if text == provenance_text(values):
+        text = read_dataset_file(location, PROVENANCE).decode()
+        origin = json.loads(text)
+        del origin["hash"]
+        if text == provenance_text(origin):
             return []
-        what = "damaged (its hash does not fit)"
+        description = "damaged (its hash does not fit)"
     except FileNotFoundError:
-        what = "missing"
+        description = "missing"
     except (PermissionError, *UNSOUND) as error:
-        what = f"damaged ({error})"
-    return [Corruption(f"{place}/{PROVENANCE}", what)]
+        description = f"damaged ({error})"
+    return [Corruption(f"{location}/{PROVENANCE}", description)]
 
 
-def _fault(place: str, manifest: Manifest, entry: Entry) -> str | None:
-    """Return what is wrong with one shard file, or None."""
+def _shard_fault(location: str, manifest: Manifest, entry: Entry) -> str | None:
+    """Return what is wrong with the file of one listed shard, or None."""
     try:
-        path = local_file(place, entry)
+        path = local_shard_path(location, entry)
         shard = map_shard(path, entry.bytes).shard
         if file_hash(path) != entry.sha256:
             return "damaged (its file hash does not fit)"
@@ -416,7 +488,8 @@ def _fault(place: str, manifest: Manifest, entry: Entry) -> str | None:
         return f"cannot be read ({error})"
     except ShardError as error:
         return str(error)
-    # a partial last shard may not be replaced by the planned one yet
+    # The header is that of the entry and not of the plan: a partial last shard may still be there
+    # when the plan has a longer one.
     if shard.header != manifest.header(*entry.limits):
         return "holds other maps than the manifest says"
     labels = decode(shard)

@@ -6,7 +6,18 @@ import shlex
 from typing import Any
 
 REPAIRS = "'mapdata verify' with --repair makes it again where there is a recipe"
-"""The end of messages about a shard that is not what it should be: what to do."""
+"""The end of error messages about a damaged or missing shard, which says what to do."""
+
+
+UNSOUND = (
+    TypeError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+)
+"""Errors that parsing the content of a damaged file may raise."""
 
 
 class ShardError(ValueError):
@@ -14,24 +25,33 @@ class ShardError(ValueError):
 
 
 class DatasetNotFoundError(FileNotFoundError):
-    """There is no dataset; the message says where it was looked for, and what makes one."""
+    """There is no dataset at a location; the message says why, and how to create one.
 
-    def __init__(self, root: object, why: str = "", how: str = "") -> None:
-        """Say what was looked for under ``root``, why it is none, and what to do."""
+    Attributes:
+        root: the location.
+        why: why there is no dataset.
+        hint: what to do; by default, how to build a dataset at this location.
+    """
+
+    def __init__(self, root: object, why: str = "", hint: str = "") -> None:
+        """Compose the message.
+
+        A single argument is the whole message: torch raises the errors of a loader's workers in
+        the main process with their text as the only argument.
+        """
         self.root = root
         self.why = why
-        self.how = how
+        self.hint = hint
         if "://" in str(root):
-            build = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
+            default_hint = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
         else:
-            build = (
+            default_hint = (
                 f"Make one with 'mapdata build {shlex.quote(str(root))}', with "
                 f"mapdata.build({str(root)!r}, MapSpec()), or with MapDataModule({str(root)!r}, "
                 "build='paper')"
             )
-        # of a loader's worker torch gives the whole text of its error as the root
-        super().__init__(f"no dataset at {root}: {why}. {how or build}" if why else root)
+        super().__init__(f"no dataset at {root}: {why}. {hint or default_hint}" if why else root)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments, so that the error of a worker says the same in its parent."""
-        return DatasetNotFoundError, (self.root, self.why, self.how)
+        """Pickle the arguments, so that an unpickled error has the same message."""
+        return DatasetNotFoundError, (self.root, self.why, self.hint)

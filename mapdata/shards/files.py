@@ -1,9 +1,9 @@
-"""Writing files whole or not at all: temporary names, locks, and what dead writers left.
+"""Atomic writing of files: temporary names, locks, and removing what killed writers left.
 
-What is being written has a hidden name beside its target's, and gets the target's name when it is
-complete. The hidden name says whose it is: ``.maps.npz.0123456789abcdef.mapdata.tmp``. Its writer
-holds a lock until the end. A writer that is killed loses the lock and leaves the file, so whoever
-writes into the same folder next can tell it from what a living writer is about to finish.
+A file is written under a hidden name in the folder of its target, and renamed when it is complete.
+The hidden name contains the name of the target: ``.maps.npz.0123456789abcdef.mapdata.tmp``. The
+writer holds a lock on the file until then. A writer that is killed loses the lock and leaves the
+file, so the next writer into the folder can tell it from the file of a living writer and remove it.
 """
 
 from __future__ import annotations
@@ -19,63 +19,68 @@ from pathlib import Path
 from typing import IO
 from uuid import uuid4
 
+from mapdata.hashing import sha256_hex
+
 if sys.platform != "win32":
     import fcntl
 
 StrPath = str | os.PathLike[str]
 
 
-def write_file(path: Path, data: bytes) -> None:
-    """Write ``data`` so that ``path`` is either what it was or complete, through a power cut too.
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file atomically: even after a power cut it has either its old or the new content.
 
-    Whatever else the name stood for, such as a link, is replaced.
+    A link of this name is replaced, not followed.
 
     Raises:
-        OSError: the disk is full or not writable; nothing is left behind under any name.
+        OSError: the disk is full or not writable; no temporary file remains.
     """
     temporary = temporary_path(path)
     try:
         with open(temporary, "xb") as file:
-            take_lock(file)  # it tells those who sweep that the writer lives
-            file.write(data)
+            take_lock(file)  # shows other processes that the writer is alive
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except FileNotFoundError:
         if not path.parent.is_dir():
             raise
-        # it was swept while it had no lock: just made, just closed, or where there are no locks
-        write_file(path, data)
+        # Another process removed the temporary file while it had no lock: just after it was
+        # created, just after it was closed, or on a file system without locks.
+        write_file(path, content)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.errno and error.filename is None:
-            # what fails while bytes are written, as on a full disk, does not say where
+            # An error of writing bytes, as on a full disk, does not name the file.
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise
     sync_folder(path.parent)
 
 
-def write_output(path: StrPath, data: bytes) -> None:
-    """Write ``data`` to what a user names: a file at once, a link followed, a device or pipe as is.
+def write_output(path: StrPath, content: bytes) -> None:
+    """Write to a path that a user chose.
 
-    What writers left beside the file that were killed is removed.
+    A file is written atomically, a link is followed, and a device or pipe is written to directly.
+    Temporary files of killed writers in the same folder are removed.
 
     Raises:
         OSError: as `write_file`.
     """
     target = Path(path)
-    if target.exists() and not target.is_file():
-        target.write_bytes(data)
+    is_device = target.exists() and not target.is_file()
+    if is_device:
+        target.write_bytes(content)
     else:
         target = Path(os.path.realpath(path))
         sweep_temporaries(target.parent)
-        write_file(target, data)
+        write_file(target, content)
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames in ``folder`` durable: without this, a power cut may undo them."""
+    """Make renames in ``folder`` durable; without this, a power cut may undo them."""
     if os.name == "nt":
-        return  # Windows cannot open a folder, and needs no such call
+        return  # Windows cannot open folders, and does not need this.
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -84,10 +89,10 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those that it lies in, unless it is there.
+    """Create a folder and its parents, unless they exist.
 
     Raises:
-        OSError: it cannot be made; the message names it.
+        OSError: it cannot be created; the message names it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,57 +101,63 @@ def make_folder(folder: Path) -> None:
 
 
 def file_size(path: Path) -> int | None:
-    """Return the size of a file in bytes, None if there is none."""
+    """Return the size of a file in bytes, or None if there is no such file."""
     try:
         return path.stat().st_size
     except FileNotFoundError:
         return None
 
 
-_ENDING = ".mapdata.tmp"
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file as 64 hexadecimal digits."""
+    return sha256_hex(path.read_bytes())
 
-_NAME = re.compile(rf"\..+\.[0-9a-f]{{16}}{re.escape(_ENDING)}", re.DOTALL)
-"""The names that `temporary_path` gives."""
+
+_TEMPORARY_SUFFIX = ".mapdata.tmp"
+
+_TEMPORARY_NAME = re.compile(rf"\..+\.[0-9a-f]{{16}}{re.escape(_TEMPORARY_SUFFIX)}", re.DOTALL)
+"""The names that `temporary_path` returns."""
 
 _FOLDER_LOCK = "lock"
-"""The file of a temporary folder that its writer locks: not all file systems lock folders."""
+"""File in a temporary folder that its writer locks, since not all file systems lock folders."""
 
-_A_DAY = 86_400
-"""Seconds after which a temporary file counts as left behind where there are no locks."""
+_MAX_AGE_WITHOUT_LOCKS = 86_400
+"""Seconds (a day) after which a temporary file counts as abandoned where there are no locks."""
 
 
 def temporary_path(target: Path) -> Path:
-    """Return a new path beside ``target``, to write what shall replace it."""
-    return target.with_name(f".{target.name}.{uuid4().hex[:16]}{_ENDING}")
+    """Return a new hidden path in the folder of ``target``, to write its new content to."""
+    return target.with_name(f".{target.name}.{uuid4().hex[:16]}{_TEMPORARY_SUFFIX}")
 
 
 @contextmanager
 def temporary_folder(target: Path) -> Iterator[Path]:
-    """Make a folder beside ``target`` to write in; remove it with all that it still holds.
+    """Yield a new hidden folder next to ``target``, and remove it with its content at the end.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: it cannot be created.
     """
     folder = temporary_path(target)
     folder.mkdir()
     try:
         lock = folder / _FOLDER_LOCK
         with open(lock, "xb") as file:
-            take_lock(file, wait=True)  # it tells those who sweep that the writer lives
+            take_lock(file, wait=True)  # shows other processes that the writer is alive
             if lock.exists():
                 yield folder
                 return
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    # it was swept while it had no lock
+    # Another process removed the folder before it was locked.
     with temporary_folder(target) as folder:
         yield folder
 
 
 def take_lock(file: IO[bytes], wait: bool = False) -> bool:
-    """Lock an open file until it is closed; without ``wait``, return False if another one holds it.
+    """Lock an open file until it is closed, and return True.
 
-    Where there are no locks (Windows, some file systems) return True.
+    If the file is locked already, wait for the lock, or return False without ``wait``. Where there
+    are no locks (Windows, some file systems), return True.
     """
     if sys.platform != "win32":
         try:
@@ -154,38 +165,42 @@ def take_lock(file: IO[bytes], wait: bool = False) -> bool:
         except BlockingIOError:
             return False
         except OSError:
-            pass  # this file system has no locks
+            pass  # This file system has no locks.
     return True
 
 
 def sweep_temporaries(folder: Path) -> None:
     """Remove from ``folder`` the temporary files and folders of mapdata whose writers are dead."""
-    with suppress(OSError):  # a folder that is not there, or that may not be listed
-        for path in [Path(entry) for entry in os.scandir(folder) if _NAME.fullmatch(entry.name)]:
-            remove_if_left(path)
+    with suppress(OSError):  # The folder may not exist, or may not be listed.
+        for entry in list(os.scandir(folder)):
+            if _TEMPORARY_NAME.fullmatch(entry.name):
+                remove_if_abandoned(Path(entry))
 
 
-def remove_if_left(path: Path) -> None:
-    """Remove a temporary file or folder if its writer has died: it holds a lock while it lives.
+def remove_if_abandoned(path: Path) -> None:
+    """Remove a temporary file or folder if its writer is dead, which is so if nobody locks it.
 
-    Process numbers and host names would not tell: those of two containers may be equal. Where there
-    are no locks, the age tells. Links and pipes are left alone, and so is what cannot be removed.
+    Process numbers and host names would not do, since they may be equal in two containers. Where
+    there are no locks, a file is removed if it is old. Links and pipes are not touched; a file that
+    cannot be removed stays.
     """
     if path.is_symlink() or not (path.is_file() or path.is_dir()):
         return
     lock = path / _FOLDER_LOCK if path.is_dir() else path
-    # others sweep too, and it may be another user's
+    # Another process may remove the file first, and the file may belong to another user.
     with suppress(OSError), ExitStack() as stack:
-        had_no_lock = False
+        is_abandoned = False
         with suppress(PermissionError, FileNotFoundError):
             first = stack.enter_context(open(lock, "r+b"))
             second = stack.enter_context(open(lock, "r+b"))
             if not take_lock(first):
                 return
-            # refused where locks work here: nobody but us holds this one
-            had_no_lock = not take_lock(second)
-        if had_no_lock or time.time() - path.stat().st_mtime > _A_DAY:
-            # while the lock is held: its writer may be about to take it
+            # If locks work here, a second lock on the file is refused, so the first lock proves
+            # that no other process had one.
+            is_abandoned = not take_lock(second)
+        if is_abandoned or time.time() - path.stat().st_mtime > _MAX_AGE_WITHOUT_LOCKS:
+            # The lock is kept meanwhile: a writer that has just created the file may be about to
+            # lock it.
             if path.is_dir():
                 shutil.rmtree(path)
             else:

@@ -1,4 +1,4 @@
-"""What a shard says of itself: which maps it holds, of which recipe."""
+"""The header of a shard: which maps it holds, and the recipe that they were drawn from."""
 
 from __future__ import annotations
 
@@ -10,19 +10,29 @@ from typing import Any
 from mapdata._version import __version__
 from mapdata.generators.generator import MapGenerator, identity
 from mapdata.hashing import canonical_json
-from mapdata.limits import FORMAT_VERSIONS, Size, least_version
+from mapdata.limits import FORMAT_VERSIONS, Size, min_version
 from mapdata.movement import Movement
 from mapdata.shards.errors import ShardError
 
 Span = tuple[int, int]
-"""(start, stop) of the maps of a shard."""
+"""(start, stop): the maps start <= i < stop of a shard."""
 
 
-def check_version(found: object, where: str = "", error: type[ValueError] = ShardError) -> None:
-    """Raise ``error``, which names both versions, for a format version that is not known."""
-    if found not in FORMAT_VERSIONS:
-        known = " and ".join(map(str, FORMAT_VERSIONS))
-        raise error(f"{where}format version {found}, this mapdata {__version__} reads {known}")
+def check_version(
+    version: object, prefix: str = "", error_type: type[ValueError] = ShardError
+) -> None:
+    """Refuse a format version that this version of mapdata does not know.
+
+    Args:
+        version: the format version that a file states.
+        prefix: beginning of the error message, which names the file.
+        error_type: class of the error that is raised.
+    """
+    if version not in FORMAT_VERSIONS:
+        known = " and ".join(str(known_version) for known_version in FORMAT_VERSIONS)
+        raise error_type(
+            f"{prefix}format version {version}, this mapdata {__version__} reads {known}"
+        )
 
 
 ATTRIBUTES = (
@@ -39,18 +49,18 @@ ATTRIBUTES = (
     "movement",
     "resolution",
 )
-"""All attributes of the root group of a shard; `Origin.stated` gives their values."""
+"""All attributes of the root group of a shard; `shard_attributes` gives their values."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What all shards of a dataset say.
+    """The properties that all shards of a dataset share.
 
     Attributes:
-        spec: the spec that the maps were drawn from, None for imported maps.
-        seed: the seed they were drawn with, None for imported maps.
+        spec: generator that drew the maps, None for imported maps.
+        seed: seed that they were drawn with, None for imported maps.
         map_size: (rows, columns).
-        movement: how the stored paths move.
+        movement: rule of movement of the stored paths.
         resolution: metres per cell.
     """
 
@@ -62,7 +72,7 @@ class Origin:
 
     @property
     def identity(self) -> str | None:
-        """The identity of the dataset; None for imported maps: they are what their hash says."""
+        """The identity of the dataset; None for imported maps, which only their hash identifies."""
         if self.spec is None or self.seed is None:
             return None
         return identity(self.spec, self.seed)
@@ -70,29 +80,35 @@ class Origin:
     @property
     def format_version(self) -> int:
         """The version of the format that the dataset is written in."""
-        return least_version(self.map_size) if self.spec is None else self.spec.format_version
+        if self.spec is None:
+            return min_version(self.map_size)
+        return self.spec.format_version
 
-    def stated(self, content: str, **own: int) -> dict[str, Any]:
-        """Return what a manifest states, and in other words the root attributes of a shard.
+    def recipe_properties(self, content_hash: str) -> dict[str, Any]:
+        """Return the properties that begin a manifest and the root attributes of a shard.
 
-        ``content`` is the content hash, ``own`` what only one of the two has.
+        ``content_hash`` is that of the maps in the manifest or shard.
         """
         return {
             "format": "mapdata",
             "format_version": self.format_version,
             "library_version": __version__,
             "identity": self.identity,
-            "content_hash": content,
+            "content_hash": content_hash,
             "spec": self.spec.to_dict() if self.spec else None,
             "seed": self.seed,
-            **own,
+        }
+
+    def map_properties(self) -> dict[str, Any]:
+        """Return the properties of the maps; they follow the numbers of maps in both files."""
+        return {
             "map_size": self.map_size,
             "movement": asdict(self.movement),
             "resolution": self.resolution,
         }
 
     def origin(self) -> dict[str, Any]:
-        """Return these values by name, without those that a subclass adds."""
+        """Return the attributes of `Origin` by name, without those that a subclass adds."""
         return {field.name: getattr(self, field.name) for field in fields(Origin)}
 
 
@@ -100,7 +116,7 @@ _SHARD_NAME = re.compile(r"maps-\d{12,}-\d{12,}\.h5")
 
 
 def is_shard_name(name: str) -> bool:
-    """Return whether shards have such names; a manifest's other names are never opened."""
+    """Return whether ``name`` is that of a shard; no file of another name is opened as one."""
     return _SHARD_NAME.fullmatch(name) is not None
 
 
@@ -117,7 +133,7 @@ class MapRange:
 
     @property
     def maps(self) -> int:
-        """How many they are."""
+        """The number of maps."""
         return self.stop - self.start
 
     @property
@@ -128,10 +144,11 @@ class MapRange:
 
 @dataclass(frozen=True, eq=False)
 class Header(MapRange, Origin):
-    """What the root attributes of a shard say.
+    """The header of a shard, which its root attributes hold.
 
-    Two are equal if they say the same, be the family of maps known to one of them alone: its module
-    may have been imported since, or a notebook may have made its class anew.
+    Two headers are equal if their stored forms are equal. The classes of their generators may
+    differ: the module of a family may be imported between two reads, and a notebook may define its
+    class a second time.
 
     Attributes:
         start, stop: the maps are start <= i < stop.
@@ -141,32 +158,41 @@ class Header(MapRange, Origin):
     stop: int
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other one says the same."""
-        if not isinstance(other, Header) or self._numbers != other._numbers:
+        """Return whether ``other`` is a header with the same stored form."""
+        if not isinstance(other, Header) or self._properties != other._properties:
             return False
         if self.spec is None or other.spec is None:
             return self.spec is other.spec
         return self.spec == other.spec or self.spec.to_json() == other.spec.to_json()
 
     def __hash__(self) -> int:
-        return hash(self._numbers)
+        return hash(self._properties)
 
     @property
-    def _numbers(self) -> tuple[object, ...]:
-        """All but the spec."""
+    def _properties(self) -> tuple[object, ...]:
+        """All attributes but the spec."""
         return self.seed, self.map_size, self.movement, self.resolution, self.start, self.stop
 
 
-def _attributes(header: Header, content: str) -> dict[str, Any]:
-    """Return the root attributes of a shard: HDF5 has neither objects nor unsigned seeds."""
-    values = header.stated(content, start=header.start, stop=header.stop)
+def shard_attributes(header: Header, content_hash: str) -> dict[str, Any]:
+    """Return the root attributes of a shard.
+
+    The attributes of a shard are texts, floats and signed integers. So objects and the seed, an
+    unsigned integer, are stored as JSON texts, and None is stored as an empty text.
+    """
+    attributes = {
+        **header.recipe_properties(content_hash),
+        "start": header.start,
+        "stop": header.stop,
+        **header.map_properties(),
+    }
     for name in ("spec", "movement", "seed"):
-        if values[name] is not None:
-            values[name] = canonical_json(values[name])
-    return {name: "" if value is None else value for name, value in values.items()}
+        if attributes[name] is not None:
+            attributes[name] = canonical_json(attributes[name])
+    return {name: "" if value is None else value for name, value in attributes.items()}
 
 
 def limits_of(path: Path) -> Span:
-    """Return (start, stop) of the maps of a shard file, as its name states them."""
+    """Return (start, stop) of the maps of a shard file, which its name states."""
     _, start, stop = path.stem.split("-")
     return int(start), int(stop)

@@ -1,4 +1,4 @@
-"""The bytes of a shard file: written by h5py, read back by the patterns of its bytes."""
+"""The bytes of a shard file: writing them with h5py, and reading them back without it."""
 
 from __future__ import annotations
 
@@ -20,59 +20,64 @@ from mapdata.shards.hdf5 import (
     read_dataset,
     read_root,
 )
-from mapdata.shards.header import ATTRIBUTES, Header, _attributes
+from mapdata.shards.header import ATTRIBUTES, Header, shard_attributes
 
 TESTED_H5PY = ("3.15", "3.16")
 """The oldest and the newest h5py whose files were read back; docs/promises.md has a table."""
 
 _MAX_TEXT = 4070
-"""Largest text attribute, in bytes: with its header it has 4,096, the most that the heap takes."""
+"""Largest text attribute, in bytes; with its header it has 4,096, the limit of a heap's objects."""
 
 
 def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
     """Return the bytes of a shard file and its content hash.
 
     Raises:
-        ShardError: what HDF5 wrote does not read back as what it was given.
+        ShardError: reading the bytes that HDF5 wrote gives other attributes or arrays.
     """
     content = content_hash(labels)
-    attributes = _attributes(header, content)
+    attributes = shard_attributes(header, content)
     encoded = encode(labels)
     arrays = {
-        field.name: np.ascontiguousarray(encoded[field.name], field.dtype) for field in DATASETS
+        stored.name: np.ascontiguousarray(encoded[stored.name], stored.dtype) for stored in DATASETS
     }
-    # Not HDF5's own files in memory: before 2.0 their bytes have checksums of another state.
+    # HDF5 can keep files in memory itself, but before version 2.0 it returned their bytes with
+    # outdated checksums.
     buffer = io.BytesIO()
-    # Aligned data can be used in place: numba assumes that arrays are aligned.
     with h5py.File(
         buffer,
         "w",
         libver=("v110", "v110"),
+        # Arrays are used in place, and numba assumes that they are aligned.
         alignment_threshold=1,
         alignment_interval=64,
-        track_order=False,  # whatever h5py is configured to do
+        track_order=False,  # overrides the configuration of h5py
     ) as file:
         for name, value in attributes.items():
             _write_attribute(file, name, value)
-        for field in DATASETS:
-            dataset = file.create_dataset(field.name, data=arrays[field.name], track_order=False)
+        for stored in DATASETS:
+            dataset = file.create_dataset(stored.name, data=arrays[stored.name], track_order=False)
             for name in ("description", "units", "encoding"):
-                _write_attribute(dataset, name, getattr(field, name))
+                _write_attribute(dataset, name, getattr(stored, name))
     image = buffer.getvalue()
     _check_image(image, attributes, arrays)
     return image, content
 
 
 def _check_image(image: bytes, attributes: dict[str, Any], arrays: dict[str, Array]) -> None:
-    """Refuse the bytes of a file that does not hold these attributes and arrays."""
+    """Refuse the bytes of a shard file if they do not hold these attributes and arrays.
+
+    Raises:
+        ShardError: the message says what to do.
+    """
     try:
-        found, found_arrays = read_image(memoryview(image))
-        same = found == attributes and all(
-            np.array_equal(found_arrays[name], arrays[name]) for name in arrays
+        read_attributes, read_arrays = read_image(memoryview(image))
+        is_as_written = read_attributes == attributes and all(
+            np.array_equal(read_arrays[name], arrays[name]) for name in arrays
         )
     except ValueError:
-        same = False
-    if same:
+        is_as_written = False
+    if is_as_written:
         return
     size = len(attributes["spec"].encode())
     if size > _MAX_TEXT:
@@ -93,59 +98,69 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the root attributes and the arrays in the bytes of a shard file.
 
     Raises:
-        ShardError: a dataset is missing or not plain, or another HDF5 program wrote the file.
+        ShardError: a dataset is missing or not contiguous, or another HDF5 program wrote the file.
         ValueError: the bytes are not those of a shard.
     """
     try:
         attributes, addresses = read_root(image)
     except ValueError as error:
         if is_undamaged(image):
-            raise ShardError(foreign(image, error)) from None
+            raise ShardError(foreign_file_message(image, str(error))) from None
         raise
     arrays = {}
-    for field in DATASETS:
-        if field.name not in addresses:
-            raise ShardError(f"dataset {field.name!r} is missing, or is a link to somewhere else")
+    for stored in DATASETS:
+        name = stored.name
+        if name not in addresses:
+            raise ShardError(f"dataset {name!r} is missing, or is a link to somewhere else")
         try:
-            arrays[field.name] = read_dataset(image, addresses[field.name], field.dtype, field.rank)
+            arrays[name] = read_dataset(image, addresses[name], stored.dtype, stored.rank)
         except ValueError as error:
-            why: object = (
-                f"dataset {field.name!r} is not plain contiguous data of type {field.dtype} and "
-                f"rank {field.rank} inside the file ({error})"
+            message = (
+                f"dataset {name!r} is not plain contiguous data of type {stored.dtype} and rank "
+                f"{stored.rank} inside the file ({error})"
             )
             if is_undamaged(image):
-                why = foreign(image, why)
-            raise ShardError(why) from None
+                message = foreign_file_message(image, message)
+            raise ShardError(message) from None
     return attributes, arrays
 
 
-def foreign(image: memoryview, why: object) -> str:
-    """Return what is said of a sound HDF5 file that mapdata did not write, which ``why`` tells."""
-    # the superblock has a mark for this; h5py does not read such a file either
-    if bytes(image[:9]).endswith(b"\n\x03") and image[11]:
+_OPEN_FLAGS = 11
+"""Address of the byte in the superblock (versions 2 and 3) that tells whether a file is open."""
+
+
+def foreign_file_message(image: memoryview, reason: str) -> str:
+    """Return the error message for a sound HDF5 file that mapdata did not write.
+
+    ``reason`` says how it differs from a shard.
+    """
+    has_superblock_3 = bytes(image[:9]).endswith(b"\n\x03")
+    if has_superblock_3 and image[_OPEN_FLAGS]:
+        # h5py does not read such a file either.
         return f"another HDF5 program has it open for writing, or did not close it; {REPAIRS}"
     return (
-        f"written by another HDF5 program ({why}); mapdata reads only shards that it wrote; h5py "
-        f"can still read this file; {REPAIRS}"
+        f"written by another HDF5 program ({reason}); mapdata reads only shards that it wrote; "
+        f"h5py can still read this file; {REPAIRS}"
     )
 
 
 def is_undamaged(image: memoryview) -> bool:
-    """Return whether no checksum in the bytes of an HDF5 file tells damage.
+    """Return whether the checksums in the bytes of an HDF5 file show no damage.
 
-    Only the structures of a shard are known: of the file of another program the first few tell.
+    In a file of another program, only the structures up to the first one that no shard has are
+    checked.
     """
     try:
-        check_metadata(image, [field.name for field in DATASETS])
+        check_metadata(image, [stored.name for stored in DATASETS])
     except ChecksumError:
         return False
-    except ValueError:  # sound until it differs from a shard
+    except ValueError:  # The file differs from a shard, but everything before that is sound.
         return True
     return True
 
 
 def is_as_written(image: memoryview) -> bool:
-    """Return whether a file has the datasets and attributes of a shard, and no others."""
+    """Return whether a file has exactly the datasets and attributes of a shard."""
     try:
         read_image(image)
         return member_counts(image) == (len(ATTRIBUTES), len(DATASETS))
@@ -154,15 +169,15 @@ def is_as_written(image: memoryview) -> bool:
 
 
 def _write_attribute(owner: h5py.File | h5py.Dataset, name: str, value: object) -> None:
-    """Write an attribute, text as a string of fixed length.
+    """Write an attribute; a text becomes a string of fixed length.
 
-    HDF5 keeps strings of variable length in a heap without checksums, where one flipped bit can
-    make it loop for ever; those of fixed length lie in metadata that have checksums.
+    HDF5 stores strings of variable length in a heap without checksums, where one flipped bit can
+    make it loop forever. Strings of fixed length are stored in metadata with checksums.
     """
-    if not isinstance(value, str):
-        kind = "<f8" if isinstance(value, float) else "<i8"
-        owner.attrs[name] = np.array(value, kind)
-        return
-    data = value.encode()
-    size = max(len(data), 1)  # HDF5 has no strings of length 0
-    owner.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", size))
+    if isinstance(value, str):
+        text = value.encode()
+        size = max(len(text), 1)  # HDF5 has no strings of length 0.
+        owner.attrs.create(name, text, dtype=h5py.string_dtype("utf-8", size))
+    else:
+        dtype = "<f8" if isinstance(value, float) else "<i8"
+        owner.attrs[name] = np.array(value, dtype)

@@ -1,6 +1,6 @@
-"""The manifest of a dataset: which shards it has, and what opening them needs.
+"""The manifest of a dataset: the list of its shards, and the properties that they share.
 
-All of it is derived from the shards, so it can be rebuilt.
+Everything in it is derived from the shards, so it can be rebuilt.
 """
 
 from __future__ import annotations
@@ -9,47 +9,50 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mapdata.arrays import Flags, Ints
 from mapdata.checks import check_count, check_integers, check_number, check_seed
 from mapdata.generators.generator import UnknownFamily, stored_generator
-from mapdata.hashing import hash_of, sha256_of
+from mapdata.hashing import is_sha256_hex, json_hash, sha256_hex
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
-from mapdata.shards.errors import DatasetNotFoundError, ShardError
+from mapdata.shards.errors import UNSOUND, DatasetNotFoundError, ShardError
 from mapdata.shards.header import Header, MapRange, Origin, Span, check_version
-from mapdata.shards.reader import UNSOUND, is_hash
 
 MANIFEST = "manifest.json"
 
 PROVENANCE = "import.json"
 """File beside the manifest that says where each map came from."""
 
-MOST_BYTES = 2**27
-"""Largest manifest that is read: one that lists `MOST_SHARDS` has some 80 MB."""
+MAX_MANIFEST_BYTES = 2**27
+"""Largest manifest that is read: one that lists `MAX_SHARDS` shards has some 80 MB."""
 
-MOST_SHARDS = 100_000
-"""Most files of a dataset."""
+MAX_SHARDS = 100_000
+"""Largest number of shards of a dataset."""
 
-COUNTS = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
-"""What `counts_of` counts in each split."""
+SPLIT_COUNTS = ("maps", "route", "route_unsolvable", "rooms", "rooms_unsolvable")
+"""Names of the counts that `counts_of` returns for each split."""
+
+_SHARD_COUNTS = ("segments", "drawn", "reachable", "all_connected", "most_rooms")
+"""Names of the counts that `counts_of` returns for a whole shard."""
 
 
 @dataclass(frozen=True)
 class Entry(MapRange):
-    """What the manifest says of one shard.
+    """One shard in a manifest.
 
     Attributes:
         name: file name inside the root.
         start, stop: its maps are start <= i < stop.
         bytes: size of the file.
-        sha256: file hash, for damage.
+        sha256: hash of the file, which detects damage.
         content_hash: content hash of its maps.
-        counts: what `counts_of` counts.
+        counts: what `counts_of` returns for its maps.
     """
 
     name: str
@@ -66,7 +69,7 @@ class Manifest(Origin):
     """All shards of a dataset.
 
     Attributes:
-        maps: how many maps the dataset shall have.
+        maps: number of maps of the finished dataset.
         shard_size: maps per shard.
         shards: finished shards in the order of their maps.
 
@@ -79,10 +82,10 @@ class Manifest(Origin):
     shards: tuple[Entry, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check how many files are planned."""
-        if self.maps > MOST_SHARDS * self.shard_size:
+        """Refuse a dataset with too many files."""
+        if self.maps > MAX_SHARDS * self.shard_size:
             raise ValueError(
-                f"maps: {self.maps} in shards of {self.shard_size} are over {MOST_SHARDS} files; "
+                f"maps: {self.maps} in shards of {self.shard_size} are over {MAX_SHARDS} files; "
                 "take larger shards"
             )
 
@@ -93,22 +96,22 @@ class Manifest(Origin):
 
     @property
     def done(self) -> int:
-        """How many maps are there."""
+        """Number of maps in the finished shards."""
         return sum(entry.maps for entry in self.shards)
 
     @property
     def complete(self) -> bool:
-        """Whether all maps are there."""
+        """Whether all shards are finished."""
         return self.done == self.maps
 
     @property
     def plan(self) -> list[Span]:
-        """(start, stop) of every shard that the dataset shall have."""
+        """(start, stop) of every shard of the finished dataset."""
         starts = range(0, self.maps, self.shard_size)
         return [(start, min(start + self.shard_size, self.maps)) for start in starts]
 
     @property
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
         if self.spec is not None and not isinstance(self.spec, UnknownFamily):
             return self.spec.most_seed_points
@@ -126,15 +129,20 @@ class Manifest(Origin):
         return Header(**self.origin(), start=start, stop=stop)
 
     def total(self, name: str) -> int:
-        """Return the sum of one of the counts over all shards."""
+        """Return the sum over all shards of the count ``name``, which is not one of a split."""
         return sum(entry.counts[name] for entry in self.shards)
 
     def to_json(self) -> str:
         """Return the text of ``manifest.json``."""
-        values = self.stated(self.content_hash, maps=self.maps, shard_size=self.shard_size)
-        values["shards"] = [vars(entry) for entry in self.shards]
-        values["manifest_hash"] = hash_of(values)
-        return json.dumps(values, indent=1) + "\n"
+        properties = {
+            **self.recipe_properties(self.content_hash),
+            "maps": self.maps,
+            "shard_size": self.shard_size,
+            **self.map_properties(),
+            "shards": [vars(entry) for entry in self.shards],
+        }
+        properties["manifest_hash"] = json_hash(properties)
+        return json.dumps(properties, indent=1) + "\n"
 
     def recipe(self) -> str:
         """Return the few lines of JSON from which the dataset can be built again.
@@ -144,7 +152,7 @@ class Manifest(Origin):
         """
         if self.spec is None:
             raise ValueError("imported maps have no recipe: their identity is the content hash")
-        values = {
+        recipe = {
             "format_version": self.format_version,
             "spec": self.spec.to_dict(),
             "seed": self.seed,
@@ -152,24 +160,26 @@ class Manifest(Origin):
             "identity": self.identity,
         }
         if self.complete:
-            values["content_hash"] = self.content_hash
-        # a line for each value, however deep: json.dumps would break lists into lines too
-        lines = (f" {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items())
+            recipe["content_hash"] = self.content_hash
+        # Each entry has one line; with an indent, json.dumps would also break lists into lines.
+        lines = (f" {json.dumps(name)}: {json.dumps(value)}" for name, value in recipe.items())
         return "{\n" + ",\n".join(lines) + "\n}"
 
 
 def path_in(root: Path, name: str) -> Path:
-    """Return the path of a file of a root, which may be missing.
+    """Return the path of a file of a root; the file may be missing.
 
     Raises:
         ShardError: it is a link that leads out of the root, a pipe or a folder.
     """
     path = root / name
-    # unlike `Path.resolve`, `realpath` does not fail on links in a circle
-    leads_out = path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(
-        os.path.realpath(root)
-    )
-    if leads_out or (os.path.lexists(path) and not path.is_file()):
+    leads_out = False
+    if path.is_symlink():
+        # Unlike `Path.resolve`, `realpath` does not fail on links in a circle.
+        target = Path(os.path.realpath(path))
+        leads_out = not target.is_relative_to(os.path.realpath(root))
+    is_special = os.path.lexists(path) and not path.is_file()
+    if leads_out or is_special:
         raise ShardError(
             f"{path}: a link out of its folder, a pipe or a folder, expected a plain file"
         )
@@ -177,13 +187,20 @@ def path_in(root: Path, name: str) -> Path:
 
 
 def entry_of(header: Header, content: str, labels: Labels, image: bytes) -> Entry:
-    """Return the entry of a shard that holds ``labels`` of the hash ``content`` as ``image``."""
+    """Return the manifest's entry for a shard.
+
+    Args:
+        header: of the shard.
+        content: content hash of the labels.
+        labels: the maps of the shard with their labels.
+        image: the bytes of its file.
+    """
     return Entry(
         name=header.file_name,
         start=header.start,
         stop=header.stop,
         bytes=len(image),
-        sha256=sha256_of(image),
+        sha256=sha256_hex(image),
         content_hash=content,
         counts=counts_of(labels),
     )
@@ -198,47 +215,44 @@ def read_manifest(root: Path) -> Manifest:
     """
     path = path_in(root, MANIFEST)
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ShardError(f"{path}: larger than {MOST_BYTES} bytes")
+        if path.stat().st_size > MAX_MANIFEST_BYTES:
+            raise ShardError(f"{path}: larger than {MAX_MANIFEST_BYTES} bytes")
         return parse_manifest(path.read_bytes(), str(path))
     except (FileNotFoundError, NotADirectoryError):
         if root.is_file():
-            is_inside = (root.parent / MANIFEST).is_file()
-            folder = f"its folder: {root.parent}" if is_inside else "the folder of a dataset"
+            is_in_dataset = (root.parent / MANIFEST).is_file()
+            folder = f"its folder: {root.parent}" if is_in_dataset else "the folder of a dataset"
             raise DatasetNotFoundError(root, "it is a file", f"Give {folder}") from None
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
         raise DatasetNotFoundError(root, why) from None
 
 
 def parse_manifest(text: str | bytes, path: str) -> Manifest:
-    """Return the manifest that ``text`` states; ``path`` names it in errors."""
+    """Return the manifest that is stored as ``text``; ``path`` names it in errors.
+
+    Raises:
+        ShardError: it is damaged, or of another format version.
+    """
     try:
-        values = json.loads(text)
-        if values["format"] != "mapdata":
+        stored = json.loads(text)
+        if stored["format"] != "mapdata":
             raise ShardError(f"{path}: not a manifest of mapdata")
-        check_version(values["format_version"], f"{path}: ")
-        if values.pop("manifest_hash") != hash_of(values):
+        check_version(stored["format_version"], f"{path}: ")
+        if stored.pop("manifest_hash") != json_hash(stored):
             raise ShardError(f"{path}: damaged (its hash does not fit)")
-        spec = values["spec"]
-        entries = tuple(_entry(entry, path) for entry in values["shards"])
+        spec = stored["spec"]
         manifest = Manifest(
             spec=None if spec is None else stored_generator(json.dumps(spec)),
-            seed=None if values["seed"] is None else check_seed(values["seed"]),
-            maps=check_count("maps", values["maps"]),
-            shard_size=check_count("shard_size", values["shard_size"]),
-            map_size=check_integers("map_size", values["map_size"]),
-            movement=Movement(**values["movement"]),
-            resolution=check_number("resolution", values["resolution"]),
-            shards=entries,
+            seed=None if stored["seed"] is None else check_seed(stored["seed"]),
+            maps=check_count("maps", stored["maps"]),
+            shard_size=check_count("shard_size", stored["shard_size"]),
+            map_size=check_integers("map_size", stored["map_size"]),
+            movement=Movement(**stored["movement"]),
+            resolution=check_number("resolution", stored["resolution"]),
+            shards=tuple(_parse_entry(entry, path) for entry in stored["shards"]),
         )
-        # Shards begin at multiples of their size; of an unfinished build some are missing or short.
-        before = -1
-        for entry in entries:
-            whole = min(entry.start + manifest.shard_size, manifest.maps)
-            if entry.start % manifest.shard_size or not before < entry.start < entry.stop <= whole:
-                raise ShardError(f"{path}: damaged ({entry.name} is out of order or of the plan)")
-            before = entry.start
-        stated = (values["format_version"], values["identity"], values["content_hash"])
+        _check_order(manifest, path)
+        stated = (stored["format_version"], stored["identity"], stored["content_hash"])
         if stated != (manifest.format_version, manifest.identity, manifest.content_hash):
             raise ShardError(
                 f"{path}: damaged (its version, identity or content hash is not what its values "
@@ -251,59 +265,100 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
         raise ShardError(f"{path}: damaged ({type(error).__name__}: {error})") from None
 
 
-def _entry(values: dict[str, Any], path: str) -> Entry:
-    """Return one entry of the manifest at ``path``, checked."""
-    entry = Entry(**values)
+def _check_order(manifest: Manifest, path: str) -> None:
+    """Refuse shards that are not in the order of their maps, or do not fit the shard size.
+
+    A shard begins at a multiple of the shard size. It may be shorter than that, since the last
+    shard of a dataset is short until the dataset is extended, and shards of an unfinished build may
+    be missing.
+    """
+    previous_start = -1
+    for entry in manifest.shards:
+        max_stop = min(entry.start + manifest.shard_size, manifest.maps)
+        is_aligned = entry.start % manifest.shard_size == 0
+        if not (is_aligned and previous_start < entry.start < entry.stop <= max_stop):
+            raise ShardError(f"{path}: damaged ({entry.name} is out of order or of the plan)")
+        previous_start = entry.start
+
+
+def _parse_entry(stored: dict[str, Any], path: str) -> Entry:
+    """Return one entry of the manifest at ``path``, checked.
+
+    Raises:
+        ShardError: its name or a hash cannot be right.
+        ValueError: a number in it cannot be right.
+    """
+    entry = Entry(**stored)
     if entry.name != entry.file_name:
         raise ShardError(
             f"{path}: {entry.name!r} is not the name of a shard, or not of maps {entry.start} to "
             f"{entry.stop}"
         )
     check_count("bytes", entry.bytes)
-    if not (is_hash(entry.sha256) and is_hash(entry.content_hash)):
+    if not (is_sha256_hex(entry.sha256) and is_sha256_hex(entry.content_hash)):
         raise ShardError(f"{path}: {entry.name} has no hashes")
-    for name in ("segments", "drawn", "reachable", "all_connected", "most_rooms"):
+    for name in _SHARD_COUNTS:
         check_count(name, entry.counts[name], 0)
     for split in SPLITS:
-        for name in COUNTS:
+        for name in SPLIT_COUNTS:
             check_count(name, entry.counts[split][name], 0)
     return entry
 
 
-def counts_of(labels: Labels) -> dict[str, Any]:
-    """Return what the manifest counts in a shard.
+class _Problems(NamedTuple):
+    """The P problems of one kind on N maps, in the order of the maps.
 
-    That is segments, drawn passages, reachable segments, fully connected maps and the most rooms
-    of a map; and for each split the maps, the segments ("route") and pairs of rooms ("rooms") that
-    are problems, which lead to another cell, and those without a path ("unsolvable"). Paths are
-    those of the stored movement.
+    Attributes:
+        per_map: (N,) int64, number of problems of each map.
+        has_path: (P,) bool.
+        moves: (P,) int64, moves of the shortest path; any number without a path.
+    """
+
+    per_map: Ints
+    has_path: Flags
+    moves: Ints
+
+
+def counts_of(labels: Labels) -> dict[str, Any]:
+    """Return the counts of a shard that the manifest states.
+
+    For the whole shard they are the numbers of segments, drawn passages, reachable segments and
+    fully connected maps, and the largest number of rooms of a map. For each split they are the
+    number of maps, and of the problems of two kinds, segments ("route") and pairs of rooms
+    ("rooms"): the problems with a path that leads to another cell, and the problems without a path
+    ("unsolvable"). Paths are those of the stored movement.
     """
     maps = labels.maps
     passages = maps.rooms - 1
     counts: dict[str, Any] = {
         "segments": int(passages.sum()),
-        "drawn": int(maps.connected.sum()),  # False where arrays are padded
+        "drawn": int(maps.connected.sum()),  # padding counts as not connected
         "reachable": int(labels.reachable.sum()),
         "all_connected": int(labels.all_connected.sum()),
         "most_rooms": int(maps.rooms.max(initial=0)),
     }
-    costs = labels.astar.costs  # straight and diagonal moves of each pair, -1 without a path
-    # of each kind: its problems per map; for each problem, whether it has a path, and its moves
-    kinds = {
-        "route": (passages, labels.reachable, np.diff(labels.astar.offsets)),
-        "rooms": (np.diff(maps.pair_offsets), costs[:, 0] >= 0, costs.sum(axis=1)),
-    }
+    pair_costs = labels.astar.costs  # (P, 2): straight and diagonal moves; -1, 0 without a path
+    routes = _Problems(
+        per_map=passages, has_path=labels.reachable, moves=np.diff(labels.astar.offsets)
+    )
+    rooms = _Problems(
+        per_map=np.diff(maps.pair_offsets),
+        has_path=pair_costs[:, 0] >= 0,
+        moves=pair_costs.sum(axis=1),
+    )
     for code, split in enumerate(SPLITS):
         is_in_split = maps.split == code
-        row = {"maps": int(is_in_split.sum())}
-        for name, (problems, has_path, moves) in kinds.items():
-            inside = np.repeat(is_in_split, problems)
-            row[name] = int((inside & has_path & (moves > 0)).sum())
-            row[f"{name}_unsolvable"] = int((inside & ~has_path).sum())
-        counts[split] = row
+        split_counts = {"maps": int(is_in_split.sum())}
+        for name, problems in (("route", routes), ("rooms", rooms)):
+            is_counted = np.repeat(is_in_split, problems.per_map)
+            solvable = is_counted & problems.has_path & (problems.moves > 0)
+            unsolvable = is_counted & ~problems.has_path
+            split_counts[name] = int(solvable.sum())
+            split_counts[f"{name}_unsolvable"] = int(unsolvable.sum())
+        counts[split] = split_counts
     return counts
 
 
 def provenance_text(origin: dict[str, Any]) -> str:
-    """Return the text of ``import.json``, with a hash of what it says."""
-    return json.dumps({**origin, "hash": hash_of(origin)}, indent=1) + "\n"
+    """Return the text of ``import.json``: ``origin``, and its hash."""
+    return json.dumps({**origin, "hash": json_hash(origin)}, indent=1) + "\n"

@@ -1,4 +1,4 @@
-"""Many builders on one root: the lock, merging manifests, adopting shards, sweeping."""
+"""Several builders on one root: the lock, merging manifests, and removing what is replaced."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mapdata.shards.errors import ShardError
-from mapdata.shards.files import remove_if_left, take_lock, write_file
+from mapdata.shards.files import remove_if_abandoned, take_lock, write_file
 from mapdata.shards.header import Header, is_shard_name, limits_of
 from mapdata.shards.manifest import MANIFEST, Entry, Manifest, entry_of, path_in, read_manifest
 from mapdata.shards.reader import open_shard, sound_labels
@@ -21,27 +21,31 @@ if sys.platform != "win32":
 
 LOCK = ".lock"
 
-_OURS = r"(maps-\d{12,}-\d{12,}\.h5|manifest\.json|import\.json|README\.md|recipe\.json)"
-"""Names of files that a root may hold, as a regular expression."""
+_FILE_NAMES = r"(maps-\d{12,}-\d{12,}\.h5|manifest\.json|import\.json|README\.md|recipe\.json)"
+"""Regular expression of the names of files that a root may hold."""
 
-_TEMPORARY = rf"\.{_OURS}\b.+\.tmp"
-"""Names under which `write_file` writes them, and under which earlier versions did."""
+_TEMPORARY_NAMES = rf"\.{_FILE_NAMES}\b.+\.tmp"
+"""Regular expression of the names under which `write_file`, old or new, writes these files."""
 
 
 def is_known(name: str) -> bool:
-    """Return whether a file of a root may have this name: a builder or `mapdata info` gave it."""
-    return re.fullmatch(rf"{_OURS}|{_TEMPORARY}|\{LOCK}", name) is not None
+    """Return whether ``name`` is that of a file which mapdata writes into a root."""
+    return re.fullmatch(rf"{_FILE_NAMES}|{_TEMPORARY_NAMES}|\{LOCK}", name) is not None
 
 
-def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None:
-    """Refuse a folder without a manifest that holds a file which is not ours.
+def check_names(folder: Path, is_allowed: Callable[[str], bool] = is_known) -> None:
+    """Refuse a folder without a manifest that holds a file of another program.
+
+    Args:
+        folder: an existing folder or not.
+        is_allowed: returns whether a file of a name may be in the folder.
 
     Raises:
-        ValueError: the message names one.
+        ValueError: the message names such a file.
     """
     if folder.is_dir() and not (folder / MANIFEST).exists():
         for path in folder.iterdir():
-            if not is_ours(path.name):
+            if not is_allowed(path.name):
                 raise ValueError(
                     f"root: {folder} holds something else ({path.name!r}), expected an empty folder"
                 )
@@ -49,96 +53,104 @@ def check_names(folder: Path, is_ours: Callable[[str], bool] = is_known) -> None
 
 @contextmanager
 def locked(root: Path, wait: bool) -> Iterator[bool]:
-    """Hold the lock of a root and yield True; without ``wait``, yield False if another holds it.
+    """Hold the lock of a root; yield whether this process holds it.
 
-    Where there are no locks it yields True: two merges at once may then lose entries, never shards.
-    The last builder lists those again, or, if it is killed, the next build does.
+    If another process holds the lock, wait for it, or yield False without ``wait``. A file system
+    without locks yields True. Two merges at the same time may then lose entries of the manifest,
+    but no shards: the last builder lists them again, or the next build if that one is killed.
 
     Raises:
-        ShardError: what has the name of the lock is not a plain file.
+        ShardError: the file with the name of the lock is not a plain file.
     """
     path = path_in(root, LOCK)
     if sys.platform == "win32":
         yield True
         return
-    # it may have become a link or a pipe since: neither is followed or waited for
+    # The file may have been replaced since it was checked. These flags make opening a link fail,
+    # and opening a pipe return at once.
     flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     with open(os.open(path, flags, 0o666), "ab") as file:
         try:
             yield take_lock(file, wait)
         finally:
-            # closing the file is not enough: a process forked meanwhile would keep the lock
+            # Closing the file is not enough: a process that was forked meanwhile shares the lock.
             with suppress(OSError):
                 fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
-    """Write the union of ``mine`` and the manifest on disk, and return it.
+    """Write the union of the manifest ``mine`` and the manifest on disk, and return it.
 
-    Shards that larger ones replaced are removed. While another builder merges, wait for it; without
-    ``wait``, do nothing and return ``mine``.
+    Shards that were replaced by shards with more maps are removed. While another builder merges,
+    wait for it, or do nothing and return ``mine`` without ``wait``.
 
     Raises:
         ValueError: the manifest on disk is of another dataset.
     """
-    with locked(root, wait) as is_free:
-        return merge_locked(root, mine) if is_free else mine
+    with locked(root, wait) as has_lock:
+        return merge_locked(root, mine) if has_lock else mine
 
 
 def merge_locked(root: Path, mine: Manifest) -> Manifest:
-    """Do what `merge` does; the caller holds the lock."""
+    """Do the work of `merge`; the caller holds the lock."""
     theirs = read_manifest(root) if (root / MANIFEST).exists() else mine
-    both = union(mine, theirs)
-    write_file(root / MANIFEST, both.to_json().encode())
-    sweep(root, both)
-    return both
+    merged = union(mine, theirs)
+    write_file(root / MANIFEST, merged.to_json().encode())
+    sweep(root, merged)
+    return merged
 
 
 def union(mine: Manifest, theirs: Manifest) -> Manifest:
-    """Return a manifest of all shards of two; of the same maps, those of the larger dataset.
+    """Return a manifest that lists the shards of two manifests of the same dataset.
+
+    Of two shards that start at the same map the longer one is listed; of two entries for the same
+    shard, that of ``mine``.
 
     Raises:
-        ValueError: they are of two datasets.
+        ValueError: the manifests are of different datasets.
     """
     if (mine.identity, mine.shard_size) != (theirs.identity, theirs.shard_size):
         raise ValueError("another dataset appeared under the same root while this one was built")
     entries = sorted((*theirs.shards, *mine.shards), key=lambda entry: entry.limits)
-    # of those that start together the last one stays: the longest, and of equal ones mine
-    shards = {entry.start: entry for entry in entries}
-    return replace(mine, maps=max(mine.maps, theirs.maps), shards=tuple(shards.values()))
+    # A dict keeps the last entry for each start: the longest, and of equally long ones mine, since
+    # sorting keeps their order.
+    entry_by_start = {entry.start: entry for entry in entries}
+    max_maps = max(mine.maps, theirs.maps)
+    return replace(mine, maps=max_maps, shards=tuple(entry_by_start.values()))
 
 
 def sweep(root: Path, manifest: Manifest) -> None:
-    """Remove what dead builders left: temporary files, and shards that larger ones replaced."""
+    """Remove temporary files of dead builders, and shards that were replaced by longer ones."""
     for path in root.glob(".*.tmp"):
-        if re.fullmatch(_TEMPORARY, path.name) and path.is_file():
-            remove_if_left(path)
-    stops = dict(entry.limits for entry in manifest.shards)
+        if re.fullmatch(_TEMPORARY_NAMES, path.name) and path.is_file():
+            remove_if_abandoned(path)
+    stop_by_start = {entry.start: entry.stop for entry in manifest.shards}
     for path in root.glob("maps-*.h5"):
         if is_shard_name(path.name):
             start, stop = limits_of(path)
-            if stop < stops.get(start, 0):
+            is_replaced = start in stop_by_start and stop < stop_by_start[start]
+            if is_replaced:
                 path.unlink(missing_ok=True)
 
 
 def load_shard(root: Path, header: Header) -> Entry | None:
-    """Return the entry of the shard of ``header`` if the file of its name is sound, else None."""
+    """Return the entry of the shard of ``header`` if its file exists and is sound, else None."""
     try:
         return checked_entry(root, header)
-    except (OSError, ShardError):  # gone, not to be read, or damaged
+    except (OSError, ShardError):
         return None
 
 
 def checked_entry(root: Path, header: Header) -> Entry:
-    """Return the entry of the shard of ``header``, whose file no manifest lists.
+    """Return the entry of the shard of ``header``, whose file is not listed in a manifest.
 
-    All that any HDF5 library reads of it is compared: the metadata with their checksums, the maps
-    and labels with the content hash.
+    Since no file hash is known, everything that an HDF5 library reads of the file is checked: the
+    metadata by their checksums, the maps and labels by the content hash.
 
     Raises:
         FileNotFoundError: there is no such file.
-        OSError: it may not be read.
-        ShardError: it is damaged, or holds other maps.
+        OSError: the file may not be read.
+        ShardError: the file is damaged, or holds other maps.
     """
     path = path_in(root, header.file_name)
     shard = open_shard(path)

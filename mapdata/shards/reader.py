@@ -1,6 +1,6 @@
-"""Opening a shard without trusting it: all is checked once, then arrays are views of the file.
+"""Opening shards from untrusted files: everything is checked once, then arrays view the file.
 
-A file is read through one memory mapping, and by no library: `hdf5.py` knows its bytes.
+A file is read through one memory mapping and without an HDF5 library, by the patterns of `hdf5.py`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import json
 import math
 import mmap
 import os
-import re
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
@@ -25,17 +24,17 @@ from mapdata.arrays import Array, Bytes
 from mapdata.checks import check_integers
 from mapdata.generators.generator import stored_generator
 from mapdata.generators.maps import WORD
-from mapdata.hashing import sha256_of
+from mapdata.hashing import is_sha256_hex, sha256_hex
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
-from mapdata.shards.arrays import Shard, bits_of, decode
+from mapdata.shards.arrays import Shard, bits_per_move, decode
 from mapdata.shards.content import content_hash
-from mapdata.shards.errors import REPAIRS, ShardError
+from mapdata.shards.errors import REPAIRS, UNSOUND, ShardError
 from mapdata.shards.files import StrPath
 from mapdata.shards.hdf5 import check_metadata
 from mapdata.shards.header import Header, check_version, is_shard_name
-from mapdata.shards.image import foreign, is_as_written, is_undamaged, read_image
+from mapdata.shards.image import foreign_file_message, is_as_written, is_undamaged, read_image
 
 
 def read_shard(path: StrPath) -> Labels:
@@ -43,26 +42,28 @@ def read_shard(path: StrPath) -> Labels:
 
     Raises:
         FileNotFoundError: no such file.
-        ShardError: a file that is not a sound shard, or has the name of another one, or whose
-            content does not have the hash that it states.
+        ShardError: the file is not a sound shard, has the name of another shard, or does not have
+            the content hash that it states.
     """
     return sound_labels(open_shard(path))
 
 
 def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None) -> Shard:
-    """Check a shard file and map it.
+    """Check a shard file and map it into memory.
+
+    Nothing outside of the file is opened, wherever its links lead.
 
     Args:
         path: the file. If it has the name of a shard, it must hold the maps of that shard.
-        size: how many bytes the manifest says it has.
-        sha256: its file hash as the manifest says it, compared once a process. A file with another
-            hash is read if its content is what it states: the same maps, written anew. Without
-            ``sha256`` the checksums of all metadata are compared instead, but no maps and labels.
+        size: size of the file in bytes according to the manifest.
+        sha256: hash of the file according to the manifest, compared once per process. A file with
+            another hash is accepted if it has the content hash that it states: then it holds the
+            same maps and was written again. Without ``sha256``, the checksums of all metadata are
+            compared instead, but maps and labels are not checked.
 
     Raises:
         FileNotFoundError: no such file.
-        ShardError: a file that is not a sound shard. Nothing outside it is opened, whatever it
-            links to.
+        ShardError: the file is not a sound shard.
         OSError: too many files are open or mapped.
     """
     mapped = map_shard(path, size)
@@ -88,7 +89,7 @@ class MappedShard(NamedTuple):
     Attributes:
         shard: header and arrays.
         image: all bytes of the file.
-        status: what the system said of the file when it was opened.
+        status: result of `os.fstat` when the file was opened.
     """
 
     shard: Shard
@@ -97,12 +98,12 @@ class MappedShard(NamedTuple):
 
 
 def map_shard(path: StrPath, size: int | None = None) -> MappedShard:
-    """Map a shard file under any name, and check what can be checked without reading all of it.
+    """Map a shard file of any name, and check its header and its offsets.
 
-    Args and errors are those of `open_shard`; no hash and no checksum is compared.
+    No hash and no checksum is compared. See `open_shard` for the arguments and errors.
     """
     path = Path(path)
-    # before it is opened, since opening a pipe waits for its writer
+    # This is checked before the file is opened, because opening a pipe waits for its writer.
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise ShardError(f"{path}: not a file")
     with open(path, "rb", buffering=0) as file:
@@ -111,58 +112,76 @@ def map_shard(path: StrPath, size: int | None = None) -> MappedShard:
             raise ShardError(f"{path}: empty file; {REPAIRS}")
         image = map_file(file.fileno(), status.st_size)
     if size is not None and status.st_size != size:
-        why = f"has {status.st_size} bytes, the manifest says {size}"
-        raise ShardError(f"{path}: {_other_size(image.data, why)}")
+        reason = f"has {status.st_size} bytes, the manifest says {size}"
+        raise ShardError(f"{path}: {_wrong_size_message(image.data, reason)}")
     try:
         attributes, arrays = read_image(image.data)
-        header, content = _read_header(attributes)
+        header, stated_hash = _parse_header(attributes)
         _check_arrays(arrays, header)
     except ShardError as error:
         raise ShardError(f"{path}: {error}") from None
     except KeyError as error:
-        why = f"attribute {error} is missing, or neither text of fixed length nor numbers"
-        raise ShardError(f"{path}: {why}") from None
+        raise ShardError(
+            f"{path}: attribute {error} is missing, or neither text of fixed length nor numbers"
+        ) from None
     except UNSOUND as error:
         raise ShardError(f"{path}: not a sound shard ({error})") from error
-    return MappedShard(Shard(path, header, content, arrays), image, status)
+    return MappedShard(Shard(path, header, stated_hash, arrays), image, status)
 
 
-def _other_size(image: memoryview, why: str) -> str:
-    """Return what is said of a file that has another size than the manifest says, as ``why``."""
+def _wrong_size_message(image: memoryview, reason: str) -> str:
+    """Return the error message for a file whose size is not that in the manifest.
+
+    ``reason`` states both sizes.
+    """
     if not is_undamaged(image):
-        return f"{why}: damaged; {REPAIRS}"
+        return f"{reason}: damaged; {REPAIRS}"
     if not is_as_written(image):
-        return foreign(image, why)
-    return f"{why}: not the shard that the manifest lists; {REPAIRS}"
+        return foreign_file_message(image, reason)
+    return f"{reason}: not the shard that the manifest lists; {REPAIRS}"
 
 
-UNSOUND = (
-    TypeError,
-    ValueError,
-    LookupError,
-    AttributeError,
-    ArithmeticError,
-    RecursionError,
-)
-"""What `hdf5.py`, JSON and our own checks raise on files that are not what they should be."""
+class _HashedFile(NamedTuple):
+    """A file whose hash was computed, in a state that any change of it would alter."""
+
+    device: int
+    inode: int
+    size: int
+    modification_time: int  # of the bytes, in nanoseconds; copying may preserve it
+    change_time: int  # of bytes or metadata, in nanoseconds
+    sha256: str
 
 
-_compared: set[tuple[int | str, ...]] = set()
-"""Files whose hash this process, or the one that it was forked from, found to be right."""
+_hashed_files: set[_HashedFile] = set()
+"""The files that this process, or the process that it was forked from, has hashed."""
 
 
-def has_hash(data: Bytes, status: os.stat_result, sha256: str) -> bool:
-    """Return whether a file has the hash that is expected; it is read and hashed once a process."""
-    # The time of the last change of any kind tells, too, where a copy kept the time of its bytes.
-    times = (status.st_mtime_ns, status.st_ctime_ns)
-    file = (status.st_dev, status.st_ino, status.st_size, *times, sha256)
-    if file not in _compared and sha256_of(data.data) == sha256:
-        _compared.add(file)
-    return file in _compared
+def has_hash(content: Bytes, status: os.stat_result, sha256: str) -> bool:
+    """Return whether a file has the expected hash; a file that has it is hashed once per process.
+
+    Args:
+        content: all bytes of the file.
+        status: of the file, as `os.fstat` returns it.
+        sha256: the expected hash.
+    """
+    file = _HashedFile(
+        device=status.st_dev,
+        inode=status.st_ino,
+        size=status.st_size,
+        modification_time=status.st_mtime_ns,
+        change_time=status.st_ctime_ns,
+        sha256=sha256,
+    )
+    if file in _hashed_files:
+        return True
+    if sha256_hex(content.data) != sha256:
+        return False
+    _hashed_files.add(file)
+    return True
 
 
 def sound_labels(shard: Shard) -> Labels:
-    """Return the labelled maps of a shard.
+    """Return the labelled maps of a shard after checking their content hash.
 
     Raises:
         ShardError: they do not have the content hash that the shard states.
@@ -176,7 +195,7 @@ def sound_labels(shard: Shard) -> Labels:
 
 @lru_cache(maxsize=1)
 def _libc() -> Any:
-    """Return the C library, with the types of the two functions that are called."""
+    """Return the C library with the types of its functions mmap and munmap."""
     libc = ctypes.CDLL(None, use_errno=True)
     libc.mmap.restype = ctypes.c_void_p
     libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
@@ -185,23 +204,28 @@ def _libc() -> Any:
 
 
 class _Mapping:
-    """A read-only memory mapping of a file, which lasts as long as an array that views it.
+    """A read-only memory mapping of a file that exists as long as an array views it.
 
-    Unlike `mmap.mmap` it keeps no file descriptor, of which a process often may have 1,024 only.
+    Unlike `mmap.mmap` it keeps no file descriptor, of which a process often may have only 1,024.
     """
 
     def __init__(self, descriptor: int, size: int) -> None:
-        """Map ``size`` bytes; the descriptor may be closed afterwards."""
+        """Map ``size`` bytes of an open file; its descriptor may be closed afterwards."""
         address = _libc().mmap(None, size, mmap.PROT_READ, mmap.MAP_SHARED, descriptor, 0)
         if address == ctypes.c_void_p(-1).value:
             error = ctypes.get_errno()
-            why = f"{os.strerror(error)}: cannot map a shard beside those that are open"
-            raise OSError(error, why)
-        # not at exit, where the array may still be in use
+            reason = f"{os.strerror(error)}: cannot map a shard beside those that are open"
+            raise OSError(error, reason)
+        # The file is not unmapped at exit, when the array may still be in use.
         finalize(self, _libc().munmap, address, size).atexit = False
-        # numpy makes an array of an object with this attribute; True is read-only
-        data = (address, True)
-        self.__array_interface__ = {"version": 3, "typestr": "|u1", "shape": (size,), "data": data}
+        # numpy creates an array from an object with this attribute.
+        is_read_only = True
+        self.__array_interface__ = {
+            "version": 3,
+            "typestr": "|u1",
+            "shape": (size,),
+            "data": (address, is_read_only),
+        }
 
 
 def map_file(descriptor: int, size: int) -> Bytes:
@@ -217,8 +241,13 @@ def map_file(descriptor: int, size: int) -> Bytes:
     return np.asarray(_Mapping(descriptor, size))
 
 
-def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
-    """Return the header and the content hash that the root attributes state."""
+def _parse_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
+    """Return the header and the content hash that the root attributes of a shard state.
+
+    Raises:
+        ShardError: an attribute cannot be right.
+        KeyError: an attribute is missing.
+    """
     if attributes.get("format") != "mapdata":
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
     version = int(attributes["format_version"])
@@ -240,35 +269,36 @@ def _read_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
     if attributes["identity"] != (header.identity or ""):
         raise ShardError("its identity is not that of its spec and seed")
     if spec is not None:
-        expected = (spec.map_size, spec.movement, spec.resolution)
-        if (header.map_size, header.movement, header.resolution) != expected:
+        stated_properties = (header.map_size, header.movement, header.resolution)
+        if stated_properties != (spec.map_size, spec.movement, spec.resolution):
             raise ShardError(
                 "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
             )
     if not 0 < header.resolution < math.inf:
         raise ShardError(f"its attribute 'resolution' is {header.resolution}")
-    content = attributes["content_hash"]
-    if not (isinstance(content, str) and is_hash(content)):
+    stated_hash = attributes["content_hash"]
+    if not (isinstance(stated_hash, str) and is_sha256_hex(stated_hash)):
         raise ShardError("its attribute 'content_hash' is not 64 hexadecimal digits")
-    return header, content
-
-
-def is_hash(text: str) -> bool:
-    """Return whether ``text`` is what a SHA-256 looks like."""
-    return re.fullmatch(r"[0-9a-f]{64}", text) is not None
+    return header, stated_hash
 
 
 def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:
-    """Check shapes, and what kernels rely on: offsets grow, seed points are on free cells."""
+    """Check shapes, and the properties that kernels rely on.
+
+    Offsets must not decrease, and seed points must be on free cells of the map.
+
+    Raises:
+        ShardError: the message names the dataset.
+    """
     rows, columns = header.map_size
     if not (header.stop >= header.start >= 0 and min(rows, columns) > 0):
         raise ShardError(f"maps {header.start} to {header.stop} of {rows} x {columns} cells")
-    for name, shape in _shapes(header, arrays).items():
+    for name, shape in _expected_shapes(header, arrays).items():
         if arrays[name].shape != shape:
             raise ShardError(f"dataset {name!r} has shape {arrays[name].shape}, expected {shape}")
     for name in ("room_offsets", "pair_offsets", "bfs_offsets", "astar_offsets"):
         offsets = arrays[name]
-        # neighbours are compared, since the difference of two hostile int64 may wrap round
+        # Offsets are compared rather than subtracted, since a difference of int64 may overflow.
         if len(offsets) == 0 or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
             raise ShardError(f"dataset {name!r} does not hold offsets that start at 0 and grow")
     rooms = np.diff(arrays["room_offsets"])
@@ -278,27 +308,29 @@ def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:
     seed_points = arrays["seeds"]
     if ((seed_points < 0) | (seed_points >= header.map_size)).any():
         raise ShardError("dataset 'seeds' holds cells outside the map")
-    # every search begins at a seed point, and none on an occupied cell
-    maps = np.repeat(np.arange(len(rooms)), rooms)
+    # Searches begin at seed points and assume that these cells are free.
+    map_indices = np.repeat(np.arange(len(rooms)), rooms)  # of the map of each seed point
     row, column = seed_points.T
-    occupied = arrays["maps"][maps, row, column // 8] & (1 << column % 8)
-    for number in maps[occupied > 0][:1]:
+    occupied_bits = arrays["maps"][map_indices, row, column // 8] & (1 << column % 8)
+    is_occupied = occupied_bits > 0
+    if is_occupied.any():
+        first_map = header.start + map_indices[is_occupied][0]
         raise ShardError(
-            f"a seed point of map {header.start + number} is on an occupied cell (datasets 'maps' "
-            "and 'seeds')"
+            f"a seed point of map {first_map} is on an occupied cell (datasets 'maps' and 'seeds')"
         )
 
 
-def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-    """Return the shape that every array must have, given the header and the last offsets."""
+def _expected_shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
+    """Return the shape that each array must have, given the header and the last offsets."""
     rows, columns = header.map_size
-    octets = (columns + WORD - 1) // WORD * WORD // 8  # a row is a whole number of words
+    words_per_row = (columns + WORD - 1) // WORD
+    bytes_per_row = words_per_row * WORD // 8
     maps = header.maps
     rooms = _last(arrays["room_offsets"])
     pairs = _last(arrays["pair_offsets"])
     segments = rooms - maps
     shapes = {
-        "maps": (maps, rows, octets),
+        "maps": (maps, rows, bytes_per_row),
         "split": (maps,),
         "passage_width": (maps,),
         "room_offsets": (maps + 1,),
@@ -309,10 +341,10 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
         "astar_diagonal": (pairs if header.movement.connectivity == 8 else 0,),
     }
     for search in SEARCHES:
-        bits = _last(arrays[f"{search}_offsets"]) * bits_of(header.movement)
+        bit_count = _last(arrays[f"{search}_offsets"]) * bits_per_move(header.movement)
         shapes |= {
             f"{search}_offsets": (segments + 1,),
-            f"{search}_moves": ((bits + 7) // 8,),
+            f"{search}_moves": ((bit_count + 7) // 8,),
             f"{search}_iterations": (segments,),
             f"{search}_straight": (pairs,),
         }
@@ -320,5 +352,5 @@ def _shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, tuple[int,
 
 
 def _last(offsets: Array) -> int:
-    """Return the last of some offsets; 0 if a hostile file has none."""
+    """Return the last offset; 0 if there is none, as a damaged file may have it."""
     return int(offsets[-1]) if len(offsets) else 0

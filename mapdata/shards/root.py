@@ -1,68 +1,61 @@
-"""`Root`: the dataset of a folder, of a URL or of several, read a shard at a time.
-
-What lies at a URL is fetched to a local cache, shards once, and checked against its hashes.
-"""
+"""`Root`: a dataset in a folder, at a URL or in several of them, read a shard at a time."""
 
 from __future__ import annotations
 
-import os
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import numpy as np
-
-from mapdata.hashing import hash_of, parsed_json, sha256_of
 from mapdata.limits import Size
 from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.arrays import Shard, decode
+from mapdata.shards.dataset_files import load_manifest, local_shard_path
 from mapdata.shards.errors import REPAIRS, ShardError
-from mapdata.shards.files import StrPath, file_size, sweep_temporaries
-from mapdata.shards.manifest import (
-    MANIFEST,
-    MOST_BYTES,
-    PROVENANCE,
-    Entry,
-    Manifest,
-    parse_manifest,
-    path_in,
-    read_manifest,
-)
-from mapdata.shards.reader import has_hash, open_shard
-from mapdata.shards.remote import _cache, _fetch, _keep, is_url
+from mapdata.shards.locations import Locations, locations
+from mapdata.shards.manifest import Entry, Manifest
+from mapdata.shards.reader import open_shard
 from mapdata.shards.workers import bar
 
-Places = StrPath | Sequence[StrPath]
-"""What names a dataset: a folder, a URL, or several of them."""
+
+class RootShard(NamedTuple):
+    """A shard of a `Root`.
+
+    Attributes:
+        location: index of its folder or URL in ``Root.locations``.
+        first_map: number of maps in the locations before it. Map i of its own location is map
+            ``first_map + i`` of the root.
+        entry: the shard's entry in the manifest of its location.
+    """
+
+    location: int
+    first_map: int
+    entry: Entry
 
 
 @dataclass(frozen=True)
 class Root:
-    """The dataset of a folder or URL, or those of several, one after another.
+    """The dataset in a folder or at a URL, or the concatenated datasets of several of them.
 
     Attributes:
-        places: the folders and URLs.
-        manifests: one a place.
-        map_size, movement: of all maps.
-        shards: the finished shards in the order of their maps: number of the place, how many maps
-            the places before it have, entry in its manifest.
-        maps: how many maps there are when all is finished.
+        locations: the folders and URLs.
+        manifests: the manifest of each location.
+        map_size: (rows, columns) of all maps.
+        movement: rule of movement of all stored paths.
+        shards: the finished shards in the order of their maps.
+        maps: number of maps when all shards are finished.
     """
 
-    places: tuple[str, ...]
+    locations: tuple[str, ...]
     manifests: tuple[Manifest, ...]
     map_size: Size
     movement: Movement
-    shards: tuple[tuple[int, int, Entry], ...]
+    shards: tuple[RootShard, ...]
     maps: int
 
     @staticmethod
-    def open(source: Places, *, complete: bool = False) -> Root:
-        """Return the dataset that ``source`` names; no shard is opened yet.
+    def open(source: Locations, *, complete: bool = False) -> Root:
+        """Return the dataset in ``source``; no shard is opened yet.
 
         Args:
             source: a folder, a URL, or several of them, whose maps have one size and one movement.
@@ -70,37 +63,32 @@ class Root:
 
         Raises:
             DatasetNotFoundError: there is no dataset.
-            ConnectionError: a URL cannot be reached, and never was.
+            ConnectionError: a URL cannot be reached, and its manifest is not in the cache.
             ShardError: a manifest is damaged.
-            ValueError: no place; places that do not fit together; an unfinished dataset; a URL
-                that needs a package that is not installed (the message names it).
+            ValueError: ``source`` is empty; its datasets differ in map size or movement; a dataset
+                is not finished; a URL needs a package that is not installed (the message names
+                it).
         """
-        where = places(source)
-        manifests = tuple(manifest_at(place) for place in where)
-        shards = []
-        maps = 0
-        for number, (place, manifest) in enumerate(zip(where, manifests, strict=True)):
-            for name in ("map_size", "movement"):
-                value = getattr(manifest, name)
-                first = getattr(manifests[0], name)
-                if value != first:
-                    raise ValueError(
-                        f"root: {place} has {name} {value}, {where[0]} has {first}; "
-                        f"the roots of one dataset must have one"
-                    )
+        names = locations(source)
+        manifests = tuple(load_manifest(name) for name in names)
+        for name, manifest in zip(names, manifests, strict=True):
+            _check_same_maps(names[0], manifests[0], name, manifest)
             if complete and not manifest.complete:
                 raise ValueError(
-                    f"root: {place} is not finished: run the command that makes it once more"
+                    f"root: {name} is not finished: run the command that makes it once more"
                 )
-            shards.extend([(number, maps, entry) for entry in manifest.shards])
-            maps += manifest.maps
+        shards = []
+        map_count = 0
+        for index, manifest in enumerate(manifests):
+            shards += [RootShard(index, map_count, entry) for entry in manifest.shards]
+            map_count += manifest.maps
         return Root(
-            places=where,
+            locations=names,
             manifests=manifests,
             map_size=manifests[0].map_size,
             movement=manifests[0].movement,
             shards=tuple(shards),
-            maps=maps,
+            maps=map_count,
         )
 
     @property
@@ -108,74 +96,77 @@ class Root:
         """Metres per cell of all maps.
 
         Raises:
-            ValueError: those of several places differ.
+            ValueError: the datasets of several locations have different ones.
         """
-        first, *others = {manifest.resolution for manifest in self.manifests}
-        if others:
-            raise ValueError(
-                f"root: {self} have resolutions {first} and {others[0]}; take those of one alone"
-            )
+        first = self.manifests[0].resolution
+        for manifest in self.manifests:
+            if manifest.resolution != first:
+                raise ValueError(
+                    f"root: {self} have resolutions {first} and {manifest.resolution}; take those "
+                    "of one alone"
+                )
         return first
 
     def check_begun(self) -> None:
-        """Refuse a dataset of which no map is there yet, such as what a build leaves that failed.
+        """Refuse a dataset without any finished shard, such as a failed build leaves behind.
 
         Raises:
-            ValueError: the message names the place, and what to do.
+            ValueError: the message names the location, and says what to do.
         """
-        for place, manifest in zip(self.places, self.manifests, strict=True):
+        for location, manifest in zip(self.locations, self.manifests, strict=True):
             if not manifest.shards:
                 raise ValueError(
-                    f"root: {place} holds none of its {manifest.maps} maps yet: no shard is "
+                    f"root: {location} holds none of its {manifest.maps} maps yet: no shard is "
                     "finished. Wait for the build that runs, or run the command that makes it once "
                     "more: it goes on, or says what stops it"
                 )
 
     def __repr__(self) -> str:
-        return f"Root({', '.join(map(repr, (*self.places, *self.manifests)))})"
+        return f"Root({', '.join(map(repr, (*self.locations, *self.manifests)))})"
 
     def __str__(self) -> str:
-        """Return the places."""
-        return ", ".join(self.places)
+        """Return the folders and URLs."""
+        return ", ".join(self.locations)
 
     def open_shard(self, k: int) -> Shard:
-        """Return shard ``k``, fetched if it lies at a URL, and checked.
+        """Return shard ``k``, checked; a shard at a URL is fetched first.
 
         Raises:
-            ShardError: it is missing, damaged, or not what the manifest says.
-            DatasetNotFoundError: it lies at a URL, and is not there.
-            ConnectionError: it lies at a URL that cannot be reached.
+            ShardError: it is missing, damaged, or holds other maps than the manifest says.
+            DatasetNotFoundError: its URL has no such file.
+            ConnectionError: its URL cannot be reached.
         """
-        number, _, entry = self.shards[k]
-        place = self.places[number]
-        path = local_file(place, entry)
+        root_shard = self.shards[k]
+        entry = root_shard.entry
+        location = self.locations[root_shard.location]
+        manifest = self.manifests[root_shard.location]
+        path = local_shard_path(location, entry)
         try:
             shard = open_shard(path, entry.bytes, entry.sha256)
         except FileNotFoundError:
             raise ShardError(
-                f"{path}: missing; 'mapdata verify {place}' tells what else is"
+                f"{path}: missing; 'mapdata verify {location}' tells what else is"
             ) from None
-        expected = (self.manifests[number].header(*entry.limits), entry.content_hash)
-        if (shard.header, shard.content_hash) != expected:
+        has_header = shard.header == manifest.header(*entry.limits)
+        if not has_header or shard.content_hash != entry.content_hash:
             raise ShardError(f"{path}: holds other maps than the manifest says; {REPAIRS}")
         return shard
 
     def shard_labels(self, k: int) -> Labels:
-        """Return the maps of shard ``k`` with their labels, numbered as by `labels`.
+        """Return the maps of shard ``k`` with their labels; map numbers are those of the root.
 
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
         """
-        _, first, _ = self.shards[k]
         labels = decode(self.open_shard(k))
-        maps = replace(labels.maps, index=labels.maps.index + first)
-        return replace(labels, maps=maps)
+        index = labels.maps.index + self.shards[k].first_map
+        return replace(labels, maps=replace(labels.maps, index=index))
 
     def labels(self, *, progress: bool = False) -> Iterator[Labels]:
         """Yield the maps with their labels, a shard at a time.
 
-        The numbers of the maps go on from one place to the next: those of the second begin at the
-        number of maps that the first one has when it is finished.
+        Map numbers are consecutive over several locations: the first map of the second location
+        has the number of maps that the first location has when it is finished.
 
         Raises:
             ShardError, DatasetNotFoundError, ConnectionError: as `open_shard`.
@@ -183,138 +174,33 @@ class Root:
         """
         self.check_begun()
         with bar(progress, sum(manifest.done for manifest in self.manifests)) as advance:
-            for k, (_, _, entry) in enumerate(self.shards):
+            for k, shard in enumerate(self.shards):
                 yield self.shard_labels(k)
-                advance(entry.maps)
+                advance(shard.entry.maps)
 
-    def map(self, index: int) -> tuple[Labels, int]:
-        """Return the shard that holds map ``index``, and the place of the map in it.
+    def locate(self, index: int) -> tuple[Labels, int]:
+        """Return the labels of the shard that holds map ``index``, and the row of the map in them.
 
         Raises:
             ValueError: the dataset has no such map, or as `check_begun`.
         """
         self.check_begun()
-        for k, (_, first, entry) in enumerate(self.shards):
-            number = index - first  # of the map in its own place
-            if entry.start <= number < entry.stop:
-                return self.shard_labels(k), number - entry.start
+        for k, shard in enumerate(self.shards):
+            local_index = index - shard.first_map  # number of the map in its own location
+            if shard.entry.start <= local_index < shard.entry.stop:
+                return self.shard_labels(k), local_index - shard.entry.start
         raise ValueError(f"index: got {index}, {self} holds maps 0 to {self.maps - 1}")
 
 
-def places(source: Places) -> tuple[str, ...]:
-    """Return the folders and URLs that ``source`` names, without a slash at the end.
-
-    Raises:
-        ValueError: there is none.
-    """
-    names = [source] if isinstance(source, (str, os.PathLike)) else source
-    if not names:
-        raise ValueError("root: got an empty list, expected at least one dataset")
-    texts = [os.fspath(name) for name in names]
-    return tuple(text.rstrip("/") if is_url(text) else str(Path(text)) for text in texts)
-
-
-def local_path(place: StrPath) -> Path:
-    """Return a place as a path: without this, a URL would name a folder ``http:``.
-
-    Raises:
-        ValueError: it is a URL.
-    """
-    if is_url(os.fspath(place)):
-        raise ValueError(f"{place}: a URL, expected a file or folder of this machine")
-    return Path(place)
-
-
-def folder_of(place: StrPath) -> Path:
-    """Return a place to write to as a path; there may be nothing yet.
-
-    Raises:
-        ValueError: it is a URL or a file.
-    """
-    if is_url(os.fspath(place)):
-        raise ValueError(f"root: {place} is a URL, which can only be read; expected a folder")
-    folder = Path(place)
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"root: {folder} is a file, expected a folder")
-    return folder
-
-
-def manifest_at(place: str) -> Manifest:
-    """Return the manifest of a place, which is read or fetched anew.
-
-    Raises:
-        DatasetNotFoundError: no dataset there.
-        ShardError: it is damaged.
-        ConnectionError: as `read_file`.
-    """
-    if not is_url(place):
-        return read_manifest(Path(place))
-    return parse_manifest(read_file(place, MANIFEST), f"{place}/{MANIFEST}")
-
-
-def read_file(place: str, name: str) -> bytes:
-    """Return a file of a place; where a URL cannot be reached, as it was when fetched last.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ConnectionError: the URL cannot be reached, and the file was never fetched.
-        ShardError: it is a link that leads out of the folder, or longer than `MOST_BYTES` at a URL.
-    """
-    if not is_url(place):
-        return path_in(Path(place), name).read_bytes()
-    kept = _cache(place) / name
-    try:
-        data = _fetch(place, name, MOST_BYTES)
-    except ConnectionError as error:
-        if not kept.exists():
-            raise
-        warnings.warn(f"{error}. Going on with what was fetched before", stacklevel=2)
-        return kept.read_bytes()
-    with suppress(OSError):  # a cache that may only be read
-        _keep(kept, data)
-        sweep_temporaries(kept.parent)
-    return data
-
-
-def read_provenance(place: str) -> dict[str, Any]:
-    """Return what ``import.json`` says of an imported dataset, without its hash.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ConnectionError: as `read_file`.
-        ValueError: it is damaged.
-    """
-    values = parsed_json(f"{place}/{PROVENANCE}", read_file(place, PROVENANCE))
-    with suppress(RecursionError):  # of what is nested a thousand times
-        if isinstance(values, dict) and values.pop("hash", None) == hash_of(values):
-            return values
-    raise ValueError(f"{place}/{PROVENANCE}: damaged (its hash does not fit)")
-
-
-def local_file(place: str, entry: Entry) -> Path:
-    """Return the local file of a shard; one at a URL is fetched to the cache and checked.
-
-    Raises:
-        DatasetNotFoundError: it is not there.
-        ConnectionError: the URL cannot be reached.
-        ShardError: what was fetched does not have the hash that the manifest states, or the file
-            is a link that leads out of the folder.
-    """
-    if not is_url(place):
-        return path_in(Path(place), entry.name)
-    # with the hash in its name, a shard that was replaced at the URL is another file here
-    path = _cache(place) / f"{entry.sha256[:16]}-{entry.name}"
-    cached = file_size(path) == entry.bytes
-    if not cached or not has_hash(np.memmap(path, np.uint8, "r"), path.stat(), entry.sha256):
-        data = _fetch(place, entry.name, entry.bytes, entry.bytes)
-        if sha256_of(data) != entry.sha256:
-            raise ShardError(
-                f"{place}/{entry.name}: what was fetched is damaged (its file hash does not fit)"
+def _check_same_maps(
+    first_location: str, first: Manifest, location: str, manifest: Manifest
+) -> None:
+    """Refuse a dataset whose map size or movement differs from that of the first location."""
+    for name in ("map_size", "movement"):
+        expected = getattr(first, name)
+        actual = getattr(manifest, name)
+        if actual != expected:
+            raise ValueError(
+                f"root: {location} has {name} {actual}, {first_location} has {expected}; the roots "
+                "of one dataset must have one"
             )
-        _keep(path, data)
-    return path
-
-
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    return sha256_of(path.read_bytes())

@@ -1,4 +1,4 @@
-"""Workers: a progress bar, threads that Ctrl-C does not wait for, results as they are finished."""
+"""Running tasks in parallel: a pool of threads, results in order of completion, a progress bar."""
 
 from __future__ import annotations
 
@@ -16,48 +16,50 @@ from tqdm.auto import tqdm
 from mapdata.interrupts import THREADS
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-"""How many cores this process may use: in a batch job often fewer than the machine has."""
+"""Number of cores that this process may use: in a batch job often fewer than the machine has."""
 
-FEW = 4 * CORES
-"""Tasks that threads of this process are given: what is not begun costs nothing to cancel."""
+MAX_PENDING_IN_THREADS = 4 * CORES
+"""How many tasks a pool of threads holds at once, at most, so that few have to be cancelled."""
 
 Advance = Callable[[int], object]
-"""Called with how much more is done."""
+"""Called with the number of maps, or other units of a progress bar, that were just finished."""
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 
 def no_bar(count: int) -> None:
-    """Show nothing; unlike a closure it can be pickled."""
+    """Ignore progress. Unlike a closure, this function can be pickled for another process."""
 
 
 @contextmanager
-def bar(shown: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
-    """Yield what advances a bar of how much is done, the rate and the time left, from any thread.
+def bar(enabled: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
+    """Show a progress bar with rate and remaining time; yield the function that advances it.
 
-    A bar that is not shown, or of nothing, is not made: tqdm takes a lock and a thread. Nor is one
-    where stderr is closed; where it is no terminal, as in a log file, it prints every two seconds.
+    The function may be called from any thread. No bar is created where it is not enabled, where
+    there is nothing to do, or where stderr is closed, because tqdm takes a lock and a thread. Where
+    stderr is no terminal, as in a log file, the bar is printed every two seconds.
     """
-    if shown and total and sys.stderr:
-        pause = 0.1 if sys.stderr.isatty() else 2.0
-        with tqdm(total=total, initial=initial, unit=unit, mininterval=pause) as shown_bar:
-            lock = threading.Lock()
-
-            def advance(count: int) -> None:
-                with lock:  # tqdm adds without one
-                    shown_bar.update(count)
-
-            yield advance
-    else:
+    if not (enabled and total and sys.stderr):
         yield no_bar
+        return
+    print_interval = 0.1 if sys.stderr.isatty() else 2.0
+    with tqdm(total=total, initial=initial, unit=unit, mininterval=print_interval) as progress_bar:
+        lock = threading.Lock()
+
+        def advance(count: int) -> None:
+            with lock:  # tqdm itself is not safe to update from several threads
+                progress_bar.update(count)
+
+        yield advance
 
 
 @contextmanager
-def threads(workers: int | None = None) -> Iterator[Executor]:
-    """Yield an executor of ``workers`` threads, default all cores.
+def thread_pool(workers: int | None = None) -> Iterator[Executor]:
+    """Yield an executor of ``workers`` threads; the default is one thread per core.
 
-    Ctrl-C cancels tasks that have not begun, and does not wait for the others.
+    At the end, tasks that have not begun are cancelled and running tasks are waited for. After
+    Ctrl-C running tasks are not waited for.
     """
     pool = ThreadPoolExecutor(workers or CORES, thread_name_prefix=THREADS)
     wait = True
@@ -70,30 +72,34 @@ def threads(workers: int | None = None) -> Iterator[Executor]:
         pool.shutdown(wait=wait, cancel_futures=True)
 
 
-def finished(
-    pool: Executor, function: Callable[[_Task], _Result], tasks: Iterable[_Task], most: int = FEW
+def completed(
+    pool: Executor,
+    function: Callable[[_Task], _Result],
+    tasks: Iterable[_Task],
+    max_pending: int = MAX_PENDING_IN_THREADS,
 ) -> Iterator[tuple[_Task, _Result]]:
-    """Yield each task with its result as it is finished, in any order.
+    """Yield each task with the return value of ``function(task)``, in the order of completion.
 
-    At most ``most`` tasks are submitted at a time; those left are cancelled when the caller stops.
-    An error of a task is raised here.
+    At most ``max_pending`` tasks are submitted at a time; they are cancelled when the caller stops
+    iterating. An error of a task is raised here.
     """
     done: SimpleQueue[Future[_Result]] = SimpleQueue()
-    left = iter(tasks)
-    under_way = {}
+    pending: dict[Future[_Result], _Task] = {}
+
+    def next_completed() -> tuple[_Task, _Result]:
+        future = done.get()
+        return pending.pop(future), future.result()
+
     try:
-        while True:
-            for task in left:  # goes on where it stopped
-                future = pool.submit(function, task)
-                under_way[future] = task
-                future.add_done_callback(done.put)
-                # results are taken while others run, so that few are held
-                if len(under_way) >= most or not done.empty():
-                    break
-            if not under_way:
-                return
-            future = done.get()
-            yield under_way.pop(future), future.result()
+        for task in tasks:
+            future = pool.submit(function, task)
+            pending[future] = task
+            future.add_done_callback(done.put)
+            # Finished tasks are yielded before more are submitted, so that few results are held.
+            if len(pending) >= max_pending or not done.empty():
+                yield next_completed()
+        while pending:
+            yield next_completed()
     finally:
-        for future in under_way:
+        for future in pending:
             future.cancel()

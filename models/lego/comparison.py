@@ -2,12 +2,12 @@
 
 The table of docs/samplers.md is made so:
 
-    from mapdata import MapSpec, ProblemSet
+    from mapdata import Movement, ProblemSet
     from models.lego.comparison import compare, contenders, to_text
     from models.lego.sampler import Heatmap
 
     rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
-    problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1000)
+    problems = ProblemSet.sample("dungeon", seed=77, maps=1000, movement=Movement(8))
     print(to_text(compare(rows, problems)))
 """
 

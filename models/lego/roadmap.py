@@ -6,10 +6,10 @@ a cell is its row and column plus 0.5. Two vertices of a roadmap are joined wher
 between cells is a path between their centres. Samplers are compared by the roadmaps of their
 points.
 
-    from mapdata import MapSpec, ProblemSet
+    from mapdata import Movement, ProblemSet
     from models.lego.roadmap import halton, roadmap_between
 
-    problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=77, maps=1)
+    problems = ProblemSet.sample("dungeon", seed=77, maps=1, movement=Movement(8))
     grid, start, goal = problems.grids[0], problems.starts[0], problems.goals[0]
     roadmap = roadmap_between(grid, start, goal, halton(grid, 100, seed=1))
     length, vertices = roadmap.shortest_path()  # the length is inf where there is no path

@@ -59,11 +59,11 @@ class Command:
         assert isinstance(code, int)
         return Outcome(code, *self.capsys.readouterr())
 
-    def refused(self, code: int, says: str, *arguments: object) -> None:
+    def refused(self, code: int, message: str, *arguments: object) -> None:
         """Run it and check that it ends with this code and one line that says this."""
         outcome = self(*arguments)
         assert outcome.code == code, outcome
-        assert re.search(says, outcome.err), outcome.err
+        assert re.search(message, outcome.err), outcome.err
         assert outcome.err.startswith("mapdata: ")
         assert outcome.err.count("\n") == 1
         assert outcome.out == ""
@@ -104,10 +104,8 @@ def spec_file(folder: Path, **values: object) -> Path:
 # --- every verb ---------------------------------------------------------------------------------
 
 
-def test_build_and_info(run: Command, tmp_path: Path) -> None:
-    """Build makes the dataset, shows a bar and ends with the summary, which info gives again
-    without the rate.
-    """
+def test_build_and_info_print_the_same_summary(run: Command, tmp_path: Path) -> None:
+    """Build makes the dataset, shows a bar and ends with the summary; info omits only the rate."""
     root = tmp_path / "maps"
     built = run(
         "build",
@@ -148,8 +146,8 @@ def test_build_and_info(run: Command, tmp_path: Path) -> None:
     )
 
 
-def test_build_goes_on_and_extends(run: Command, tmp_path: Path) -> None:
-    """The same command again makes nothing; more maps extend."""
+def test_build_extends_a_dataset(run: Command, tmp_path: Path) -> None:
+    """The same command again builds nothing, and with more maps it builds the missing ones."""
     root = tmp_path / "maps"
     assert run("build", root, "--maps", 4, "--shard-size", 2).code == 0
     before = stamps(root)
@@ -160,8 +158,8 @@ def test_build_goes_on_and_extends(run: Command, tmp_path: Path) -> None:
     assert len(read_manifest(root).shards) == 3
 
 
-def test_info_says_what_is_not_finished(run: Command, copied: Path) -> None:
-    """A dataset that a build did not finish says so."""
+def test_info_says_that_a_dataset_is_not_finished(run: Command, copied: Path) -> None:
+    """The build was stopped before all maps were written."""
     manifest = read_manifest(copied)
     (copied / MANIFEST).write_text(
         replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
@@ -172,14 +170,14 @@ def test_info_says_what_is_not_finished(run: Command, copied: Path) -> None:
     assert run("info", copied).code == 0
 
 
-def test_verify_is_content_with_a_sound_dataset(run: Command, dataset: Path) -> None:
-    """Exit code 0 and one line."""
+def test_verify_accepts_a_sound_dataset(run: Command, dataset: Path) -> None:
+    """It prints one line, and the exit code is 0."""
     outcome = run("verify", dataset)
     assert (outcome.code, outcome.out) == (0, f"{dataset}: all is well\n")
 
 
 def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
-    """Exit code 1, a line for each file."""
+    """It prints a line for each file, and the exit code is 1."""
     (copied / shard_name(0, 4)).unlink()
     image = bytearray((copied / shard_name(8, 11)).read_bytes())
     image[len(image) // 2] ^= 1
@@ -198,7 +196,7 @@ def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
 
 @pytest.mark.parametrize("index", [0, 3, 4, MAPS - 1])
 def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path: Path) -> None:
-    """A PNG of the map that was asked for."""
+    """The picture is a PNG of the map that ``--index`` names."""
     outcome = run("show", dataset, "--index", index, "-o", tmp_path / "map.png")
     assert (outcome.code, outcome.err) == (0, "")
     assert outcome.out == f"wrote {tmp_path / 'map.png'}\n"
@@ -213,7 +211,7 @@ def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path
 def test_verbs_that_read_all_maps_show_a_bar(
     arguments: list[str], run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """They are silent for minutes with a million maps."""
+    """With a million maps they take minutes."""
     verb, *flags = arguments
     outcome = run(verb, dataset, *flags, tmp_path / "out.png")
     assert outcome.code == 0
@@ -221,10 +219,10 @@ def test_verbs_that_read_all_maps_show_a_bar(
 
 
 @pytest.mark.parametrize("flags", [("report", "-o"), ("info", "--card")], ids=["report", "card"])
-def test_a_named_output_is_what_the_name_stands_for(
+def test_output_is_written_through_links_and_devices(
     flags: tuple[str, str], run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """A link is followed, and a device is written to: neither becomes a file."""
+    """A link is followed, and a device is written to; neither is replaced by a file."""
     verb, flag = flags
     target, link = tmp_path / "target", tmp_path / "link"
     target.write_text("old")
@@ -254,15 +252,15 @@ def test_a_named_output_is_what_the_name_stands_for(
     assert len(got[0]) > 100
 
 
-def test_a_closed_stderr_is_no_damage(dataset: Path) -> None:
-    """As of a service: there is nowhere to show a bar, and all is well."""
+def test_verify_works_without_stderr(dataset: Path) -> None:
+    """A service may run without standard error; the bar is then not shown."""
     command = f"'{sys.executable}' -m mapdata verify '{dataset}' 2>&-"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, f"{dataset}: all is well\n")
 
 
-def test_a_card_of_others_is_no_way_out(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """What is a link or a pipe in the dataset is replaced: what it points to stays."""
+def test_a_card_that_is_a_link_is_replaced(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A link or a pipe in the dataset is replaced, and the target of the link stays."""
     copy = shutil.copytree(dataset, tmp_path / "copy")
     outside, pipe = tmp_path / "outside", tmp_path / "pipe"
     outside.write_text("mine")
@@ -279,10 +277,10 @@ def test_a_card_of_others_is_no_way_out(run: Command, dataset: Path, tmp_path: P
             assert not (copy / name).is_symlink()
 
 
-def test_show_draws_other_maps_and_colours_otherwise(
+def test_show_draws_the_map_and_colours_of_its_flags(
     run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """Pictures of one map are equal, those of two maps or in the paper's colours are not."""
+    """Pictures of one map are equal; those of two maps, or in the paper's colours, are not."""
     pictures = []
     for number, flags in enumerate(("", "", "--index 1", "--paper-colours")):
         assert run("show", dataset, *flags.split(), "-o", tmp_path / f"{number}.png").code == 0
@@ -300,7 +298,7 @@ def test_without_output_no_file_is_replaced(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The default stands in the working folder; where it exists a number is put behind its name."""
+    """The default is a name in the working folder, with a number if the name exists."""
     monkeypatch.chdir(tmp_path)
     stem, ending = name.split(".")
     if verb == "show":
@@ -316,14 +314,14 @@ def test_without_output_no_file_is_replaced(
 
 
 def test_a_file_that_output_names_is_replaced(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """As by other programs: the name was given."""
+    """This is what users expect, since they named the file."""
     (tmp_path / "picture").write_text("old")
     assert run("show", dataset, "-o", tmp_path / "picture").code == 0
     assert (tmp_path / "picture").read_bytes().startswith(PNG)
 
 
 def test_list_shows_every_preset(run: Command) -> None:
-    """Name, size, family, and its parameters as a recipe has them."""
+    """It shows the name, size, family and parameters, as a recipe has them."""
     lines = run("list").out.splitlines()
     assert [line.split()[0] for line in lines] == list(PRESETS)
     for line, spec in zip(lines, PRESETS.values(), strict=True):
@@ -335,7 +333,7 @@ def test_list_shows_every_preset(run: Command) -> None:
 
 
 def test_build_takes_a_map_size_and_numbers_with_an_exponent(run: Command, tmp_path: Path) -> None:
-    """The size takes the place of the preset's; 1e1 is 10."""
+    """The size replaces the preset's, and 1e1 is 10."""
     flags = ("--preset", "cave", "--map-size", "24x40", "--maps", "1e1", "--seed", "1.5E+1")
     assert run("build", tmp_path / "maps", *flags).code == 0
     manifest = read_manifest(tmp_path / "maps")
@@ -356,7 +354,7 @@ def test_help_and_version(arguments: list[str], run: Command) -> None:
 
 @pytest.mark.parametrize("verb", cli.VERBS)
 def test_every_help_has_examples_that_parse(verb: str, run: Command) -> None:
-    """Each line under Examples is a command whose flags the verb knows."""
+    """Each line under Examples is a command whose flags the verb has."""
     text = run(verb, "--help").out
     examples = re.findall(rf"^  mapdata {verb}\b(.*?)(?: > .*)?$", text, re.MULTILINE)
     assert examples
@@ -367,14 +365,14 @@ def test_every_help_has_examples_that_parse(verb: str, run: Command) -> None:
 
 
 def test_the_help_of_build_names_all_presets(run: Command) -> None:
-    """It is written down, so that the help loads no kernel."""
+    """The help lists them as text, since loading them would take seconds."""
     names = re.search(r"--preset PRESET +(.*?) \(default", run("build", "--help").out, re.DOTALL)
     assert names is not None
     assert re.findall(r"\w+", names[1].replace(" or ", " ")) == list(PRESETS)
 
 
 def test_mapdata_alone_shows_the_verbs(run: Command, tmp_path: Path) -> None:
-    """So do --help and ``python -m mapdata``; alone it is exit code 2."""
+    """So do --help and ``python -m mapdata``; without arguments the exit code is 2."""
     shown = run("--help").out
     for verb in cli.VERBS:
         assert f"\n  {verb} " in shown
@@ -385,12 +383,12 @@ def test_mapdata_alone_shows_the_verbs(run: Command, tmp_path: Path) -> None:
 
 
 def test_a_flag_before_the_verb_is_refused(run: Command) -> None:
-    """The verb comes first, and no verb is proposed that looks like the flag."""
+    """The message says that the verb comes first, and proposes no verb that looks like the flag."""
     run.refused(2, "--import: the verb comes first, as in mapdata verify", "--import", "pillars")
 
 
-def test_a_misspelt_verb(run: Command) -> None:
-    """The nearest one is named; all of them if none is near."""
+def test_a_similar_verb_is_proposed_for_a_misspelt_verb(run: Command) -> None:
+    """If none is similar, all verbs are listed."""
     run.refused(2, "unknown verb 'biuld'; did you mean build?", "biuld", "data/maps")
     run.refused(2, r"unknown verb 'xyzzy'; known are list, build, .*, check-scen \(", "xyzzy")
 
@@ -409,7 +407,7 @@ def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Pa
     assert "bit for bit" in outcome.out
     for name in (MANIFEST, *stamps(dataset)):
         assert (tmp_path / "again" / name).read_bytes() == (dataset / name).read_bytes()
-    other = run(
+    rebuilt = run(
         "build",
         tmp_path / "other",
         "--recipe",
@@ -417,12 +415,14 @@ def test_a_recipe_rebuilds_bit_for_bit(run: Command, dataset: Path, tmp_path: Pa
         "--shard-size",
         3,
     )
-    assert other.code == 0
-    assert "bit for bit" in other.out
+    assert rebuilt.code == 0
+    assert "bit for bit" in rebuilt.out
 
 
-def test_a_recipe_that_disagrees(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """Other content than the recipe says is exit code 1, with both hashes."""
+def test_a_build_that_disagrees_with_its_recipe_is_refused(
+    run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """If the content hash is another one, the exit code is 1, and both hashes are printed."""
     values = json.loads(run("info", dataset, "--recipe").out)
     true, values["content_hash"] = values["content_hash"], "0" * 64
     outcome = run("build", tmp_path / "again", "--recipe", recipe_file(tmp_path, **values))
@@ -436,7 +436,7 @@ def test_a_recipe_that_disagrees(run: Command, dataset: Path, tmp_path: Path) ->
 def test_more_maps_than_the_recipe_are_not_compared(
     run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """A recipe's seed and number of maps can be overridden; then its hash says nothing."""
+    """The seed and number of maps of a recipe can be overridden; its hash then says nothing."""
     recipe = recipe_file(tmp_path, **json.loads(run("info", dataset, "--recipe").out))
     outcome = run("build", tmp_path / "more", "--recipe", recipe, "--maps", MAPS + 1)
     assert outcome.code == 0
@@ -462,7 +462,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
 
 
 @pytest.mark.parametrize(
-    ("says", "arguments"),
+    ("message", "arguments"),
     [
         ("maps: got 0", ["--maps", "0"]),
         ("maps: got -1", ["--maps", "-1"]),
@@ -480,7 +480,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("preset: got 'papers', expected one of paper, narrow", ["--preset", "papers"]),
         ("shard_size: got 0", ["--shard-size", "0"]),
         ("workers: got 0", ["--workers", "0"]),
-        ("recipe: 'none.json' is no preset", ["--recipe", "none.json"]),
+        ("recipe: got 'none.json', expected a preset", ["--recipe", "none.json"]),
         ("recipe: not JSON", ["--recipe", "{"]),
         ("--preset: not allowed with --recipe", ["--preset", "narrow", "--recipe", "paper"]),
         ("--part: got '4/4', expected K/N", ["--part", "4/4"]),
@@ -492,14 +492,16 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("dungeon128, maze, cave, forest, noise; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
-def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_path: Path) -> None:
-    """One line, exit code 2, and no folder."""
-    run.refused(2, re.escape(says), "build", tmp_path / "maps", *arguments)
+def test_bad_flags_of_build_are_refused_in_one_line(
+    message: str, arguments: list[str], run: Command, tmp_path: Path
+) -> None:
+    """The exit code is 2, and no folder is created."""
+    run.refused(2, re.escape(message), "build", tmp_path / "maps", *arguments)
     assert not (tmp_path / "maps").exists()
 
 
 @pytest.mark.parametrize(
-    ("says", "values"),
+    ("message", "values"),
     [
         ("rooms: got (1, 1), expected at least 2", {"rooms": (1, 1)}),
         ("rooms: got (2, 256), expected at most 255", {"rooms": (2, 256)}),
@@ -548,17 +550,17 @@ def test_bad_flags_of_build(says: str, arguments: list[str], run: Command, tmp_p
     ],
 )
 def test_bad_specs_are_refused_in_one_line(
-    says: str, values: dict[str, Any], run: Command, tmp_path: Path
+    message: str, values: dict[str, Any], run: Command, tmp_path: Path
 ) -> None:
-    """A recipe that cannot be: one line that names the value, exit code 2, and no folder."""
+    """The line names the bad value, the exit code is 2, and no folder is created."""
     run.refused(
-        2, re.escape(says), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values)
+        2, re.escape(message), "build", tmp_path / "maps", "--recipe", spec_file(tmp_path, **values)
     )
     assert not (tmp_path / "maps").exists()
 
 
 @pytest.mark.parametrize(
-    ("says", "content"),
+    ("message", "content"),
     [
         ("not JSON", b""),
         ("expected an object", b"[]"),
@@ -572,31 +574,35 @@ def test_bad_specs_are_refused_in_one_line(
     ],
 )
 def test_bad_recipe_files_are_refused_in_one_line(
-    says: str, content: bytes, run: Command, tmp_path: Path
+    message: str, content: bytes, run: Command, tmp_path: Path
 ) -> None:
-    """A file that is no recipe: one line, exit code 2, and no folder."""
+    """The exit code is 2, and no folder is created."""
     (tmp_path / "recipe.json").write_bytes(content)
-    run.refused(2, says, "build", tmp_path / "maps", "--recipe", tmp_path / "recipe.json")
+    run.refused(2, message, "build", tmp_path / "maps", "--recipe", tmp_path / "recipe.json")
     assert not (tmp_path / "maps").exists()
 
 
 @pytest.mark.parametrize(
-    ("says", "arguments"),
+    ("message", "arguments"),
     [
         ("with seed 5, asked for seed 6", ["--seed", 6, "--maps", MAPS, "--shard-size", SIZE]),
         ("with shard_size 4, asked for shard_size 5", ["--maps", MAPS, "--shard-size", 5]),
         ("holds 11 maps, asked for 10: a dataset only grows", ["--maps", 10, "--shard-size", SIZE]),
     ],
 )
-def test_another_dataset_under_the_root(
-    says: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
+def test_a_root_with_another_dataset_is_refused(
+    message: str, arguments: list[object], run: Command, dataset: Path, tmp_path: Path
 ) -> None:
-    """Both values of what differs are named, exit code 2; the dataset stays as it is."""
+    """Both values of the difference are named, the exit code is 2, and the dataset does
+    not change.
+    """
     before = stamps(dataset)
-    other = spec_file(tmp_path, skip_probability=0.2)
+    another_recipe = spec_file(tmp_path, skip_probability=0.2)
     only = "with skip_probability 0.3, asked for skip_probability 0.2$"
-    run.refused(2, only, "build", dataset, "--recipe", other, "--maps", MAPS, "--shard-size", SIZE)
-    run.refused(2, says, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
+    run.refused(
+        2, only, "build", dataset, "--recipe", another_recipe, "--maps", MAPS, "--shard-size", SIZE
+    )
+    run.refused(2, message, "build", dataset, "--recipe", spec_file(tmp_path), *arguments)
     run.refused(
         2,
         r"map_size \(16, 70\), .*asked for seed 0, .*map_size \(64, 64\)",
@@ -609,7 +615,7 @@ def test_another_dataset_under_the_root(
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "message"),
     [
         ("nowhere", "there is no module 'nowhere', neither in the working folder {folder} nor"),
         ("broken.deeper", "there is no module 'broken.deeper', neither"),
@@ -623,15 +629,15 @@ def test_another_dataset_under_the_root(
         ("leaving", "leaving: SystemExit: 3$"),
     ],
 )
-def test_modules_that_cannot_be_imported(
+def test_modules_that_cannot_be_imported_are_named_in_one_line(
     name: str,
-    says: str,
+    message: str,
     run: Command,
     dataset: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """One line that names the module and what is wrong with it, exit code 2."""
+    """The line says what is wrong with the module, and the exit code is 2."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
     before = sys.modules.copy()
@@ -645,8 +651,8 @@ def test_modules_that_cannot_be_imported(
         "generators.register(Mine)\n",
     }.items():
         (tmp_path / f"{module}.py").write_text(text, encoding="utf-8")
-    says = f"^mapdata: --import: {says.format(folder=tmp_path)}"
-    run.refused(2, says, "info", dataset, "--import", name)
+    line = f"^mapdata: --import: {message.format(folder=tmp_path)}"
+    run.refused(2, line, "info", dataset, "--import", name)
     for module in sys.modules.keys() - before.keys():
         del sys.modules[module]
 
@@ -658,8 +664,8 @@ def test_verbs_without_families_have_no_flag_to_import_one(run: Command) -> None
         assert has_flag == (verb not in ("import", "check-scen")), verb
 
 
-def test_roots_that_cannot_be(run: Command, tmp_path: Path) -> None:
-    """A root that is a file, lies below one, or holds something else."""
+def test_bad_roots_are_refused(run: Command, tmp_path: Path) -> None:
+    """A root is refused if it is a file, lies below a file, or holds other files."""
     (tmp_path / "notes").write_text("notes", encoding="utf-8")
     run.refused(2, "notes is a file, expected a folder", "build", tmp_path / "notes")
     run.refused(2, "notes", "build", tmp_path / "notes" / "maps")
@@ -669,7 +675,7 @@ def test_roots_that_cannot_be(run: Command, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("verb", ["info", "verify", "show"])
 def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_path: Path) -> None:
-    """What was looked for and what makes one; exit code 2."""
+    """The line says which file was sought and how to make a dataset; the exit code is 2."""
     run.refused(
         2,
         f"no dataset at {tmp_path / 'none'}: it does not exist. Make one with",
@@ -684,21 +690,23 @@ def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_pat
 
 
 @pytest.mark.parametrize("verb", ["info", "verify", "show"])
-def test_a_file_of_a_dataset_is_no_dataset(verb: str, run: Command, dataset: Path) -> None:
+def test_a_file_of_a_dataset_is_refused_as_a_root(verb: str, run: Command, dataset: Path) -> None:
     """The message names the folder, and does not advise to build a dataset there."""
     for name in (MANIFEST, shard_name(0, 4)):
-        says = f"no dataset at {dataset / name}: it is a file. Give its folder: {dataset}$"
-        run.refused(2, says, verb, dataset / name)
-    says = "it is a file. Give the folder of a dataset$"
-    run.refused(2, says, verb, __file__)
+        message = f"no dataset at {dataset / name}: it is a file. Give its folder: {dataset}$"
+        run.refused(2, message, verb, dataset / name)
+    message = "it is a file. Give the folder of a dataset$"
+    run.refused(2, message, verb, __file__)
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder that holds no others")
-def test_a_folder_that_cannot_be_made_is_named(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """By every verb that makes one."""
-    says = r"^mapdata: /proc/x: this folder cannot be made \(No such file or directory\)$"
-    run.refused(2, says, "build", "/proc/x", "--maps", 2)
-    run.refused(2, says, "export", dataset, "/proc/x/maps", "--format", "paper")
+def test_a_folder_that_cannot_be_created_is_named(
+    run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """Every verb that creates a folder names it."""
+    message = r"^mapdata: /proc/x: this folder cannot be made \(No such file or directory\)$"
+    run.refused(2, message, "build", "/proc/x", "--maps", 2)
+    run.refused(2, message, "export", dataset, "/proc/x/maps", "--format", "paper")
     (tmp_path / "site.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
     outcome = run("import", tmp_path / "site.map", "/proc/x", "--seed-points", 2)
     assert (outcome.code, outcome.err.splitlines()[-1][: len("mapdata: /proc/x: this")]) == (
@@ -707,16 +715,18 @@ def test_a_folder_that_cannot_be_made_is_named(run: Command, dataset: Path, tmp_
     )
 
 
-def test_a_url_without_a_server_is_one_line(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tries are counted in it, and are no warnings with lines of Python."""
+def test_a_url_without_a_server_is_refused_in_one_line(
+    run: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line has the number of attempts, and no warning is printed for them."""
     monkeypatch.setattr("mapdata.shards.remote.PAUSES", (0.0, 0.0))
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))  # and nobody listens
         url = f"http://127.0.0.1:{closed.getsockname()[1]}/maps"
-        says = f"^mapdata: {url}/manifest.json could not be read: .*3 tries"
+        message = f"^mapdata: {url}/manifest.json could not be read: .*3 tries"
         with warnings.catch_warnings(record=True) as printed:
             warnings.simplefilter("default")
-            run.refused(2, says, "info", url)
+            run.refused(2, message, "info", url)
     assert printed == []
 
 
@@ -724,7 +734,7 @@ def test_a_url_without_a_server_is_one_line(run: Command, monkeypatch: pytest.Mo
 def test_a_warning_is_one_line(
     run: Command, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without the place and the line of Python that it comes from."""
+    """It is printed without the file and the source line that issued it."""
 
     def with_warning(*_: object) -> str:
         warnings.warn("the server is old.\nGoing on", stacklevel=1)
@@ -736,15 +746,17 @@ def test_a_warning_is_one_line(
 
 
 @pytest.mark.parametrize("index", [-1, MAPS, 10**30])
-def test_show_knows_its_maps(index: int, run: Command, dataset: Path) -> None:
-    """A number that no map has is named with those that maps have."""
+def test_show_refuses_an_index_outside_the_dataset(index: int, run: Command, dataset: Path) -> None:
+    """The message names the valid numbers."""
     run.refused(
         2, f"index: got {index}, .* holds maps 0 to {MAPS - 1}", "show", dataset, "--index", index
     )
 
 
-def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """A missing folder and an unknown kind of picture are one line each."""
+def test_show_refuses_outputs_that_cannot_be_written(
+    run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """A missing folder and an unknown picture format are refused in one line."""
     run.refused(2, "none", "show", dataset, "-o", tmp_path / "none" / "map.png")
     run.refused(2, "xyz", "show", dataset, "-o", tmp_path / "map.xyz")
     assert os.listdir(tmp_path) == []
@@ -754,7 +766,7 @@ def test_show_cannot_write_there(run: Command, dataset: Path, tmp_path: Path) ->
     "arguments", [["burn"], ["build"], ["info"], ["build", "a", "b"], ["show", "a", "--red"]]
 )
 def test_wrong_usage_is_refused_in_one_line(arguments: list[str], run: Command) -> None:
-    """Usage errors are one line that points to the help."""
+    """The line points to the help."""
     run.refused(2, r"--help says more\)$", *arguments)
 
 
@@ -767,8 +779,10 @@ def test_wrong_usage_is_refused_in_one_line(arguments: list[str], run: Command) 
     ],
     ids=["cut", "changed", "empty"],
 )
-def test_a_damaged_manifest(damage: Callable[[str], str], run: Command, copied: Path) -> None:
-    """Exit code 1 from every verb, and the file is named."""
+def test_every_verb_refuses_a_damaged_manifest(
+    damage: Callable[[str], str], run: Command, copied: Path
+) -> None:
+    """The exit code is 1, and the file is named."""
     text = (copied / MANIFEST).read_text(encoding="utf-8")
     (copied / MANIFEST).write_text(damage(text), encoding="utf-8")
     for verb in (["info", copied], ["show", copied], ["build", copied, "--maps", MAPS]):
@@ -779,24 +793,24 @@ def test_a_damaged_manifest(damage: Callable[[str], str], run: Command, copied: 
 
 
 def test_a_damaged_shard_cannot_be_shown(run: Command, copied: Path) -> None:
-    """Exit code 1, and the file is named."""
+    """The exit code is 1, and the file is named."""
     path = copied / shard_name(0, 4)
     path.write_bytes(path.read_bytes()[:-100])
     run.refused(1, f"{path}: (not a sound shard|has )", "show", copied)
 
 
-def test_no_permission(run: Command) -> None:
-    """A root that may not be written to: one line, exit code 2, nothing added."""
+def test_a_root_without_write_permission_is_refused(run: Command) -> None:
+    """One line is printed, the exit code is 2, and no file is added."""
     with unprivileged_folder() as folder:
         run.refused(2, str(folder), "build", folder, "--maps", 2)
         run.refused(2, str(folder), "build", folder / "maps", "--maps", 2)
         assert os.listdir(folder) == []
 
 
-def test_ctrl_c_says_how_to_go_on(
+def test_ctrl_c_says_how_to_continue(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit code 130, as the shell has it, and one line."""
+    """One line is printed, and the exit code is 130, as in a shell."""
 
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -817,10 +831,8 @@ main(["build", sys.argv[1] + "/maps", "--maps", "40", "--shard-size", "20", "--w
 
 
 @pytest.mark.parametrize("limit", [300, 12_000], ids=["not even the manifest", "no shard"])
-def test_a_full_disk(limit: int, tmp_path: Path) -> None:
-    """A real full disk (RLIMIT_FSIZE): one line, exit code 2, nothing half-written under any
-    name.
-    """
+def test_a_full_disk_is_reported_in_one_line(limit: int, tmp_path: Path) -> None:
+    """The disk is really full (RLIMIT_FSIZE); the exit code is 2, and no partial file remains."""
     command = [sys.executable, "-c", FULL_DISK, str(tmp_path), str(limit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -834,7 +846,7 @@ def test_a_full_disk(limit: int, tmp_path: Path) -> None:
 
 
 def test_import_is_light() -> None:
-    """``import mapdata`` loads none of the large packages, nor does a movement."""
+    """``import mapdata`` loads none of the large packages, and neither does a movement."""
     heavy = [
         "torch",
         "lightning",
@@ -855,7 +867,7 @@ print([name for name in {heavy} if name in sys.modules])
 
 
 def test_the_script_has_a_default_root(tmp_path: Path) -> None:
-    """``python scripts/build_shards.py`` builds under data/maps, with the same flags and code as
+    """``python scripts/build_shards.py`` builds under data/maps, with the flags and exit codes of
     the verb.
     """
     script = [sys.executable, str(HOME / "scripts" / "build_shards.py")]
@@ -878,7 +890,7 @@ def test_the_script_has_a_default_root(tmp_path: Path) -> None:
 def test_the_script_takes_a_root_and_the_flags(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All flags of the issue reach the build, and so does a family from the working folder."""
+    """All flags reach the build, and so does a family from a module in the working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
     flags = {
@@ -900,8 +912,8 @@ def test_the_script_takes_a_root_and_the_flags(
     forget("pillars", "columns")
 
 
-def test_a_reader_that_is_gone(dataset: Path) -> None:
-    """``mapdata info ROOT | head -1``: no error is told, whether much or little was printed."""
+def test_a_closed_pipe_is_no_error(dataset: Path) -> None:
+    """``mapdata info ROOT | head -1`` prints no error, whether the output is long or short."""
     for arguments in (["info", str(dataset)], ["--help"]):
         command = [sys.executable, "-c", "from mapdata.cli import main; main()", *arguments]
         ours, theirs = os.pipe()
@@ -913,8 +925,8 @@ def test_a_reader_that_is_gone(dataset: Path) -> None:
         assert (done.returncode, done.stderr) == (141, "")
 
 
-def test_show_writes_the_name_it_says(run: Command, dataset: Path, tmp_path: Path) -> None:
-    """A name without an ending is a PNG of that very name; an empty name is none."""
+def test_show_writes_the_named_file(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """A name without an ending becomes a PNG of exactly this name; an empty name is refused."""
     assert run("show", dataset, "-o", tmp_path / "picture").out == f"wrote {tmp_path / 'picture'}\n"
     assert (tmp_path / "picture").read_bytes()[:4] == b"\x89PNG"
     run.refused(2, "Is a directory", "show", dataset, "-o", "")

@@ -843,8 +843,8 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
         MapDataset([])
     with pytest.raises(ValueError, match="length: got 0, expected an integer of at least 1"):
         OnlineMapDataset(samples.SPEC, length=0)
-    with pytest.raises(ValueError, match="spec: got 'paper', expected a MapSpec or another"):
-        OnlineMapDataset("paper")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"recipe: got 'papers', .*; did you mean paper\?"):
+        OnlineMapDataset("papers")
     short = OnlineMapDataset(samples.SPEC, length=np.uint8(200), split="train")  # type: ignore[arg-type]
     assert len(short[150:].map) == 50
     with pytest.raises(ValueError, match="seed: got -3"):

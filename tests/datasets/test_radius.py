@@ -390,8 +390,10 @@ DOORS: dict[str, Callable[[str, Any], object]] = {
     "stored": lambda root, radius: MapDataset(root, radius=radius),
     "online": lambda root, radius: OnlineMapDataset(samples.SPEC, radius=radius),
     "module": lambda root, radius: MapDataModule(root, radius=radius),
-    "sample": lambda root, radius: ProblemSet.sample(samples.SPEC, 0, 5, radius=radius),
-    "read": lambda root, radius: ProblemSet.read(root, radius=radius),
+    "sample": lambda root, radius: ProblemSet.sample(
+        samples.SPEC, 0, 5, radius=radius, movement=Movement(8)
+    ),
+    "read": lambda root, radius: ProblemSet.read(root, radius=radius, movement=Movement(8)),
 }
 """All that take a radius."""
 
@@ -426,7 +428,7 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
         with pytest.raises(ValueError, match="none on one map after another"):
             dataset[0]
     with pytest.raises(ValueError, match="no map has a problem"):
-        ProblemSet.sample(samples.SPEC, 0, 5, radius=5)
+        ProblemSet.sample(samples.SPEC, 0, 5, radius=5, movement=Movement(8))
 
 
 def test_without_a_radius_no_map_is_inflated(
@@ -442,6 +444,13 @@ def test_without_a_radius_no_map_is_inflated(
     for radius in (0.0, 0.05):  # any free cell has room for half a cell of 0.1 m
         assert MapDataset(roots["square"], radius=radius)[:].map.any()
         assert OnlineMapDataset(samples.SPEC, SEED, 3, radius=radius)[:].map.any()
-        assert len(ProblemSet.sample(samples.SPEC, SEED, 3, problems=Random(), radius=radius)) == 3
+        assert (
+            len(
+                ProblemSet.sample(
+                    samples.SPEC, SEED, 3, problems=Random(), radius=radius, movement=Movement(8)
+                )
+            )
+            == 3
+        )
     with pytest.raises(AssertionError, match="inflated"):
         MapDataset(roots["square"], problems="random", radius=0.1)[:]

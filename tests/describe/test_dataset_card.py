@@ -44,7 +44,7 @@ def test_the_card_rebuilds_the_dataset_bit_for_bit(tmp_path: Path, spec: MapSpec
     run = f"{sys.executable} -c 'from mapdata.cli import main; main()' build"
     script = block(text, "sh").replace("mapdata build", run)
     subprocess.run(["bash", "-ec", script], check=True, cwd=tmp_path / "again", capture_output=True)
-    first, second = (read_manifest(tmp_path / where / "it's mine") for where in (".", "again"))
+    first, second = (read_manifest(tmp_path / folder / "it's mine") for folder in (".", "again"))
     assert [entry.sha256 for entry in first.shards] == [entry.sha256 for entry in second.shards]
     facts = table(text, "What it is")
     assert facts["identity"] == [first.identity]
@@ -58,19 +58,21 @@ def test_numbers_are_those_of_the_data(tmp_path: Path) -> None:
     text = card(root)
     rows = table(text, "Splits")
     for split in SPLITS:
-        found = [int(cell.replace(",", "")) for cell in rows[split]]
+        counts = [int(cell.replace(",", "")) for cell in rows[split]]
         frame = MapDataset(root, split=split).table()
-        solvable = [len(MapDataset(root, split=split, problems=kind())) for kind in (Route, Pairs)]
-        every = [
-            len(MapDataset(root, split=split, problems=kind(unsolvable=True)))
-            for kind in (Route, Pairs)
+        solvable = [
+            len(MapDataset(root, split=split, problems=source())) for source in (Route, Pairs)
         ]
-        assert found == [
+        all_problems = [
+            len(MapDataset(root, split=split, problems=source(unsolvable=True)))
+            for source in (Route, Pairs)
+        ]
+        assert counts == [
             len(frame),
             solvable[0],
-            every[0] - solvable[0],
+            all_problems[0] - solvable[0],
             solvable[1],
-            every[1] - solvable[1],
+            all_problems[1] - solvable[1],
         ]
     frame = MapDataset(root, split=None).table()
     shares = table(text, "Shares")

@@ -28,60 +28,62 @@ def all_labels(root: str) -> list[Labels]:
 def test_statistics_count_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None:
     """Every value of a map and of a segment is that of a loop over the labels."""
     root = build_small(tmp_path / "d", spec)
-    of = dataset_statistics(root)
+    statistics = dataset_statistics(root)
     at = 0  # the map among all maps
     first = 0  # its first segment among all segments
     for labels in all_labels(root):
         maps = labels.maps
         for i in range(len(maps)):
             n = int(maps.rooms[i])
-            assert of.index[at] == maps.index[i]
-            assert of.rooms[at] == n
-            assert of.split[at] == maps.split[i]
-            assert of.free[at] == pytest.approx((maps.occupancy[i] == 0).mean())
+            assert statistics.index[at] == maps.index[i]
+            assert statistics.rooms[at] == n
+            assert statistics.split[at] == maps.split[i]
+            assert statistics.free[at] == pytest.approx((maps.occupancy[i] == 0).mean())
             all_connected = bool((labels.matrix("astar", i) >= 0).all())
-            assert of.all_connected[at] == all_connected
+            assert statistics.all_connected[at] == all_connected
             all_drawn = bool(maps.connected[i, : n - 1].all())
-            assert of.redundant[at] == (all_connected and not all_drawn)
+            assert statistics.redundant[at] == (all_connected and not all_drawn)
             segments = slice(first, first + n - 1)
             lengths = [len(path) for path in labels.route("astar", i)]
-            assert of.lengths[segments].tolist() == lengths
-            assert of.hardest[at] == pytest.approx(max(0, of.hardness[segments].max()))
+            assert statistics.lengths[segments].tolist() == lengths
+            assert statistics.hardest[at] == pytest.approx(
+                max(0, statistics.hardness[segments].max())
+            )
             for search in ("bfs", "astar"):
-                counts = of.iterations[search][segments]
+                counts = statistics.iterations[search][segments]
                 assert counts.tolist() == labels.iterations(search, i).tolist()
             at += 1
             first += n - 1
-    assert len(of) == at == 60
-    assert len(of.lengths) == first == of.root.manifests[0].total("segments")
-    assert of.rooms_known
+    assert len(statistics) == at == 60
+    assert len(statistics.lengths) == first == statistics.root.manifests[0].total("segments")
+    assert statistics.rooms_known
 
 
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
 def test_hardness_is_that_of_the_served_problems(tmp_path: Path, spec: MapSpec) -> None:
     """Hardness is that of the problems that `MapDataset` serves."""
     root = build_small(tmp_path / "d", spec)
-    of = dataset_statistics(root)
+    statistics = dataset_statistics(root)
     problems = Route(unsolvable=True)
     served = MapDataset(root, split=None, fields=("hardness",), problems=problems)
     expected = np.array([float(served[k][0]) for k in range(len(served))])
     # problems from a cell to itself are not served
-    np.testing.assert_allclose(of.hardness[of.lengths != 1], expected, rtol=1e-6)
-    assert (of.hardness[of.lengths == 1] == 1).all()
+    np.testing.assert_allclose(statistics.hardness[statistics.lengths != 1], expected, rtol=1e-6)
+    assert (statistics.hardness[statistics.lengths == 1] == 1).all()
 
 
 def test_distributions_leave_out_what_has_no_path(tmp_path: Path) -> None:
     """Lengths and hardness are those of segments with a path; the names are those of the card."""
-    of = dataset_statistics(build_small(tmp_path / "d"))
-    values = of.distributions()
+    statistics = dataset_statistics(build_small(tmp_path / "d"))
+    values = statistics.distributions()
     assert list(values) == [
         "rooms a map",
         "free share of a map",
         "path length of a segment, cells",
         "hardness of a segment",
     ]
-    assert (of.lengths == 0).any()
-    assert len(values["hardness of a segment"]) == of.root.manifests[0].total("reachable")
+    assert (statistics.lengths == 0).any()
+    assert len(values["hardness of a segment"]) == statistics.root.manifests[0].total("reachable")
     assert values["hardness of a segment"].min() == 1
 
 
@@ -90,23 +92,23 @@ def are_same(a: Bytes, b: Bytes, *, symmetric: bool) -> bool:
     images = [b]
     if symmetric:
         turned = [np.rot90(b, k) for k in range(4)]
-        images = [*turned, *(np.flip(one, 0) for one in turned)]
+        images = [*turned, *(np.flip(turned_grid, 0) for turned_grid in turned)]
     return any(np.array_equal(a, image) for image in images)
 
 
 def slow_repeats(grids: Bytes, split: Bytes, *, symmetric: bool) -> Repeats:
     """Compare all pairs of maps."""
 
-    def is_in(grid: Bytes, others: list[Bytes]) -> bool:
-        return any(are_same(grid, other, symmetric=symmetric) for other in others)
+    def is_in(grid: Bytes, candidates: list[Bytes]) -> bool:
+        return any(are_same(grid, candidate, symmetric=symmetric) for candidate in candidates)
 
-    of = {name: list(grids[split == code]) for code, name in enumerate(SPLITS)}
+    grids_by_split = {name: list(grids[split == code]) for code, name in enumerate(SPLITS)}
     inside = {}
-    for name, own in of.items():
+    for name, own in grids_by_split.items():
         inside[name] = sum(is_in(grid, own[:k]) for k, grid in enumerate(own))
     across = {}
     for a, b in combinations(SPLITS, 2):
-        across[a, b] = sum(is_in(grid, of[a]) for grid in of[b])
+        across[a, b] = sum(is_in(grid, grids_by_split[a]) for grid in grids_by_split[b])
     return Repeats(inside, across)
 
 
@@ -128,42 +130,43 @@ def test_repeats_equal_those_of_all_pairs(tmp_path: Path, size: tuple[int, int])
         for k, (grid, code) in enumerate(zip(grids, split, strict=True))
     ]
     import_maps(tmp_path / "d", Collection(maps), seed_points=2, shard_size=25)
-    of = dataset_statistics(tmp_path / "d", repeats=True)
-    assert of.symmetries == (8 if is_square else 4)
-    for found, symmetric in zip(of.repeats, (False, True), strict=True):
+    statistics = dataset_statistics(tmp_path / "d", repeats=True)
+    assert statistics.symmetries == (8 if is_square else 4)
+    for repeats, symmetric in zip(statistics.repeats, (False, True), strict=True):
         expected = slow_repeats(grids, split, symmetric=symmetric)
-        assert found.inside == expected.inside
-        assert found.across == expected.across
-    assert sum(of.repeats[1].inside.values()) > sum(of.repeats[0].inside.values()) > 0
-    assert not of.rooms_known
+        assert repeats.inside == expected.inside
+        assert repeats.across == expected.across
+    exact, symmetric_repeats = statistics.repeats
+    assert sum(symmetric_repeats.inside.values()) > sum(exact.inside.values()) > 0
+    assert not statistics.rooms_known
 
 
 def test_generated_maps_repeat_only_where_they_are_tiny(tmp_path: Path) -> None:
     """Of maps of nine cells some repeat: as many as a set of them is smaller."""
     spec = MapSpec((3, 3), (2, 2), (1, 3), (1, 3), passage_width=(1, 1))
-    of = dataset_statistics(build_small(tmp_path / "d", spec, maps=200), repeats=True)
+    statistics = dataset_statistics(build_small(tmp_path / "d", spec, maps=200), repeats=True)
     grids = generate(spec, 5, range(200)).occupancy
     for code, name in enumerate(SPLITS):
-        texts = [grid.tobytes() for grid in grids[of.split == code]]
-        assert of.repeats[0].inside[name] == len(texts) - len(set(texts))
+        texts = [grid.tobytes() for grid in grids[statistics.split == code]]
+        assert statistics.repeats[0].inside[name] == len(texts) - len(set(texts))
 
 
 def test_repeats_are_counted_on_request_only(tmp_path: Path) -> None:
     """Without ``repeats=True`` there is an error that names it."""
-    of = dataset_statistics(build_small(tmp_path / "d", maps=3))
+    statistics = dataset_statistics(build_small(tmp_path / "d", maps=3))
     with pytest.raises(ValueError, match="repeats=True"):
-        _ = of.repeats
+        _ = statistics.repeats
 
 
 def test_read_map_finds_the_shard(tmp_path: Path) -> None:
     """`Root.map` finds the shard of a map, and refuses numbers that the dataset does not have."""
     root = build_small(tmp_path / "d")
     expected = generate(SPEC, 5, [37]).occupancy[0]
-    labels, i = Root.open(root).map(37)
+    labels, i = Root.open(root).locate(37)
     assert (labels.maps.occupancy[i] == expected).all()
     for index in (-1, 60):
         with pytest.raises(ValueError, match=f"got {index}, .* holds maps 0 to 59"):
-            Root.open(root).map(index)
+            Root.open(root).locate(index)
 
 
 def test_a_missing_or_cut_shard_is_named(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def test_the_examples_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     texts = [block.text for block in pages.blocks(ROOT / "CONTRIBUTING.md")]
     texts[-1] = texts[-1].replace("\nevaluate(", "\ntable = evaluate(")
     with ExitStack() as stack:
-        for registry in (FIELDS, formats.FORMATS, generators.GENERATORS, generators.PRESETS):
+        for registry in (FIELDS, formats.FORMATS, generators.GENERATORS):
             stack.enter_context(patch.dict(registry))
         for text in texts:
             exec(compile(text, "CONTRIBUTING.md", "exec", dont_inherit=True), names)

@@ -11,8 +11,7 @@ from helpers import pages
 from helpers.pages import DOCS, ROOT
 
 from mapdata.cli import build_main
-from mapdata.generators import PRESETS, MapSpec
-from mapdata.shards import Recipe
+from mapdata.generators import PRESETS, MapSpec, as_recipe
 
 PAGE = ROOT / "README.md"
 README = PAGE.read_text(encoding="utf-8")
@@ -86,7 +85,7 @@ def test_the_script_builds_where_the_readme_says(capsys: pytest.CaptureFixture[s
 def test_the_recipe_of_ones_own_is_one() -> None:
     """A recipe needs only what differs from the defaults."""
     (text,) = (block.text for block in BLOCKS if block.language == "json")
-    recipe = Recipe.load(text)
+    recipe = as_recipe(text)
     assert (recipe.spec.map_size, recipe.spec.movement.connectivity, recipe.maps) == (
         (48, 96),
         8,

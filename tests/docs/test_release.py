@@ -21,8 +21,17 @@ from helpers.pages import ROOT
 
 import mapdata
 
-UNTOLD = {".git", ".hypothesis", ".venv", "build", "data", "dist", "lightning_logs", "runs"}
-"""What git does not keep and a release does not hold."""
+UNRELEASED_FOLDERS = {
+    ".git",
+    ".hypothesis",
+    ".venv",
+    "build",
+    "data",
+    "dist",
+    "lightning_logs",
+    "runs",
+}
+"""Folders that are neither in git nor in a release."""
 
 
 def files(root: Path, *folders: str) -> set[str]:
@@ -41,7 +50,7 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path in ROOT.iterdir():
         if (
             path.is_dir()
-            and path.name not in UNTOLD
+            and path.name not in UNRELEASED_FOLDERS
             and not path.name.endswith(("_cache", ".egg-info"))
         ):
             shutil.copytree(path, copy / path.name, ignore=shutil.ignore_patterns("__pycache__"))

@@ -107,17 +107,17 @@ def test_the_metrics_by_hand() -> None:
     assert {name: hard[name] for name in expected} == expected
 
 
-def test_another_row_may_be_the_baseline() -> None:
-    """Expansions are over those of the row that is named, problem by problem."""
+def test_another_planner_may_be_the_baseline() -> None:
+    """Expansions are divided by those of the named planner, problem by problem."""
     problems = three()
     halves = Scripted([([], 5), ([], 6), ([], 8)], "halves")
     ones = Scripted([([], 5), ([], 3), ([], 16)], "ones")
     table = evaluate([halves, ones], problems, baseline="halves")
     assert row(table, "halves", "all")["expansion_ratio"] == 1
-    found = row(table, "ones", "all")
-    assert found["expansion_ratio"] == pytest.approx((1 + 0.5 + 2) / 3)
-    assert found["p_exp"] == pytest.approx(0.5 / 3)
-    assert found["hmean"] == 0
+    row_of_planner = row(table, "ones", "all")
+    assert row_of_planner["expansion_ratio"] == pytest.approx((1 + 0.5 + 2) / 3)
+    assert row_of_planner["p_exp"] == pytest.approx(0.5 / 3)
+    assert row_of_planner["hmean"] == 0
     with pytest.raises(ValueError, match="baseline: got 'half', expected one of halves, ones"):
         evaluate([halves, ones], problems, baseline="half")
 
@@ -141,20 +141,26 @@ CHEATS: dict[str, list[tuple[float, float]]] = {
 def test_invalid_paths_count_as_failures(
     path: list[tuple[float, float]], movement: Movement
 ) -> None:
-    """Success 0, not optimal, no cost; what was expanded counts."""
+    """They have success 0, are not optimal and have no cost, but their expansions count."""
     problems = three(movement)
-    one = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
-    found = row(evaluate([Scripted([(path, 1)])], one, bootstrap=5), "scripted", "all")
-    assert (found["success"], found["opt"], found["expansion_ratio"]) == (
-        0,
-        0,
-        1 / one.optimal.iterations[0],
+    one_problem = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
+    row_of_planner = row(
+        evaluate([Scripted([(path, 1)])], one_problem, bootstrap=5), "scripted", "all"
     )
-    assert np.isnan(found["cost_ratio"])
+    assert (
+        row_of_planner["success"],
+        row_of_planner["opt"],
+        row_of_planner["expansion_ratio"],
+    ) == (
+        0,
+        0,
+        1 / one_problem.optimal.iterations[0],
+    )
+    assert np.isnan(row_of_planner["cost_ratio"])
 
 
 def test_a_path_of_another_rank_fails() -> None:
-    """What is no list of cells is no path."""
+    """An array that is no list of cells is no path."""
     problems = three()
     for path in (np.array(3), np.zeros((1, 2, 2), np.int64), np.zeros(4, np.int64)):
         planner = Functional(lambda grid, start, goal, path=path: Plan(path, 1))  # type: ignore[misc]
@@ -165,21 +171,23 @@ def test_a_path_of_another_rank_fails() -> None:
     "movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"]
 )
 def test_the_row_of_astar_is_exact(movement: Movement) -> None:
-    """Everything is measured with A*: 1, 1, 1, 1, 0, 0, and so are both ends of its intervals."""
+    """A* is compared with itself, so its metrics and both ends of their intervals are 1, 1, 1, 1,
+    0, 0.
+    """
     table = evaluate(
         classical(movement), ProblemSet.sample(DUNGEON, 3, 80, movement=movement), bootstrap=20
     )
     for subset in ("all", "hard"):
-        found = row(table, "A*", subset)
+        row_of_planner = row(table, "A*", subset)
         for suffix in ("", "_low", "_high"):
-            assert [found[name + suffix] for name in METRICS] == [1, 1, 1, 1, 0, 0]
+            assert [row_of_planner[name + suffix] for name in METRICS] == [1, 1, 1, 1, 0, 0]
         assert row(table, "Dijkstra", subset)["opt"] == row(table, "limit", subset)["opt"] == 1
         for planner, bound in (("weighted A* (1.5)", 1.5), ("weighted A* (2)", 2)):
             assert 1 <= row(table, planner, subset)["cost_ratio_high"] <= bound
     assert table["success"].eq(1).all()
 
 
-def test_the_table() -> None:
+def test_the_table_has_two_rows_for_each_planner() -> None:
     """Two rows a planner, planners in their order; without plan_batch there is no time in
     batches.
     """
@@ -199,23 +207,23 @@ def test_the_table() -> None:
     assert max(map(len, text.splitlines())) < 130
 
 
-def test_no_hard_problem() -> None:
-    """The row is there, with n = 0 and NaN."""
+def test_a_subset_without_problems_has_nan() -> None:
+    """Its row has n = 0."""
     easy = ProblemSet(
         np.zeros((1, 4, 4), np.uint8), np.array([[0, 0]]), np.array([[3, 0]]), Movement()
     )
     table = evaluate(classical(Movement()), easy, bootstrap=5)
-    found = row(table, "A*", "hard")
-    assert found["n"] == 0
-    assert all(np.isnan(found[name]) for name in (*METRICS, "opt_low", "hmean_high", "ms"))
+    row_of_planner = row(table, "A*", "hard")
+    assert row_of_planner["n"] == 0
+    assert all(np.isnan(row_of_planner[name]) for name in (*METRICS, "opt_low", "hmean_high", "ms"))
     assert plot_planners(table, subset="hard").get_title() == "hard problems: 0"
 
 
-def test_the_interval_is_that_of_a_share() -> None:
+def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
     """
-    problems = ProblemSet.sample(MapSpec(), 2, 400)
+    problems = ProblemSet.sample(MapSpec(), 2, 400, movement=Movement(8))
     wrong = {tuple(problems.goals[k]) for k in range(0, 400, 4)}
 
     def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:
@@ -239,8 +247,10 @@ def test_the_interval_is_that_of_a_share() -> None:
     )
 
 
-def test_what_a_planner_does_to_its_arguments_stays_with_it() -> None:
-    """A planner that paints over its grid hurts nobody else; one that raises is heard."""
+def test_planners_get_their_own_copy_of_a_grid() -> None:
+    """A planner that writes to its grid does not affect others, and an error of a planner is
+    raised.
+    """
 
     def paint(grid: Grid, start: Cell, goal: Cell) -> Plan:
         grid[:] = 0
@@ -258,7 +268,7 @@ def test_what_a_planner_does_to_its_arguments_stays_with_it() -> None:
 
 
 def test_bad_arguments_are_refused() -> None:
-    """No planner, a name twice, no resample, a batch with too few plans."""
+    """Refused are no planner, a name twice, no resample and a batch with too few plans."""
     planners = classical(Movement())
     with pytest.raises(ValueError, match="planners"):
         evaluate([], three())
@@ -285,7 +295,7 @@ def test_bad_arguments_are_refused() -> None:
     [(Movement(8), 0.44, 0.53, 0.827), (Movement(8, corner_cutting=True), 0.38, 0.49, 0.829)],
     ids=["8", "cutting"],
 )
-def test_the_classical_rows_are_where_they_were(
+def test_the_classical_planners_have_their_known_metrics(
     movement: Movement, greedy: float, weighted: float, limit: float
 ) -> None:
     """Hmean on hard problems of "dungeon", as a prototype with another A* order measured it on
@@ -315,7 +325,7 @@ def run(*arguments: str) -> None:
 def test_the_script_writes_a_list_of_rows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """JSON, CSV and figure; the same numbers on a second run; the table in the terminal."""
+    """It writes JSON, CSV and a figure, prints the table, and a second run has the same numbers."""
     outputs = {name: tmp_path / f"out.{name}" for name in ("json", "csv", "png")}
     arguments = [
         "--preset",
@@ -356,7 +366,7 @@ def test_the_script_writes_a_list_of_rows(
 
 
 def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A root in place of preset and seed: one problem on each map of its test split."""
+    """A root replaces preset and seed, and gives one problem on each map of its test split."""
     build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
     run(str(tmp_path / "maps"), "--connectivity", "4", "--json", str(tmp_path / "out.json"))
     rows = json.loads((tmp_path / "out.json").read_text())
@@ -367,7 +377,9 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_the_script_takes_files_of_problems(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A .scen and a saved set, each with its own movement; flags that would do nothing do not."""
+    """A .scen and a saved set keep their own movement, and flags that would do nothing
+    are refused.
+    """
     text = "type octile\nheight 2\nwidth 9\nmap\n.........\n.........\n"
     (tmp_path / "a.map").write_text(text)
     scen = tmp_path / "a.scen"
@@ -406,7 +418,7 @@ def test_the_script_takes_files_of_problems(
 def test_the_script_says_what_is_wrong_in_one_line(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 2 and one line, no traceback."""
+    """The exit code is 2, and there is no traceback."""
     with pytest.raises(SystemExit) as error:
         run(*arguments)
     captured = capsys.readouterr()
@@ -414,8 +426,10 @@ def test_the_script_says_what_is_wrong_in_one_line(
     assert captured.err.startswith("mapdata: ")
 
 
-def test_the_weights_go_by_the_problems(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A set where corners may be cut has rows of the predictor, without the flag."""
+def test_the_script_loads_weights_for_the_movement_of_the_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """If corners may be cut, the predictor for that movement is compared without a flag."""
     cut = ProblemSet.sample(
         MapSpec.preset("dungeon"), 77, maps=4, movement=Movement(8, corner_cutting=True)
     )

@@ -45,7 +45,7 @@ def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
 
 
 def reference_best_first(
-    grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, counts_way: bool
+    grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, uses_path_cost: bool
 ) -> Plan:
     """Pop the least f = g + weight * h, among equal f the most recently pushed: exact fractions,
     plain Python.
@@ -53,7 +53,7 @@ def reference_best_first(
 
     def f(cost: reference.Pair, cell: Cell) -> Fraction:
         heuristic = reference.weigh(reference.heuristic(cell, goal, movement), movement)
-        way = reference.weigh(cost, movement) if counts_way else 0
+        way = reference.weigh(cost, movement) if uses_path_cost else 0
         return way + Fraction(weight) * heuristic
 
     rows = grid.tolist()
@@ -84,13 +84,13 @@ def reference_best_first(
     return Plan(np.empty((0, 2), np.int64), len(taken))
 
 
-def assert_same(found: Plan, expected: Plan) -> None:
+def assert_same(plan: Plan, expected: Plan) -> None:
     """Compare paths and expansions."""
-    assert found.path.ndim == 2
-    assert found.path.shape[1] == 2
-    np.testing.assert_array_equal(found.path, expected.path)
-    assert found.expansions == expected.expansions
-    assert type(found.expansions) is int
+    assert plan.path.ndim == 2
+    assert plan.path.shape[1] == 2
+    np.testing.assert_array_equal(plan.path, expected.path)
+    assert plan.expansions == expected.expansions
+    assert type(plan.expansions) is int
 
 
 def ends_of(problems: ProblemSet) -> list[tuple[Cell, Cell]]:
@@ -107,30 +107,30 @@ def plan_all(planner: BatchPlanner, problems: ProblemSet) -> Sequence[Plan]:
 
 
 @movements
-@pytest.mark.parametrize(("weight", "counts_way"), WEIGHTS)
+@pytest.mark.parametrize(("weight", "uses_path_cost"), WEIGHTS)
 def test_best_first_equals_the_reference(
-    movement: Movement, weight: float, counts_way: bool
+    movement: Movement, weight: float, uses_path_cost: bool
 ) -> None:
     """Path and expansions, cell by cell: Dijkstra, A*, weighted A* and greedy search, with and
     without a path.
     """
-    planner = BestFirst("it", movement, weight, counts_way)
+    planner = BestFirst("it", movement, weight, uses_path_cost)
     solved = 0
     for grid, start, goal in grids(60, 1):
-        expected = reference_best_first(grid, start, goal, movement, weight, counts_way)
+        expected = reference_best_first(grid, start, goal, movement, weight, uses_path_cost)
         assert_same(planner.plan(grid, start, goal), expected)
         solved += len(expected.path) > 0
     assert 0 < solved < 60
 
 
 @movements
-def test_weight_one_is_mapdatas_astar(movement: Movement) -> None:
-    """With f = g + h the generic search takes the very cells that the format's A* takes."""
+def test_best_first_search_with_weight_one_is_astar(movement: Movement) -> None:
+    """With f = g + h it expands the same cells as the A* of the format."""
     problems = ProblemSet.sample(MapSpec.preset("dungeon"), 5, 100, movement=movement)
     generic = plan_all(BestFirst("A*", movement, 1), problems)
     own = plan_all(Search("A*", movement, "astar"), problems)
-    for found, expected in zip(generic, own, strict=True):
-        assert_same(found, expected)
+    for plan, expected in zip(generic, own, strict=True):
+        assert_same(plan, expected)
 
 
 @movements
@@ -162,7 +162,7 @@ def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
 
 
 @movements
-def test_the_rows_that_come_along(movement: Movement) -> None:
+def test_classical_planners_solve_problems_alone_and_in_batches(movement: Movement) -> None:
     """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched
     answer the same.
     """
@@ -226,8 +226,8 @@ def test_a_large_grid_works_and_a_too_large_one_is_refused() -> None:
 
 
 @pytest.mark.parametrize("weight", [-1, float("nan"), float("inf")])
-def test_a_weight_is_a_number_from_zero(weight: float) -> None:
-    """Others are refused."""
+def test_weights_below_zero_or_not_finite_are_refused(weight: float) -> None:
+    """The message names the weight."""
     with pytest.raises(ValueError, match="weight"):
         BestFirst("weighted", Movement(), weight)
 
@@ -243,7 +243,9 @@ def test_a_weight_is_a_number_from_zero(weight: float) -> None:
     ],
 )
 def test_bad_problems_are_refused(grid: npt.ArrayLike, start: Cell, goal: Cell, why: str) -> None:
-    """A cell outside or in a wall, other values, another rank: never a crash in a kernel."""
+    """A cell outside the map or in a wall, other grid values and another rank raise an error, and
+    never crash a kernel.
+    """
     for planner in classical():
         with pytest.raises(ValueError, match=why):
             planner.plan(np.array(grid, np.uint8), start, goal)

@@ -22,15 +22,15 @@ GRID = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
 LIMITS = Limits(pixels=2**12, unpacked=2**16)
 
 
-def saved(kind: str) -> bytes:
+def saved(file_format: str) -> bytes:
     """Return a picture or an array file of the grid."""
     out = io.BytesIO()
-    if kind == "npy":
+    if file_format == "npy":
         np.save(out, GRID)
-    elif kind == "npz":
+    elif file_format == "npz":
         np.savez_compressed(out, maps=GRID)
     else:
-        Image.fromarray(255 * (1 - GRID)).save(out, kind)
+        Image.fromarray(255 * (1 - GRID)).save(out, file_format)
     return out.getvalue()
 
 
@@ -95,15 +95,15 @@ CHANGES = st.lists(
 def changed(data: bytes, changes: list[tuple[int, str, bytes]]) -> bytes:
     """Return ``data`` after these changes."""
     out = bytearray(data)
-    for place, what, more in changes:
+    for place, change, more in changes:
         at = place % max(len(out), 1)
-        if what == "flip" and out:
+        if change == "flip" and out:
             out[at] ^= 1 << (place % 8)
-        elif what == "set":
+        elif change == "set":
             out[at : at + len(more)] = more
-        elif what == "insert":
+        elif change == "insert":
             out[at:at] = more
-        elif what == "cut":
+        elif change == "cut":
             del out[at:]
         else:
             del out[at : at + len(more)]
@@ -120,29 +120,29 @@ def attempt(read: Callable[[], object]) -> None:
     assert "\n" not in problem
 
 
-@pytest.mark.parametrize("kind", sorted(seed_points()))
+@pytest.mark.parametrize("file_format", sorted(seed_points()))
 @settings(SETTINGS, max_examples=120)
 @given(CHANGES)
 def test_a_changed_file_is_read_or_refused(
-    kind: str, changes: list[tuple[int, str, bytes]]
+    file_format: str, changes: list[tuple[int, str, bytes]]
 ) -> None:
-    """A few bytes of a good file are changed."""
+    """A few bytes of a valid file are changed."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for k, (file, data) in enumerate(seed_points()[kind].items()):
+        for k, (file, data) in enumerate(seed_points()[file_format].items()):
             (folder / file).parent.mkdir(exist_ok=True)
             (folder / file).write_bytes(data if k else changed(data, changes))
-        first = folder / next(iter(seed_points()[kind]))
-        source = first if kind in ("planning", "scen") else folder
-        attempt(lambda: read_any(source, FORMATS.get(kind, "images"), LIMITS))
-        if kind == "scen":
+        first = folder / next(iter(seed_points()[file_format]))
+        source = first if file_format in ("planning", "scen") else folder
+        attempt(lambda: read_any(source, FORMATS.get(file_format, "images"), LIMITS))
+        if file_format == "scen":
             attempt(lambda: check_scen(first, limits=LIMITS))
 
 
 @SETTINGS
 @given(st.binary(max_size=60))
 def test_a_file_of_any_bytes_is_read_or_refused(data: bytes) -> None:
-    """A file of any bytes under every ending, its format recognised or not."""
+    """The file has any bytes and any ending, and its format is recognised or named."""
     with tempfile.TemporaryDirectory() as name:
         for ending in ("png", "jpg", "bmp", "pgm", "npy", "npz", "yaml", "map", "scen", "csv"):
             path = Path(name) / f"a.{ending}"

@@ -11,7 +11,7 @@ import pytest
 from helpers.wild import cli
 
 from mapdata import read_shard
-from mapdata.describe.table import joined
+from mapdata.describe.table import join_segments
 from mapdata.limits import SPLITS
 from mapdata.shards import read_manifest
 
@@ -20,10 +20,10 @@ os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
 
 
 @pytest.mark.filterwarnings("ignore")  # of the libraries under it, not ours to mend
-def test_the_real_library_opens_it(
+def test_the_datasets_library_opens_an_export(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Splits, rows, types and values; the picture shows free white."""
+    """Splits, rows, types and values are equal, and the picture shows free white."""
     datasets = pytest.importorskip("datasets", reason="pip install datasets")
     pytest.importorskip("pyarrow", reason="pip install pyarrow")
     assert cli(capsys, "export", root, tmp_path / "hub", "--format", "huggingface")[0] == 0
@@ -46,7 +46,7 @@ def test_the_real_library_opens_it(
             assert row["connected"] == maps.connected[k, : n - 1].tolist()
             assert row["all_connected"] == batch.all_connected[k]
             for search in ("bfs", "astar"):
-                cells = joined(batch.route(search, k))
+                cells = join_segments(batch.route(search, k))
                 assert row[f"{search}_row_path"] == cells[:, 0].tolist()
                 assert row[f"{search}_column_path"] == cells[:, 1].tolist()
                 segments = batch.iterations(search, k)
@@ -60,8 +60,10 @@ def test_the_real_library_opens_it(
     assert np.stack(stacked).shape == (3, 20, 70)
 
 
-def test_the_card(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Front matter that YAML reads, with the files of each split; identity and content hash."""
+def test_the_card_has_valid_front_matter(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A YAML reader finds the files of each split, and the card has identity and content hash."""
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("pyarrow", reason="pip install pyarrow")
     cli(capsys, "export", root, tmp_path / "hub", "--format", "huggingface")
@@ -75,8 +77,10 @@ def test_the_card(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert str(manifest.identity) in card
 
 
-def test_without_pyarrow(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message says what to install, and nothing is written."""
+def test_an_export_without_pyarrow_is_refused(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The message says how to install it, and nothing is written."""
     from mapdata.formats import export
 
     load = builtins.__import__

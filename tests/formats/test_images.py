@@ -15,7 +15,7 @@ from PIL import Image
 
 from mapdata import read_shard
 from mapdata.formats import Collection, FormatError, Limits, read_any, recognise
-from mapdata.formats.files import natural, walk
+from mapdata.formats.files import files_below, natural_key
 from mapdata.formats.images import brightness, read, read_pixels
 from mapdata.shards import read_manifest
 
@@ -25,13 +25,13 @@ DARK: Bytes = np.where(GRID, np.uint8(10), np.uint8(240)).astype(np.uint8)
 
 def grids(folder: Path, **options: object) -> list[list[list[int]]]:
     """Read a folder and return its grids; nothing may be left out."""
-    found = read(folder, **options)  # type: ignore[arg-type]
-    assert found.left_out == []
-    return [one.grid.tolist() for one in found.maps]
+    collection = read(folder, **options)  # type: ignore[arg-type]
+    assert collection.left_out == []
+    return [foreign_map.grid.tolist() for foreign_map in collection.maps]
 
 
-def test_pictures_of_all_kinds(tmp_path: Path) -> None:
-    """Every kind of picture: dark is occupied, what is transparent is free."""
+def test_dark_is_occupied_in_all_types_of_pictures(tmp_path: Path) -> None:
+    """Transparent pixels are free."""
     grey = Image.fromarray(DARK)
     for k, mode in enumerate(("1", "L", "RGB", "RGBA", "P", "LA")):
         grey.convert(mode, dither=Image.Dither.NONE).save(tmp_path / f"{k}.png")
@@ -57,8 +57,8 @@ def test_pictures_of_all_kinds(tmp_path: Path) -> None:
     assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()] * 22
 
 
-def test_a_colour_that_stands_for_clear_is_free(tmp_path: Path) -> None:
-    """As optimisers write pictures with holes: grey and RGB with a transparent colour."""
+def test_a_colour_that_stands_for_transparent_is_free(tmp_path: Path) -> None:
+    """Optimisers of pictures mark transparent pixels by a colour in grey and RGB pictures."""
     black = Image.fromarray(np.where(GRID, 0, 1).astype(np.uint8))
     black.save(tmp_path / "0.png", transparency=1)
     black.convert("RGB").save(tmp_path / "1.png", transparency=(1, 1, 1))
@@ -69,10 +69,10 @@ def test_a_colour_that_stands_for_clear_is_free(tmp_path: Path) -> None:
     ("orientation", "turned"),
     [(1, GRID), (3, GRID[::-1, ::-1]), (6, np.rot90(GRID, -1)), (8, np.rot90(GRID))],
 )
-def test_a_turned_tiff_is_turned(
+def test_a_tiff_is_rotated_by_its_orientation_tag(
     orientation: int, turned: npt.NDArray[np.uint8], tmp_path: Path
 ) -> None:
-    """By its tag 274, uncompressed, too."""
+    """The tag 274 also counts in an uncompressed TIFF."""
     Image.fromarray(DARK).save(tmp_path / "0.tif", tiffinfo={274: orientation})
     assert grids(tmp_path) == [turned.tolist()]
 
@@ -102,8 +102,8 @@ def test_a_tiff_says_which_end_is_white(photometric: int, bits: int, tmp_path: P
     assert (values[:, :, 0] == grey).all()
 
 
-def test_threshold_and_inversion(tmp_path: Path) -> None:
-    """A pixel is free above the threshold; inverted, the other way round."""
+def test_pixels_above_the_threshold_are_free(tmp_path: Path) -> None:
+    """Inverted, they are occupied."""
     Image.fromarray(np.array([[0, 100, 200, 255]], np.uint8)).save(tmp_path / "a.png")
     assert grids(tmp_path) == [[[1, 1, 0, 0]]]
     assert grids(tmp_path, threshold=0.2) == [[[1, 0, 0, 0]]]
@@ -119,20 +119,22 @@ def test_threshold_and_inversion(tmp_path: Path) -> None:
 
 
 def test_resize_and_crop(tmp_path: Path) -> None:
-    """Resizing averages brightness; cropping takes the middle; what is too small is left out."""
+    """Resizing averages brightness, cropping takes the middle, and pictures that are too small to
+    crop are left out.
+    """
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "a.png")
     assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()]
     assert grids(tmp_path, size=(2, 4), fit="crop") == [
         np.kron(GRID, np.ones((2, 2), int))[2:4, 2:6].tolist()
     ]
-    found = read(tmp_path, size=(7, 4), fit="crop")
-    assert found.maps == []
-    assert found.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
+    collection = read(tmp_path, size=(7, 4), fit="crop")
+    assert collection.maps == []
+    assert collection.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
 
 
 @pytest.mark.parametrize("factor", [2, 4, 6])
 def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> None:
-    """A cell of which half is dark is occupied, so that thin walls stay."""
+    """A cell that is half dark becomes occupied, so that thin walls remain."""
     plan = np.ones((24 * factor, 24 * factor), np.uint8)
     plan[1:-1, 1:-1] = 0
     plan[:, :: 2 * factor] = 1
@@ -145,12 +147,12 @@ def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> N
         assert grids(tmp_path, size=(24, 24)) == [exact.astype(int).tolist()] * 2
         Image.fromarray(255 * each).save(tmp_path / "plan.png")
         np.save(tmp_path / "plan.npy", 1 - each)
-        found = grids(tmp_path, size=(24, 24), invert=True)
-        assert found == [exact.astype(int).tolist()] * 2
+        collection = grids(tmp_path, size=(24, 24), invert=True)
+        assert collection == [exact.astype(int).tolist()] * 2
 
 
 def test_arrays_are_imported(tmp_path: Path) -> None:
-    """Arrays of any number type and order, one grid or a stack: 1 is occupied."""
+    """Arrays may have any number type and order, and be one grid or a stack; 1 is occupied."""
     stack = np.stack([GRID, 1 - GRID])
     np.save(tmp_path / "a.npy", stack)
     np.save(tmp_path / "b.npy", np.asfortranarray(GRID.astype(bool)))
@@ -162,33 +164,36 @@ def test_arrays_are_imported(tmp_path: Path) -> None:
     assert left[1] == "holds arrays a, b, expected one of (N, H, W)"
 
 
-def test_folders_say_splits_and_names_their_order(tmp_path: Path) -> None:
-    """Folders say splits; map2 comes before map10; hidden and linked folders are not read."""
+def test_folders_give_splits_and_names_give_the_order(tmp_path: Path) -> None:
+    """The map map2 comes before map10; hidden and linked folders are not read."""
     for k, folder in enumerate(("Train", "validation", "test/deep", ".hidden")):
         (tmp_path / folder).mkdir(parents=True)
         for name in ("map10.png", "map2.PNG"):
             Image.fromarray(DARK).save(tmp_path / folder / name)
         assert k < 4
     (tmp_path / "link").symlink_to(tmp_path / "test", target_is_directory=True)
-    found = read(tmp_path)
-    assert sorted(one.split or 0 for one in found.maps) == [0, 0, 1, 1, 2, 2]
-    assert [Path(one.name).name for one in found.maps[:2]] == ["map2.PNG", "map10.png"]
-    assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural)[:2] == ["a9", "a9b"]
+    collection = read(tmp_path)
+    assert sorted(foreign_map.split or 0 for foreign_map in collection.maps) == [0, 0, 1, 1, 2, 2]
+    assert [Path(foreign_map.name).name for foreign_map in collection.maps[:2]] == [
+        "map2.PNG",
+        "map10.png",
+    ]
+    assert sorted(["a10", "a9b", "a9", "b", "a\u00b2"], key=natural_key)[:2] == ["a9", "a9b"]
     with pytest.raises(FormatError, match="more than 3 files"):
-        walk(tmp_path, (".png",), Limits(files=3), Collection())
+        files_below(tmp_path, (".png",), Limits(files=3), Collection())
 
 
 def test_links_out_of_the_folder_are_left_out(tmp_path: Path) -> None:
-    """A link inside is read, one that leads out is named and not opened."""
+    """A link to a file inside is read; a link to a file outside is named and not opened."""
     (tmp_path / "in").mkdir()
     for path in (tmp_path / "secret.png", tmp_path / "in" / "a.png"):
         Image.fromarray(DARK).save(path)
     (tmp_path / "in" / "b.png").symlink_to(tmp_path / "in" / "a.png")
     (tmp_path / "in" / "c.png").symlink_to(tmp_path / "secret.png")
     (tmp_path / "in" / "d.png").symlink_to("d.png")
-    found = read(tmp_path / "in")
-    assert [Path(one.name).name for one in found.maps] == ["a.png", "b.png"]
-    reasons = {Path(name).name: why for name, why in found.left_out}
+    collection = read(tmp_path / "in")
+    assert [Path(foreign_map.name).name for foreign_map in collection.maps] == ["a.png", "b.png"]
+    reasons = {Path(name).name: why for name, why in collection.left_out}
     assert reasons["c.png"] == "a link to outside the folder"
     assert set(reasons) == {"c.png", "d.png"}
 
@@ -244,19 +249,19 @@ def hostile(folder: Path) -> dict[str, str]:
         (folder / name).write_bytes(data)
     npz(folder / "bomb.npz", a=npy((2**13, 2**13), bytes(2**26)))
     (folder / "folder.png").mkdir()
-    return {**{name: says for name, (_, says) in cases.items()}, "bomb.npz": "unpack to"}
+    return {**{name: message for name, (_, message) in cases.items()}, "bomb.npz": "unpack to"}
 
 
 def test_hostile_files_are_left_out(tmp_path: Path) -> None:
-    """Bad files among good ones: each is named with its reason, the good ones are read."""
+    """Each bad file is named with its reason, and the good files are read."""
     cases = hostile(tmp_path)
     Image.fromarray(DARK).save(tmp_path / "good.png")
-    found = read(tmp_path, Limits(unpacked=2**25))
-    assert [Path(one.name).name for one in found.maps] == ["good.png"]
-    reasons = {Path(name).name: why for name, why in found.left_out}
+    collection = read(tmp_path, Limits(unpacked=2**25))
+    assert [Path(foreign_map.name).name for foreign_map in collection.maps] == ["good.png"]
+    reasons = {Path(name).name: why for name, why in collection.left_out}
     assert set(reasons) == set(cases)
-    for name, says in cases.items():
-        assert any(part in reasons[name] for part in says.split("|")), (name, reasons[name])
+    for name, message in cases.items():
+        assert any(part in reasons[name] for part in message.split("|")), (name, reasons[name])
         assert "\n" not in reasons[name]
 
 
@@ -281,8 +286,10 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
-def test_bombs_take_no_memory(tmp_path: Path) -> None:
-    """Bombs of 88 and 400 megapixels and of 128 MiB are refused in less than 50 MB more."""
+def test_decompression_bombs_take_no_memory(tmp_path: Path) -> None:
+    """Bombs of 88 and 400 megapixels and of 128 MiB are refused with less than 50 MB
+    more memory.
+    """
     import subprocess
     import zipfile
 
@@ -305,15 +312,19 @@ def test_bombs_take_no_memory(tmp_path: Path) -> None:
 
 
 def test_brightness_is_exact(tmp_path: Path) -> None:
-    """Mean of the colours, white behind what is transparent."""
+    """It is the mean of the colours, and transparent pixels lie on white."""
     Image.fromarray(np.array([[[255, 0, 0], [10, 20, 30]]], np.uint8)).save(tmp_path / "a.png")
     assert brightness(read_pixels(tmp_path / "a.png")).tolist() == [[85, 20]]
     with pytest.raises(FormatError, match="no such file"):
         read_pixels(tmp_path / "none.png")
 
 
-def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two sizes become two datasets; what is left out is listed; foreign flags are refused."""
+def test_the_command_imports_pictures_of_two_sizes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two sizes become two datasets, files that are left out are listed, and flags of other formats
+    are refused.
+    """
     (tmp_path / "in").mkdir()
     Image.fromarray(DARK).save(tmp_path / "in" / "a.png")
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "in" / "b.png")
@@ -358,13 +369,15 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
-    """Their brightest pixel is 1 of 255: left out with advice, read when the threshold says so."""
+    """Their brightest pixel is 1 of 255, so they are left out with advice, and read with a lower
+    threshold.
+    """
     Image.fromarray(1 - GRID).save(tmp_path / "mask.png")
-    found = read(tmp_path, invert=True)
-    assert found.maps == []
+    collection = read(tmp_path, invert=True)
+    assert collection.maps == []
     assert (
         "brightest pixel is 1 of 255, nothing is above --images.threshold 0.5"
-        in found.left_out[0][1]
+        in collection.left_out[0][1]
     )
     assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
     for mask in (np.uint16(1 - GRID), np.stack([1 - GRID, 0 * GRID, 0 * GRID], axis=2)):
@@ -373,8 +386,10 @@ def test_masks_of_zero_and_one_are_not_taken_for_black(tmp_path: Path) -> None:
         assert grids(tmp_path, threshold=0.0) == [GRID.tolist()]
 
 
-def test_stacks_with_a_channel(tmp_path: Path) -> None:
-    """A stack may be (N, 1, H, W), not with two channels; a limit counts the cells of one map."""
+def test_stacks_may_have_one_channel(tmp_path: Path) -> None:
+    """A stack of shape (N, 1, H, W) is read, one of two channels is refused, and the limit counts
+    the cells of one map.
+    """
     np.savez(tmp_path / "a.npz", maps=np.stack([GRID, 1 - GRID])[:, None], labels=np.arange(2))
     assert grids(tmp_path) == [GRID.tolist(), (1 - GRID).tolist()]
     assert read(tmp_path, Limits(pixels=11)).maps == []
@@ -386,9 +401,9 @@ ROOM: Bytes = np.pad(np.zeros((4, 6), np.uint8), 1, constant_values=1)
 
 
 @pytest.mark.parametrize("ending", ["png", "bmp", "npy"])
-def test_what_was_taken_for_free_is_told(ending: str, tmp_path: Path) -> None:
-    """The free share and what is free; of inverted maps, which have a free border, how to read
-    them.
+def test_a_note_says_which_cells_are_free(ending: str, tmp_path: Path) -> None:
+    """It has the share of free cells; if the borders of most maps are free, a note says how to
+    invert them.
     """
 
     def notes(cells: Bytes, **options: bool) -> list[str]:
@@ -410,10 +425,12 @@ def test_what_was_taken_for_free_is_told(ending: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"P5\n8 6\n255\n", b"P5 8 6 65535\n"])
-def test_unknown_cells_of_a_robots_map_are_refused_until_a_word_says_what_they_are(
+def test_unknown_cells_of_a_robots_map_are_refused_without_an_option(
     data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A .pgm without its .yaml: 205 is brighter than the threshold, and was never seen."""
+    """In a .pgm without its .yaml, unknown cells of grey 205 are brighter than the threshold and
+    would be free.
+    """
     pixels = np.where(ROOM, 0, 254).astype(np.uint8)
     pixels[1, 1:6] = 205
     path = tmp_path / "map.pgm"
@@ -428,32 +445,34 @@ def test_unknown_cells_of_a_robots_map_are_refused_until_a_word_says_what_they_a
     path.with_suffix(".yaml").write_text("image: map.pgm")
     assert f"import {tmp_path / 'map.yaml'}, or say" in read(path).left_out[0][1]
     for unknown, is_occupied in (("occupied", pixels < 254), ("free", pixels < 205)):
-        found = read(path, unknown=unknown)  # type: ignore[arg-type]
-        assert found.maps[0].grid.tolist() == is_occupied.tolist()
-        assert f"10.4% of the cells were unknown and are now {unknown}" in found.notes
-        found = read(path, unknown=unknown, invert=True)  # type: ignore[arg-type]
+        collection = read(path, unknown=unknown)  # type: ignore[arg-type]
+        assert collection.maps[0].grid.tolist() == is_occupied.tolist()
+        assert f"10.4% of the cells were unknown and are now {unknown}" in collection.notes
+        collection = read(path, unknown=unknown, invert=True)  # type: ignore[arg-type]
         assert (
-            found.maps[0].grid.tolist()
+            collection.maps[0].grid.tolist()
             == ((pixels == 254) | ((pixels == 205) & (unknown == "occupied"))).tolist()
         )
     # a threshold above 205 says it, too
-    found = read(path, threshold=0.85)
-    assert found.maps[0].grid.tolist() == (pixels < 254).tolist()
+    collection = read(path, threshold=0.85)
+    assert collection.maps[0].grid.tolist() == (pixels < 254).tolist()
 
 
-def test_unknown_cells_are_settled_before_cells_are_scaled(tmp_path: Path) -> None:
-    """Half a cell of unknown is half a cell of what was said."""
+def test_unknown_cells_are_replaced_before_pictures_are_scaled(tmp_path: Path) -> None:
+    """A cell that is half unknown counts by half as what unknown cells become."""
     pixels = np.full((4, 4), 254, np.uint8)
     pixels[:, 1] = 205
     pixels[0, 3] = 0
     Image.fromarray(pixels).save(tmp_path / "a.png")
     for unknown, expected in (("occupied", [[1, 0], [1, 0]]), ("free", [[0, 0], [0, 0]])):
-        found = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
-        assert found.maps[0].grid.tolist() == expected
+        collection = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
+        assert collection.maps[0].grid.tolist() == expected
 
 
 def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
-    """At the edges of lines 205 is one of many; maps of 0 and 254 alone are read as well."""
+    """At the edges of lines 205 is one of many greys; pictures of 0 and 254 only are
+    read as well.
+    """
     pixels = np.full((16, 16), 255, np.uint8)
     pixels[4] = np.arange(0, 256, 16)
     pixels[5, :2] = 205
@@ -461,17 +480,17 @@ def test_the_greys_of_a_floor_plan_are_not_unknown(tmp_path: Path) -> None:
     plan.save(tmp_path / "plan.png")
     Image.fromarray(np.where(ROOM, 0, 254).astype(np.uint8)).save(tmp_path / "map.pgm")
     for options in ({}, {"unknown": "occupied"}):
-        found = read(tmp_path, **options)  # type: ignore[arg-type]
-        assert found.left_out == []
-        assert found.maps[1].grid.tolist() == (pixels <= 127).tolist()
-        assert found.maps[0].grid.tolist() == ROOM.tolist()
-        assert not any("unknown" in note for note in found.notes)
+        collection = read(tmp_path, **options)  # type: ignore[arg-type]
+        assert collection.left_out == []
+        assert collection.maps[1].grid.tolist() == (pixels <= 127).tolist()
+        assert collection.maps[0].grid.tolist() == ROOM.tolist()
+        assert not any("unknown" in note for note in collection.notes)
 
 
-def test_long_reading_shows_its_progress(
+def test_a_progress_bar_counts_the_files_on_request(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """How many files are read; nothing where it is not asked for."""
+    """Without the request nothing is shown."""
     for k in range(3):
         Image.fromarray(DARK).save(tmp_path / f"{k}.png")
     assert len(read(tmp_path).maps) == 3

@@ -87,26 +87,26 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
     }
 
 
-def test_the_content_is_what_it_was(tmp_path: Path) -> None:
-    """A golden hash: draws, labels and layout are the same in every version."""
+def test_the_content_of_an_import_is_the_golden_one(tmp_path: Path) -> None:
+    """Draws, labels and layout are the same in every version."""
     rows, columns = np.indices((9, 33))
     grids = [np.asarray((rows * (k + 3) + columns * 5) % 7 == 0, np.uint8) for k in range(3)]
-    (made,) = import_maps(
+    (dataset,) = import_maps(
         tmp_path / "out", collection(*grids), seed_points=3, seed=11, movement=Movement(8)
     )
-    assert made.manifest.content_hash == GOLDEN
+    assert dataset.manifest.content_hash == GOLDEN
 
 
 GOLDEN = "c59b4fc7739def46dd4178e26c9fb987247ed352c62f6c0f5206307f9ef168e7"
 
 
-def test_small_components_and_given_seeds(tmp_path: Path) -> None:
-    """Given seed points come first; maps with fewer cells have fewer, or are left out."""
+def test_seed_points_of_the_source_come_first(tmp_path: Path) -> None:
+    """Maps with fewer free cells than asked for have fewer seed points, or are left out."""
     two: Bytes = np.array([[0, 0, 1, 0]], np.uint8)
     source = collection(two, np.ones((1, 4), np.uint8), np.array([[0, 1, 0, 1]], np.uint8))
     source.maps.append(ForeignMap("given", two, seed_points=np.array([[0, 3]])))
-    (made,) = import_maps(tmp_path / "out", source, seed_points=5)
-    maps = read_shard(made.root / made.manifest.shards[0].name).maps
+    (dataset,) = import_maps(tmp_path / "out", source, seed_points=5)
+    maps = read_shard(dataset.root / dataset.manifest.shards[0].name).maps
     assert maps.rooms.tolist() == [2, 3]
     assert maps.seed_points[1, 0].tolist() == [0, 3]
     assert [name for name, _ in source.left_out] == ["g1", "g2"]
@@ -121,8 +121,10 @@ def test_small_components_and_given_seeds(tmp_path: Path) -> None:
         ([], "0 rooms"),
     ],
 )
-def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path: Path) -> None:
-    """Seed points that cannot be: the map is left out, with the reason."""
+def test_maps_with_bad_seed_points_are_left_out(
+    seed_points: list[list[int]], why: str, tmp_path: Path
+) -> None:
+    """The reason is noted."""
     grid: Bytes = np.array([[0, 0, 1]], np.uint8)
     bad = ForeignMap(
         "bad", grid, seed_points=np.array(seed_points, np.int64).reshape(-1, 2), rooms_known=True
@@ -133,17 +135,17 @@ def test_bad_seeds_are_left_out(seed_points: list[list[int]], why: str, tmp_path
     assert why in source.left_out[0][1]
 
 
-def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
-    """One dataset per size and resolution; a given resolution or tiles join them."""
+def test_each_size_and_resolution_becomes_a_dataset(tmp_path: Path) -> None:
+    """With a given resolution or tiles the maps form one dataset."""
     source = collection(*random_grids(2, 8, 8), *random_grids(1, 16, 9))
     source.maps.append(ForeignMap("fine", random_grids(1, 8, 8)[0], resolution=0.05))
-    made = import_maps(tmp_path / "a", source)
+    datasets = import_maps(tmp_path / "a", source)
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
         "16x9",
         "8x8-0.05m",
         "8x8-0.1m",
     ]
-    assert [one.manifest.maps for one in made] == [2, 1, 1]
+    assert [dataset.manifest.maps for dataset in datasets] == [2, 1, 1]
     assert len(import_maps(tmp_path / "b", source, resolution=0.2)) == 2
     (tiled,) = import_maps(tmp_path / "c", source, resolution=0.2, tile=(8, 8))
     assert (tiled.root, tiled.manifest.maps, tiled.manifest.map_size) == (tmp_path / "c", 5, (8, 8))
@@ -151,23 +153,25 @@ def test_sizes_and_resolutions_are_datasets(tmp_path: Path) -> None:
         import_maps(tmp_path / "d", source, tile=(0, 8))
 
 
-def test_the_same_import_goes_on(tmp_path: Path) -> None:
-    """A second import changes nothing; what is lost is made again; another import is refused."""
+def test_an_import_can_be_completed(tmp_path: Path) -> None:
+    """A second import changes nothing and writes lost shards again; another import is refused."""
     grids = random_grids(5)
-    (made,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
+    (dataset,) = import_maps(tmp_path / "out", collection(*grids), shard_size=2)
     before = {
-        path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")
+        path.name: (path.read_bytes(), path.stat().st_mtime_ns)
+        for path in dataset.root.glob("*.h5")
     }
     import_maps(tmp_path / "out", collection(*grids), shard_size=2)
     assert {
-        path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in made.root.glob("*.h5")
+        path.name: (path.read_bytes(), path.stat().st_mtime_ns)
+        for path in dataset.root.glob("*.h5")
     } == before
-    next(iter(made.root.glob("*.h5"))).unlink()
+    next(iter(dataset.root.glob("*.h5"))).unlink()
     import_maps(tmp_path / "out", collection(*grids), shard_size=2)
-    assert {path.name: path.read_bytes() for path in made.root.glob("*.h5")} == {
+    assert {path.name: path.read_bytes() for path in dataset.root.glob("*.h5")} == {
         n: d for n, (d, _) in before.items()
     }
-    assert verify(made.root) == []
+    assert verify(dataset.root) == []
     for source, options in (
         (collection(*grids), {"shard_size": 3}),
         (collection(*grids), {"shard_size": 2, "seed": 1}),
@@ -175,12 +179,12 @@ def test_the_same_import_goes_on(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match="holds another dataset"):
             import_maps(tmp_path / "out", source, **options)  # type: ignore[arg-type]
-    assert verify(made.root) == []
-    assert read_manifest(made.root).content_hash == made.manifest.content_hash
+    assert verify(dataset.root) == []
+    assert read_manifest(dataset.root).content_hash == dataset.manifest.content_hash
 
 
 def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While one writes, another one is refused on one line, and takes nothing away."""
+    """While an import writes, another one is refused in one line and removes no file."""
     begun, go_on = threading.Event(), threading.Event()
 
     def slow_label(maps: Maps) -> Labels:
@@ -196,16 +200,16 @@ def test_two_imports_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         with pytest.raises(ValueError, match=f"root: another process writes to {root}; wait"):
             import_maps(root, collection(*random_grids(10)[5:]), shard_size=2)
         go_on.set()
-        (made,) = first.result()
+        (dataset,) = first.result()
     assert verify(root) == []
-    assert read_manifest(root) == made.manifest
+    assert read_manifest(root) == dataset.manifest
     with pytest.raises(ValueError, match="holds another dataset"):
         import_maps(root, collection(*random_grids(10)[5:]), shard_size=2)
     assert verify(root) == []
 
 
 def test_imports_sweep(tmp_path: Path) -> None:
-    """What an import that was killed left is gone after the next one."""
+    """Temporary files of a killed import are removed by the next one."""
     import_maps(tmp_path, collection(*random_grids(5)), shard_size=2)
     for name in (MANIFEST, PROVENANCE, "maps-000000000000-000000000002.h5"):
         (tmp_path / f".{name}.1234.tmp").touch()
@@ -215,13 +219,15 @@ def test_imports_sweep(tmp_path: Path) -> None:
 
 
 def test_an_import_into_a_url_is_refused() -> None:
-    """Before anything is written."""
+    """It is refused before anything is written."""
     with pytest.raises(ValueError, match="root: http://host/maps is a URL"):
         import_maps("http://host/maps", collection(*random_grids(5)))
 
 
 def test_an_import_follows_no_link_out_of_the_root(tmp_path: Path) -> None:
-    """A shard that leads elsewhere is refused by name; what it leads to stays."""
+    """A shard that is a link to another folder is refused by name, and the target of the link
+    stays.
+    """
     root = tmp_path / "maps"
     import_maps(root, collection(*random_grids(5)), shard_size=2)
     shard = root / "maps-000000000002-000000000004.h5"
@@ -232,8 +238,8 @@ def test_an_import_follows_no_link_out_of_the_root(tmp_path: Path) -> None:
     assert (tmp_path / shard.name).is_file()
 
 
-def test_a_strange_root_is_refused(tmp_path: Path) -> None:
-    """A folder with something else, a file: refused before anything is written."""
+def test_a_root_with_other_files_is_refused(tmp_path: Path) -> None:
+    """A folder with other files, or a file, is refused before anything is written."""
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("x")
     for root in (tmp_path / "mine", tmp_path / "mine" / "thesis.tex"):
@@ -255,8 +261,10 @@ def test_a_strange_root_is_refused(tmp_path: Path) -> None:
         {"resolution": float("nan")},
     ],
 )
-def test_bad_arguments(options: dict[str, object], tmp_path: Path) -> None:
-    """Each is named, and nothing is written."""
+def test_bad_arguments_are_named_before_anything_is_written(
+    options: dict[str, object], tmp_path: Path
+) -> None:
+    """The error names the argument, and the root is not created."""
     with pytest.raises(ValueError, match=next(iter(options))):
         import_maps(tmp_path / "out", collection(*random_grids(1)), **options)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no map to import"):
@@ -264,8 +272,8 @@ def test_bad_arguments(options: dict[str, object], tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_resolutions_of_maps(tmp_path: Path) -> None:
-    """What is none leaves its map out, by name; numpy's numbers are numbers."""
+def test_a_map_with_a_bad_resolution_is_left_out(tmp_path: Path) -> None:
+    """It is left out by name; numbers of numpy are accepted."""
     values: list[Any] = [-1, float("nan"), "0.1", np.float32(0.25), np.int64(1)]
     grids = random_grids(len(values))
     maps = [
@@ -273,19 +281,19 @@ def test_resolutions_of_maps(tmp_path: Path) -> None:
         for value, grid in zip(values, grids, strict=True)
     ]
     source = Collection(maps)
-    made = import_maps(tmp_path / "out", source)
-    assert sorted(each.manifest.resolution for each in made) == [0.25, 1.0]
+    datasets = import_maps(tmp_path / "out", source)
+    assert sorted(each.manifest.resolution for each in datasets) == [0.25, 1.0]
     assert [name for name, _ in source.left_out] == ["-1", "nan", "0.1"]
-    (one,) = import_maps(tmp_path / "all", Collection(maps), resolution=np.float64(0.5))
-    assert one.manifest.resolution == 0.5
+    (dataset,) = import_maps(tmp_path / "all", Collection(maps), resolution=np.float64(0.5))
+    assert dataset.manifest.resolution == 0.5
 
 
-def test_numbers_of_the_source(tmp_path: Path) -> None:
-    """Numbers 0 to N - 1 give the order; others are dropped, and that is told."""
+def test_numbers_of_the_source_give_the_order_of_the_maps(tmp_path: Path) -> None:
+    """This holds for the numbers 0 to N - 1; other numbers are dropped with a note."""
     grids = random_grids(3)
     source = Collection([ForeignMap("x", grid, number=2 - k) for k, grid in enumerate(grids)])
-    (made,) = import_maps(tmp_path / "a", source)
-    maps = read_shard(made.root / made.manifest.shards[0].name).maps
+    (dataset,) = import_maps(tmp_path / "a", source)
+    maps = read_shard(dataset.root / dataset.manifest.shards[0].name).maps
     assert all(np.array_equal(maps.occupancy[k], grids[2 - k]) for k in range(3))
     source = Collection([ForeignMap("x", grid, number=5 + k) for k, grid in enumerate(grids)])
     import_maps(tmp_path / "b", source)
@@ -293,7 +301,9 @@ def test_numbers_of_the_source(tmp_path: Path) -> None:
 
 
 def test_maps_are_kept_as_bits() -> None:
-    """100,000 maps of 512 x 512 cells take 3.3 GB, not 26; what is not a grid is refused."""
+    """100,000 maps of 512 x 512 cells take 3.3 GB instead of 26; arrays that are no grid are
+    refused.
+    """
     grid = random_grids(1, 5, 13)[0]
     one = ForeignMap("x", grid)
     assert one.grid.tolist() == grid.tolist()
@@ -305,8 +315,8 @@ def test_maps_are_kept_as_bits() -> None:
 
 
 @pytest.mark.parametrize("split", [3, -1, "train", 1.7])
-def test_a_split_that_is_none_is_refused(split: object) -> None:
-    """A dataset with it could not be read."""
+def test_an_unknown_split_is_refused(split: object) -> None:
+    """A dataset with an unknown code of a split could not be read."""
     with pytest.raises(ValueError, match=f"split: x: got {split!r}, expected 0, 1, 2 or None"):
         ForeignMap("x", np.zeros((3, 3), np.uint8), split=split)  # type: ignore[arg-type]
 
@@ -323,25 +333,25 @@ def test_a_repaired_manifest_is_that_of_the_import(
     grids[:, :4, :10] = 0
     grids[:, 0, 0] = 1
     grids[np.arange(count), 1, np.arange(count) % 8] = 1
-    (made,) = import_maps(tmp_path / "out", collection(*grids), seed_points=2)
-    assert len(made.manifest.shards) == 1
-    text = (made.root / MANIFEST).read_bytes()
-    (made.root / MANIFEST).unlink()
-    repair(made.root)
-    assert (made.root / MANIFEST).read_bytes() == text
+    (dataset,) = import_maps(tmp_path / "out", collection(*grids), seed_points=2)
+    assert len(dataset.manifest.shards) == 1
+    text = (dataset.root / MANIFEST).read_bytes()
+    (dataset.root / MANIFEST).unlink()
+    repair(dataset.root)
+    assert (dataset.root / MANIFEST).read_bytes() == text
     import_maps(tmp_path / "out", collection(*grids), seed_points=2)
 
 
-def test_an_import_that_has_not_begun_is_refused_as_such(tmp_path: Path) -> None:
-    """As such a build is, by the dataset, by problems and by figures."""
+def test_readers_refuse_an_import_without_shards(tmp_path: Path) -> None:
+    """The dataset, problems and figures refuse it, as they refuse a build that has not begun."""
     (made,) = import_maps(tmp_path / "out", collection(*random_grids(5)), shard_size=2)
     (made.root / MANIFEST).write_text(replace(made.manifest, shards=()).to_json())
     says = r"holds none of its 5 maps yet: no shard is finished\. .*run the command that makes it"
     with pytest.raises(ValueError, match=says):
         MapDataset(made.root)
     with pytest.raises(ValueError, match=says):
-        ProblemSet.read(made.root)
+        ProblemSet.read(made.root, movement=Movement(8))
     with pytest.raises(ValueError, match=says):
         dataset_statistics(made.root)
     with pytest.raises(ValueError, match=says):
-        Root.open(made.root).map(3)
+        Root.open(made.root).locate(3)

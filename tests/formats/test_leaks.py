@@ -34,7 +34,9 @@ def kept(root: Path) -> dict[str, list[bytes]]:
 
 
 @pytest.mark.parametrize("shape", [(12, 12), (9, 14)])
-def test_counted_and_dropped(shape: tuple[int, int], tmp_path: Path) -> None:
+def test_copies_in_two_splits_are_counted_and_dropped(
+    shape: tuple[int, int], tmp_path: Path
+) -> None:
     """One exact copy and one mirrored in test, one mirrored in val; a repetition inside a split
     is none. What is dropped stands in an earlier split; the test split stays whole.
     """
@@ -52,26 +54,26 @@ def test_counted_and_dropped(shape: tuple[int, int], tmp_path: Path) -> None:
         (TEST, e[::-1]),
     ]
     source = collection(*maps)
-    (made,) = import_maps(tmp_path / "all", source)
-    assert made.manifest.maps == 10
+    (dataset,) = import_maps(tmp_path / "all", source)
+    assert dataset.manifest.maps == 10
     assert source.notes == [
         "maps in two splits: 0 of val in train (1 up to symmetry), 1 of test in train (2 up to "
         "symmetry), 0 of test in val (1 up to symmetry); 4 copies in the earlier ones are kept, "
         "--drop-leaks leaves them out"
     ]
     source = collection(*maps)
-    (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
+    (dataset,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
     assert source.notes[0].endswith("4 copies in the earlier ones are left out")
-    assert verify(made.root) == []
-    assert kept(made.root) == {
+    assert verify(dataset.root) == []
+    assert kept(dataset.root) == {
         "train": [d.tobytes(), d.tobytes()],
         "val": [np.ascontiguousarray(c[::-1, ::-1]).tobytes()],
         "test": [np.ascontiguousarray(g).tobytes() for g in (a, b[:, ::-1], e[::-1])],
     }
 
 
-def test_only_squares_are_transposed(tmp_path: Path) -> None:
-    """A transposed square is the same map, a transposed rectangle another one of another size."""
+def test_only_square_maps_have_transposed_copies(tmp_path: Path) -> None:
+    """A transposed square is a copy; a transposed rectangle has another size and is another map."""
     square = random_grids(1, 12, 12)[0]
     source = collection((TRAIN, square), (TEST, square.T))
     import_maps(tmp_path / "square", source)
@@ -96,23 +98,23 @@ def test_distinct_maps_are_counted_in_each_split(
     for split, grids in stacks.items():
         (tmp_path / "in" / split).mkdir(parents=True)
         np.save(tmp_path / "in" / split / "maps.npy", grids)
-    for flags, says in (
+    for flags, message in (
         ((), "5 of 10 (3 up to symmetry): train 3, val 2, test 1"),
         (("--drop-leaks",), "5 of 8 (3 up to symmetry): train 2, val 2, test 1"),
     ):
         root = tmp_path / f"out{len(flags)}"
         code, imported, _ = cli(capsys, "import", tmp_path / "in", root, *flags)
         assert code == 0
-        assert f"distinct maps:        {says}\n" in imported
+        assert f"distinct maps:        {message}\n" in imported
         code, info, _ = cli(capsys, "info", root)
         assert (code, info in imported) == (0, True)
         assert verify(root) == []
 
 
-def test_info_of_an_import_says_what_no_recipe_says(
+def test_info_of_an_import_shows_splits_movement_and_source(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Splits, movement, free cells, source and format; a single map has no copies to speak of."""
+    """It also shows the share of free cells; for a single map it counts no copies."""
     np.save(tmp_path / "plan.npy", np.eye(4, dtype=np.uint8))
     _, imported, _ = cli(capsys, "import", tmp_path / "plan.npy", tmp_path / "out")
     assert "two splits" not in imported
@@ -137,19 +139,23 @@ def test_info_of_an_import_says_what_no_recipe_says(
 
 
 def test_drawn_splits_are_kept(tmp_path: Path) -> None:
-    """Equal maps without splits fall into two; what is left after dropping stays where it was."""
+    """Equal maps without splits are drawn into two splits, and the maps that are not dropped keep
+    theirs.
+    """
     a, b = random_grids(2, 12, 12)
-    source = collection(*[(None, one) for _ in range(40) for one in (a, b)])
-    (made,) = import_maps(tmp_path / "all", source)
-    before = kept(made.root)
+    source = collection(*[(None, grid) for _ in range(40) for grid in (a, b)])
+    (dataset,) = import_maps(tmp_path / "all", source)
+    before = kept(dataset.root)
     assert all(len(set(grids)) == 2 for grids in before.values())
-    (made,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
-    after = kept(made.root)
+    (dataset,) = import_maps(tmp_path / "apart", source, drop_leaks=True)
+    after = kept(dataset.root)
     assert after == {"train": [], "val": [], "test": before["test"]}
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One line says it, and a flag drops them."""
+def test_the_command_reports_copies_and_a_flag_drops_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The report is one line."""
     grids = random_grids(3, 12, 12)
     for split in ("train", "test"):
         (tmp_path / "in" / split).mkdir(parents=True)

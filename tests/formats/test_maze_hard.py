@@ -48,8 +48,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_their_converter_reads_what_we_write(root: Path, tmp_path: Path) -> None:
-    """Each segment of each split in order: the same map, ends and path."""
+def test_the_converter_of_hrm_reads_what_we_write(root: Path, tmp_path: Path) -> None:
+    """Each segment of each split comes in order, with the same map, ends and path."""
     export(root, tmp_path / "out", "maze-hard")
     for split in ("train", "val", "test"):
         inputs, labels = convert(tmp_path / "out" / f"{split}.csv")
@@ -63,8 +63,10 @@ def test_their_converter_reads_what_we_write(root: Path, tmp_path: Path) -> None
             assert {tuple(cell) for cell in np.argwhere(wanted == 5).tolist()} == inner
 
 
-def test_there_and_back(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A maze a line, in its split, with its ends as seed points; every answer is confirmed."""
+def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each line becomes a map in its split with its start and goal as seed points, and every answer
+    is confirmed.
+    """
     out = tmp_path / "out"
     assert cli(capsys, "export", root, out, "--format", "maze-hard")[0] == 0
     assert recognise(out) == "maze-hard"
@@ -77,7 +79,7 @@ def test_there_and_back(root: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
-    """By the import, which compares each with all shortest paths."""
+    """The import compares each answer with all shortest paths."""
     export(root, tmp_path / "out", "maze-hard")
     lines = (tmp_path / "out" / "test.csv").read_text().splitlines()
     source, question, answer, rating = lines[1].split(",")
@@ -90,8 +92,8 @@ def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
 
 @SETTINGS
 @given(st.integers(0, 10_000), st.data())
-def test_an_answer_is_right_if_it_is_one_of_networkx(seed: int, data: st.DataObject) -> None:
-    """All its shortest paths score, and none of them with a cell more, less or moved."""
+def test_all_shortest_paths_of_networkx_are_right_answers(seed: int, data: st.DataObject) -> None:
+    """A path with a cell added, removed or moved is wrong, unless it is another shortest path."""
     grid = generate(Maze((9, 9), reopened=0.6, seed_points=2), seed, [0])
     cells = grid.occupancy[0]
     start, goal = (tuple(point.tolist()) for point in grid.seed_points[0])
@@ -118,7 +120,7 @@ def test_an_answer_is_right_if_it_is_one_of_networkx(seed: int, data: st.DataObj
 
 
 def test_longer_paths_are_wrong() -> None:
-    """A detour, a loop beside the path, an answer of another length, a changed wall."""
+    """Wrong answers are a detour, a loop beside the path, another length and a changed wall."""
     question = "S        " + "       G "
     question = question.ljust(25)
     start, goal = 0, 16
@@ -143,28 +145,30 @@ def test_longer_paths_are_wrong() -> None:
     ],
 )
 def test_lines_that_are_no_maze_are_left_out(tmp_path: Path, line: str, why: str) -> None:
-    """By line and reason; the others are read."""
+    """They are left out by line with a reason, and the other lines are read."""
     path = tmp_path / "train.csv"
     path.write_text(f"source,question,answer,rating\n{line}\nx,S  G,So G,2\n")
-    found = read_any(path)
-    assert [each.split for each in found.maps] == [0]
-    ((name, reason),) = found.left_out
+    collection = read_any(path)
+    assert [each.split for each in collection.maps] == [0]
+    ((name, reason),) = collection.left_out
     assert name.endswith("train.csv, line 2")
     assert why in reason
 
 
 def test_files_that_cannot_be_read_are_left_out(tmp_path: Path) -> None:
-    """A dangling link, and a file beyond the limit; the others are read."""
+    """They are a dangling link and a file beyond the limit; the other files are read."""
     (tmp_path / "train.csv").write_text("source,question,answer,rating\nx,S  G,So G,2\n")
     (tmp_path / "val.csv").symlink_to("gone.csv")
     (tmp_path / "test.csv").write_text("source,question,answer,rating\n" + 9 * "x,S  G,So G,2\n")
-    found = read_any(tmp_path, "maze-hard", Limits(unpacked=100))
-    assert [each.split for each in found.maps] == [0]
-    assert [Path(name).name for name, _ in found.left_out] == ["test.csv", "val.csv"]
+    collection = read_any(tmp_path, "maze-hard", Limits(unpacked=100))
+    assert [each.split for each in collection.maps] == [0]
+    assert [Path(name).name for name, _ in collection.left_out] == ["test.csv", "val.csv"]
 
 
-def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    """Maps that are not square, and diagonal moves; a CSV of another kind cannot be read."""
+def test_maps_that_the_format_cannot_hold_are_refused(tmp_path: Path) -> None:
+    """Refused are maps that are not square and diagonal moves; a CSV of another format cannot be
+    read.
+    """
     for name, spec in (
         ("wide", MapSpec((20, 31), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 2))),
         ("diagonal", Maze((9, 9), seed_points=2, movement=Movement(8))),

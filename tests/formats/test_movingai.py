@@ -24,7 +24,7 @@ from mapdata.formats.movingai import (
     check_scen,
     read_scen,
     read_terrain,
-    world,
+    terrain_grid,
 )
 from mapdata.movement import Movement
 from mapdata.shards import read_manifest
@@ -67,16 +67,18 @@ def files(folder: Path, scen: str = SCEN, text: str = MAP) -> Path:
         "\ufeff" + MAP,
     ],
 )
-def test_maps_in_the_wild(text: str, tmp_path: Path) -> None:
-    """CRLF, text after the rows, no last line feed, another order of the header."""
+def test_variants_of_published_maps_are_read(text: str, tmp_path: Path) -> None:
+    """They have CRLF, text after the rows, no last line feed, or another order of the header."""
     (tmp_path / "a.map").write_bytes(text.encode("utf-8"))
     terrain = read_terrain(tmp_path / "a.map")
-    assert world(terrain).tolist() == LAND
-    assert world(terrain, "W").tolist() == WATER
+    assert terrain_grid(terrain).tolist() == LAND
+    assert terrain_grid(terrain, "W").tolist() == WATER
 
 
-def test_a_blank_line_hides_no_damage(tmp_path: Path) -> None:
-    """Words right after a blank line are a citation, which ends the file; later ones are damage."""
+def test_damage_after_an_empty_line_is_refused(tmp_path: Path) -> None:
+    """Words right after an empty line are a citation, which ends the file; later words
+    are damage.
+    """
     path = files(tmp_path)
     head, problem = path.read_text().splitlines()[:2]
     path.write_text(f"{head}\n{problem}\n\nPlease cite us.\n")
@@ -86,8 +88,10 @@ def test_a_blank_line_hides_no_damage(tmp_path: Path) -> None:
         read_scen(path)
 
 
-def test_scen_forms(tmp_path: Path) -> None:
-    """Tabs, spaces, CRLF, the old form, names with spaces; x is the column."""
+def test_both_versions_of_scen_files_are_read(tmp_path: Path) -> None:
+    """Fields may be separated by tabs or spaces, lines by CRLF, and names may hold spaces; x is the
+    column.
+    """
     new = Problem(3, "dao/big cave.map", (4, 6), (3, 1), (0, 5), "12.0711", 2, 1e-4)
     path = tmp_path / "a.scen"
     path.write_bytes(b"version 1.0\r\n3\tdao/big cave.map\t6\t4\t1\t3\t5\t0\t12.0711\r\n\r\n")
@@ -104,7 +108,7 @@ def test_scen_forms(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("printed", "says"),
+    ("printed", "message"),
     [
         # as the benchmark's own files print seven and twelve diagonals, and with the exact root
         (["9.89949493", "16.97056274", "2.00000000"], 3),
@@ -120,8 +124,10 @@ def test_scen_forms(tmp_path: Path) -> None:
         (["9.89", "16.98", "2.01"], 0),
     ],
 )
-def test_printed_lengths(printed: list[str], says: int, tmp_path: Path) -> None:
-    """Lengths agree as exactly as a file prints them, whatever root of two it counts with."""
+def test_lengths_agree_up_to_their_last_printed_digit(
+    printed: list[str], message: int, tmp_path: Path
+) -> None:
+    """This holds for each approximation of the square root of 2 that files use."""
     side = 13
     (tmp_path / "a.map").write_text(
         f"type octile\nheight {side}\nwidth {side}\nmap\n" + ("." * side + "\n") * side
@@ -132,11 +138,11 @@ def test_printed_lengths(printed: list[str], says: int, tmp_path: Path) -> None:
         for end, text in zip(ends, printed, strict=True)
     )
     (tmp_path / "a.scen").write_text("version 1\n" + "".join(lines))
-    assert check_scen(tmp_path / "a.scen").agreed == says
+    assert check_scen(tmp_path / "a.scen").agreed == message
 
 
-def test_two_decimals_of_which_none_is_zero(tmp_path: Path) -> None:
-    """As in a part of a published file: 16.97 is not 16.9700."""
+def test_equal_numbers_of_decimals_are_fixed_decimals(tmp_path: Path) -> None:
+    """In a part of a published file, 16.97 does not stand for 16.9700."""
     (tmp_path / "a.map").write_text(
         "type octile\nheight 13\nwidth 13\nmap\n" + 13 * f"{13 * '.'}\n"
     )
@@ -144,8 +150,10 @@ def test_two_decimals_of_which_none_is_zero(tmp_path: Path) -> None:
     assert check_scen(tmp_path / "a.scen").agreed == 1
 
 
-def test_long_published_lengths() -> None:
-    """Lengths of 1,500 cells and 600 diagonals, with the benchmark's nine decimals of the root."""
+def test_long_lengths_agree_with_an_approximate_root() -> None:
+    """A length has 1,500 cells and 600 diagonals, with the benchmark's nine decimals of
+    the root.
+    """
     for straight, diagonal in ((687, 600), (1, 1023), (1500, 1)):
         exact = straight + diagonal * math.sqrt(2)
         theirs = straight + diagonal * 1.414213562
@@ -156,8 +164,12 @@ def test_long_published_lengths() -> None:
             )
 
 
-def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Land and water, no corner cut, no path: all agree, and the exit code is 0."""
+def test_check_scen_agrees_with_lengths_by_hand(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All lengths on land and water, without a cut corner and without a path agree, and the exit
+    code is 0.
+    """
     path = files(tmp_path)
     code, out, err = cli(capsys, "check-scen", path)
     assert (code, err) == (0, "")
@@ -170,7 +182,7 @@ def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("3.41421\n", "3.41422\n", r"line 3: \(1, 1\) to \(3, 3\): says 3.41422, found 3.41421356"),
         ("6.82842712", "6.82842714", "says 6.82842714"),
@@ -178,22 +190,24 @@ def test_published_lengths_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture
         ("0\t0\t0\t3\t3\n", "0\t0\t0\t3\t0\n", "says 0, found 3.0"),
     ],
 )
-def test_wrong_lengths(
-    old: str, new: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_check_scen_names_the_line_of_a_wrong_length(
+    old: str, new: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One wrong length of seven: named with its line, exit code 1."""
+    """One of seven lengths is wrong, and the exit code is 1."""
     assert SCEN.count(old) == 1
     code, out, err = cli(capsys, "check-scen", files(tmp_path, SCEN.replace(old, new)))
     assert code == 1
     assert err == "mapdata: 1 of 7 optimal lengths disagree\n"
     assert "6 of 7 optimal lengths agree" in out
-    assert re.search(says, out)
+    assert re.search(message, out)
 
 
 @SETTINGS
 @given(GRIDS, st.data())
-def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
-    """Every pair of a random map agrees in the three precisions of the web; a bit more does not."""
+def test_lengths_of_scipy_agree(grid: Bytes, data: st.DataObject) -> None:
+    """All pairs of a random map agree in the three precisions of published files; a slightly larger
+    length does not.
+    """
     free = np.argwhere(grid == 0).tolist()
     if not free:
         return
@@ -225,36 +239,38 @@ def test_lengths_against_scipy(grid: Bytes, data: st.DataObject) -> None:
 ISLANDS = "type octile\nheight 4\nwidth 7\nmap\nTTT....\n.TT.W..\nTT@.WW.\n..T.W.T\n"
 
 
-def test_problems_to_compare_planners_on(tmp_path: Path) -> None:
-    """Those with a path, each on its own world; the published lengths are those of our A*."""
+def test_problems_with_a_path_are_read(tmp_path: Path) -> None:
+    """Each is on the grid of its own terrain, and their published lengths are those of our A*."""
     path = files(tmp_path)
-    found = read_problems(path)
-    assert found.grids.tolist() == [LAND, LAND, LAND, LAND, WATER]
-    assert found.starts.tolist() == [[0, 0], [1, 1], [1, 0], [0, 0], [0, 4]]
-    assert found.goals.tolist() == [[3, 0], [3, 3], [3, 1], [3, 5], [2, 5]]
-    np.testing.assert_allclose(found.optimal.cost, [3, 3.41421, 3, 6.82842712, 2.41421], rtol=1e-5)
-    assert found.movement == Movement(8)
-    table = evaluate(classical(), found, bootstrap=1)
+    problem_set = read_problems(path)
+    assert problem_set.grids.tolist() == [LAND, LAND, LAND, LAND, WATER]
+    assert problem_set.starts.tolist() == [[0, 0], [1, 1], [1, 0], [0, 0], [0, 4]]
+    assert problem_set.goals.tolist() == [[3, 0], [3, 3], [3, 1], [3, 5], [2, 5]]
+    np.testing.assert_allclose(
+        problem_set.optimal.cost, [3, 3.41421, 3, 6.82842712, 2.41421], rtol=1e-5
+    )
+    assert problem_set.movement == Movement(8)
+    table = evaluate(classical(), problem_set, bootstrap=1)
     assert table[table["planner"] == "A*"]["opt"].tolist() == [1, 1]
     assert read_problems(path, count=4).starts.tolist() == [[0, 0], [1, 0]]  # every second line
     others = "2 without a path or a move left out, whose lengths are ours"
-    assert found.description == f"5 of 7 problems of {path}, {others}"
+    assert problem_set.description == f"5 of 7 problems of {path}, {others}"
     thinned = read_problems(path, count=4).description
     assert thinned == f"2 of 7 problems of {path}, one in 2, {others}"
     elsewhere = tmp_path / "scens"
     elsewhere.mkdir()
     path.rename(elsewhere / "x.scen")
     moved = read_problems(elsewhere / "x.scen", maps=tmp_path)
-    assert moved.content_hash == found.content_hash
+    assert moved.content_hash == problem_set.content_hash
 
 
 ZEROS = re.sub(r"\t[0-9.]+\n", "\t0\n", SCEN)
 
 
-def test_lengths_that_are_all_0_are_not_given(
+def test_lengths_that_are_all_0_count_as_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As in scenarios of several agents: nothing to compare, and still problems to read."""
+    """In scenarios of several agents there is nothing to compare, but the problems are read."""
     path = files(tmp_path, ZEROS)
     code, out, err = cli(capsys, "check-scen", path)
     assert (code, err) == (0, "")
@@ -269,10 +285,10 @@ def test_lengths_that_are_all_0_are_not_given(
     )
 
 
-def test_lengths_of_0_are_compared_where_there_is_no_path_or_another_length(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """0 is no path: beside other lengths it is wrong where there is one; alone it may be right."""
+def test_a_length_of_0_means_no_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With other lengths in the file it is wrong if there is a path; without them it is compared if
+    there is no path.
+    """
     lines = ZEROS.splitlines(keepends=True)
     path = files(tmp_path, lines[0] + lines[5])  # from land to water
     code, out, _ = cli(capsys, "check-scen", path)
@@ -288,7 +304,7 @@ def test_lengths_of_0_are_compared_where_there_is_no_path_or_another_length(
 def test_all_problems_of_one_map_share_its_grid(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Many problems on a large map take the memory of one grid; a bar shows how far it is."""
+    """Many problems on a large map take the memory of one grid, and a bar shows the progress."""
     (tmp_path / "a.map").write_text(
         "type octile\nheight 200\nwidth 200\nmap\n" + 200 * f"{200 * '.'}\n"
     )
@@ -314,7 +330,7 @@ def test_all_problems_of_one_map_share_its_grid(
 
 
 @pytest.mark.parametrize(
-    ("scen", "options", "says"),
+    ("scen", "options", "message"),
     [
         (SCEN.replace("3.41421\n", "3.41422\n"), {}, "line 3: .*: says 3.41422, found 3.41421356"),
         (SCEN.replace("0\t0\t4\t0\t0\n", "0\t0\t4\t0\t4\n"), {}, "says 4, found no path"),
@@ -325,14 +341,18 @@ def test_all_problems_of_one_map_share_its_grid(
     ],
 )
 def test_problems_that_are_refused(
-    scen: str, options: dict[str, Any], says: str, tmp_path: Path
+    scen: str, options: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
-    """A length that is not ours, an end in a wall, no problem, options of others."""
-    with pytest.raises(ValueError, match=says):
+    """Refused are a length that is not ours, an end on an occupied cell, a file without problems,
+    and options of other formats.
+    """
+    with pytest.raises(ValueError, match=message):
         read_problems(files(tmp_path, scen), **options)
 
 
-def test_trees_are_a_world_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trees_are_a_terrain_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A problem between trees is solved among trees; none leads from trees to land or water."""
     lines = (
         "0\tcave.map\t7\t4\t0\t0\t1\t2\t3",  # no corner of land is cut
@@ -352,7 +372,7 @@ def test_trees_are_a_world_of_their_own(tmp_path: Path, capsys: pytest.CaptureFi
     assert "note: 9 cells of trees (T) are occupied: nothing leads there from land" in out
 
 
-def test_sums_in_float32_agree(tmp_path: Path) -> None:
+def test_six_digits_of_a_float32_root_agree(tmp_path: Path) -> None:
     """99 + 96 sqrt 2 is 234.76450..., but 234.764 where sqrt 2 was 1.41421354; both are accepted
     at six digits, nothing else is.
     """
@@ -376,7 +396,9 @@ def test_sums_in_float32_agree(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_read_does_not_end_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The others are checked, it is named at the end; disagreement is exit code 1, else 2."""
+    """The other files are checked, and it is named at the end; the exit code is 1 if lengths
+    disagree, else 2.
+    """
     good = files(tmp_path)
     bad = tmp_path / "bad.scen"
     bad.write_text("nonsense\n")
@@ -396,7 +418,7 @@ def test_a_file_that_cannot_be_read_does_not_end_the_run(
 def test_a_long_check_shows_its_progress(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Problems, not files: one file may take minutes."""
+    """The bar counts problems and not files, since one file may take minutes."""
     path = files(tmp_path, "version 1\n" + 600 * "0\tcave.map\t6\t4\t0\t0\t0\t3\t3\n")
     code, out, err = cli(capsys, "check-scen", path)
     assert (code, "600/600" in err) == (0, True)
@@ -419,12 +441,12 @@ HOSTILE_MAPS = {
 
 
 @pytest.mark.parametrize("name", HOSTILE_MAPS)
-def test_hostile_maps(name: str, tmp_path: Path) -> None:
-    """Each costs one line that names the file."""
-    text, says = HOSTILE_MAPS[name]
+def test_hostile_maps_are_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    """The line names the file."""
+    text, message = HOSTILE_MAPS[name]
     path = tmp_path / "a.map"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read_terrain(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
@@ -448,11 +470,13 @@ HOSTILE_SCENS = {
 
 
 @pytest.mark.parametrize("name", HOSTILE_SCENS)
-def test_hostile_scens(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each costs one line, and exit code 2."""
-    text, says = HOSTILE_SCENS[name]
+def test_hostile_scens_are_refused_in_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exit code is 2."""
+    text, message = HOSTILE_SCENS[name]
     path = files(tmp_path, text)
-    with pytest.raises(FormatError, match=says):
+    with pytest.raises(FormatError, match=message):
         check_scen(path)
     code, _, err = cli(capsys, "check-scen", path)
     assert code == 2
@@ -460,13 +484,15 @@ def test_hostile_scens(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_limits_come_before_reading(tmp_path: Path) -> None:
-    """A file larger than the limit is not read."""
+    """A file that is larger than the limit is not read."""
     with pytest.raises(FormatError, match="expected at most 10"):
         read_scen(files(tmp_path), Limits(unpacked=10))
 
 
-def test_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Land is the grid, the benchmark's rule the movement; the bad file is left out and named."""
+def test_an_import_has_land_as_free_cells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The movement is the benchmark's rule; a bad file is left out and named."""
     files(tmp_path)
     (tmp_path / "bad.map").write_text("nonsense")
     code, out, err = cli(capsys, "import", tmp_path, tmp_path / "out", "--seed-points", 4)
@@ -482,8 +508,10 @@ def test_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert labels.all_connected.all()
 
 
-def test_a_scen_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its map is imported with its first end points on land, as many as asked for."""
+def test_a_scen_imports_its_map_with_end_points_as_seed_points(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first end points on land are taken, up to the number that is asked for."""
     assert cli(capsys, "import", files(tmp_path), tmp_path / "out", "--seed-points", 3)[0] == 0
     labels = read_shard(tmp_path / "out" / read_manifest(tmp_path / "out").shards[0].name)
     assert labels.maps.seed_points[0].tolist() == [[0, 0], [3, 0], [1, 1]]
@@ -502,7 +530,7 @@ def test_a_scen_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_an_import_refuses_scaled_scenarios(
     line: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As the check does: their ends are other cells."""
+    """The check refuses them, too, since their end points are other cells."""
     (tmp_path / "a.map").write_text("type octile\nheight 3\nwidth 4\nmap\n....\n....\n....\n")
     scen = tmp_path / "a.map.scen"
     scen.write_text(f"version 1\n{line}\n")
@@ -516,10 +544,10 @@ def test_an_import_refuses_scaled_scenarios(
     assert labels.maps.seed_points[0].tolist() == [[0, 0], [1, 2]]
 
 
-def test_one_long_name_does_not_end_the_run(
+def test_a_map_name_that_is_too_long_is_a_fault_of_its_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A name that no file can have is a fault of its own file."""
+    """The other files are still read."""
     path = files(tmp_path)
     long = tmp_path / "long.scen"
     long.write_text(f"version 1\n0\t{'x' * 300}\t4\t4\t0\t0\t1\t1\t1\n")
@@ -530,7 +558,7 @@ def test_one_long_name_does_not_end_the_run(
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Maps, seeds and splits come back, and all lengths agree with ours."""
+    """Maps, seed points and splits come back, and all lengths agree with ours."""
     assert cli(capsys, "export", root, tmp_path / "out", "--format", "movingai")[0] == 0
     scens = sorted((tmp_path / "out").rglob("*.scen"))
     assert len(scens) == 24
@@ -564,7 +592,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A map beyond the largest side is left out with advice; tiles of it are maps."""
+    """A map beyond the maximal side is left out with advice; its tiles are maps."""
     text = "type octile\nheight 6\nwidth 4100\nmap\n" + ("." * 4100 + "\n") * 6
     (tmp_path / "wide.map").write_text(text)
     code, _, err = cli(capsys, "import", tmp_path, tmp_path / "no")

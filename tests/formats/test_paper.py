@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mapdata import MapSpec, build, read_shard, verify
-from mapdata.describe.table import gaps, joined
+from mapdata.describe.table import join_segments, path_gaps
 from mapdata.formats import FormatError, Limits, export, import_maps, read_any, recognise
-from mapdata.formats.paper import PARAMETERS, numbers, read
+from mapdata.formats.paper import PARAMETERS, parse_numbers, read
 from mapdata.shards import read_manifest
 
 csv.field_size_limit(2**27)
@@ -49,20 +49,22 @@ def release(root: Path, tmp_path: Path) -> Path:
 @settings(SETTINGS, max_examples=12)
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
 def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
-    """For any spec the content hash comes back, so every label does, and nothing disagrees."""
+    """For any generator the content hash comes back, so all labels do, and no label disagrees."""
     with tempfile.TemporaryDirectory() as folder:
         before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
         export(Path(folder, "a"), Path(folder, "b"), "paper")
-        (made,) = import_maps(Path(folder, "c"), read_any(Path(folder, "b")))
-        assert made.manifest.content_hash == before.content_hash
-        assert made.manifest.resolution == spec.resolution
-        assert made.manifest.movement == spec.movement
-        assert (made.checked, made.disagreements) == (count, {})
+        (dataset,) = import_maps(Path(folder, "c"), read_any(Path(folder, "b")))
+        assert dataset.manifest.content_hash == before.content_hash
+        assert dataset.manifest.resolution == spec.resolution
+        assert dataset.manifest.movement == spec.movement
+        assert (dataset.checked, dataset.disagreements) == (count, {})
         assert verify(Path(folder, "c")) == []
 
 
 def test_what_is_written(root: Path, release: Path) -> None:
-    """1-bit pictures, black where free; a line holds what the shard holds; joints stand once."""
+    """Pictures have 1 bit a pixel and black free cells, and a line holds the labels of
+    the shard.
+    """
     rows = rows_of(release)
     labels = read_shard(root / read_manifest(root).shards[0].name)
     picture = Image.open(release / "images" / "map7.png")
@@ -74,7 +76,11 @@ def test_what_is_written(root: Path, release: Path) -> None:
     assert row["seed_rows"] == str(labels.maps.seed_points[7, :n, 0].tolist())
     route = labels.route("astar", 7)
     cells = list(
-        zip(numbers(row["astar_row_path"]), numbers(row["astar_column_path"]), strict=True)
+        zip(
+            parse_numbers(row["astar_row_path"]),
+            parse_numbers(row["astar_column_path"]),
+            strict=True,
+        )
     )
     joints = [1 for one, other in pairwise(route) if len(one) and len(other)]
     assert len(cells) == sum(len(segment) for segment in route) - len(joints)
@@ -84,33 +90,35 @@ def test_what_is_written(root: Path, release: Path) -> None:
 
 
 def test_routes_are_joined_without_repeating_cells() -> None:
-    """A joint stands once, also of two seed points on one cell; a missing segment has none."""
-    one = np.array([[0, 0], [0, 1]])
-    other = np.array([[0, 1], [1, 1]])
+    """The cell where two segments meet is written once, also if two seed points share a cell; a
+    missing segment has no cells.
+    """
+    first = np.array([[0, 0], [0, 1]])
+    second = np.array([[0, 1], [1, 1]])
     stay = np.array([[0, 1]])
     none = np.empty((0, 2), np.int64)
-    assert joined([one, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, stay, other]).tolist() == [[0, 0], [0, 1], [1, 1]]
-    assert joined([one, none, other + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
-    assert joined([none]).tolist() == []
+    assert join_segments([first, second]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert join_segments([first, stay, second]).tolist() == [[0, 0], [0, 1], [1, 1]]
+    assert join_segments([first, none, second + 3]).tolist() == [[0, 0], [0, 1], [3, 4], [4, 4]]
+    assert join_segments([none]).tolist() == []
 
 
 def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
-    """Each segment without a path is marked, and between the marks every cell is beside the next;
-    the pieces are those of the route.
+    """Between the gaps consecutive cells are neighbours, and the pieces are the segments of the
+    route.
     """
     one = np.array([[0, 0], [0, 1]])
     none = np.empty((0, 2), np.int64)
-    assert gaps([one, one + 1]) == []
-    assert gaps([none, one, none, none, one + 3, none]) == [0, 2, 2, 4]
+    assert path_gaps([one, one + 1]) == []
+    assert path_gaps([none, one, none, none, one + 3, none]) == [0, 2, 2, 4]
     marked = 0
     labels = [read_shard(root / entry.name) for entry in read_manifest(root).shards]
     for row in rows_of(release):
         batch = labels[int(row["item"]) // 16]
         for search in ("bfs", "astar"):
-            places = numbers(row[f"{search}_path_gaps"])
-            rows = np.split(numbers(row[f"{search}_row_path"]), places)
-            columns = np.split(numbers(row[f"{search}_column_path"]), places)
+            places = parse_numbers(row[f"{search}_path_gaps"])
+            rows = np.split(parse_numbers(row[f"{search}_row_path"]), places)
+            columns = np.split(parse_numbers(row[f"{search}_column_path"]), places)
             for piece in zip(rows, columns, strict=True):
                 assert (np.abs(np.diff(piece, axis=1)).sum(axis=0) == 1).all()
             missing = [len(part) == 0 for part in batch.route(search, int(row["item"]) % 16)]
@@ -120,15 +128,15 @@ def test_gaps_mark_segments_without_a_path(root: Path, release: Path) -> None:
 
 
 def test_iterations_are_those_of_the_map(release: Path) -> None:
-    """One number a map as in Figure 3, and one a segment."""
+    """There is a number for the map as in Figure 3, and a number for each segment."""
     for row in rows_of(release):
         for search in ("bfs", "astar"):
-            segments = numbers(row[f"{search}_segment_iterations"])
-            assert [sum(segments)] == numbers(row[f"{search}_iterations"])
+            segments = parse_numbers(row[f"{search}_segment_iterations"])
+            assert [sum(segments)] == parse_numbers(row[f"{search}_iterations"])
 
 
 def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Path) -> None:
-    """They have fewer labels, and iterations of segments under the names of the map's."""
+    """They have fewer labels, and name the iterations of segments as those of the map."""
     rows = rows_of(release)
     for row in rows:
         row["path_exists"] = row.pop("reachable")
@@ -137,15 +145,17 @@ def test_tables_of_version_0_1_are_read(root: Path, release: Path, tmp_path: Pat
             row[f"{search}_iterations"] = row.pop(f"{search}_segment_iterations")
             del row[f"{search}_path_gaps"]
     write_rows(release, rows)
-    (made,) = import_maps(tmp_path / "back", read_any(release))
-    assert made.manifest.content_hash == read_manifest(root).content_hash
-    assert set(made.disagreements) == {"bfs_iterations", "astar_iterations"}
+    (dataset,) = import_maps(tmp_path / "back", read_any(release))
+    assert dataset.manifest.content_hash == read_manifest(root).content_hash
+    assert set(dataset.disagreements) == {"bfs_iterations", "astar_iterations"}
 
 
 def test_disagreements_are_counted(
     release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Wrong iterations on two maps and a wrong matrix on one: told, and our labels stand."""
+    """Wrong iterations on two maps and a wrong matrix on one are reported, and our labels are
+    stored.
+    """
     rows = rows_of(release)
     for k in (3, 4):
         rows[k]["bfs_iterations"] = "1" + rows[k]["bfs_iterations"]
@@ -164,15 +174,15 @@ def test_disagreements_are_counted(
 
 
 def test_labels_are_optional(release: Path, tmp_path: Path) -> None:
-    """Without any column of labels the maps are the same, and nothing is compared."""
+    """Without columns of labels the maps are the same, and nothing is compared."""
     before = read(release)
     rows = [{name: row[name] for name in PARAMETERS} for row in rows_of(release)]
     write_rows(release, rows)
     assert recognise(release) == "paper"
-    (made,) = import_maps(tmp_path / "back", read_any(release))
+    (dataset,) = import_maps(tmp_path / "back", read_any(release))
     (expected,) = import_maps(tmp_path / "expected", before)
-    assert made.manifest.content_hash == expected.manifest.content_hash
-    assert (made.checked, expected.checked) == (0, 24)
+    assert dataset.manifest.content_hash == expected.manifest.content_hash
+    assert (dataset.checked, expected.checked) == (0, 24)
 
 
 BAD_CELLS = {
@@ -201,30 +211,30 @@ BAD_CELLS = {
 
 @pytest.mark.parametrize("name", BAD_CELLS)
 def test_a_bad_line_is_left_out(name: str, release: Path, tmp_path: Path) -> None:
-    """One map less, with the reason; the others are imported."""
-    column, text, says = BAD_CELLS[name]
+    """The reason is noted, and the other maps are imported."""
+    column, text, message = BAD_CELLS[name]
     rows = rows_of(release)
     rows[8][column] = text
     write_rows(release, rows)
-    found = read(release)
-    (made,) = import_maps(tmp_path / "back", found)
-    assert made.manifest.maps == 23
-    ((_, why),) = found.left_out
-    assert re.search(says, why)
+    collection = read(release)
+    (dataset,) = import_maps(tmp_path / "back", collection)
+    assert dataset.manifest.maps == 23
+    ((_, why),) = collection.left_out
+    assert re.search(message, why)
     assert "\n" not in why
-    assert any("numbered anew" in note for note in found.notes)
+    assert any("numbered anew" in note for note in collection.notes)
 
 
 def test_hostile_pictures_are_left_out(release: Path, tmp_path: Path) -> None:
-    """A bomb, a lie and a stub among the pictures."""
+    """They are a decompression bomb, a picture with a wrong size and a truncated picture."""
     (release / "images" / "map0.png").write_bytes(png(20000, 20000))
     (release / "images" / "map1.png").write_bytes(png(20, 70, b"x"))
     (release / "images" / "map2.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    found = read(release)
-    assert [name for name, _ in found.left_out] == ["map0", "map1", "map2"]
+    collection = read(release)
+    assert [name for name, _ in collection.left_out] == ["map0", "map1", "map2"]
     assert (
-        "expected at most 16777216" in found.left_out[0][1]
-        or "exceeds limit" in found.left_out[0][1]
+        "expected at most 16777216" in collection.left_out[0][1]
+        or "exceeds limit" in collection.left_out[0][1]
     )
 
 
@@ -232,7 +242,7 @@ HEADER = ",".join(PARAMETERS)
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("", "has no columns item, label, split, "),
         ("a,b\n1,2\n", "has no columns item, label, split, "),
@@ -244,18 +254,18 @@ HEADER = ",".join(PARAMETERS)
         (f"{HEADER}\n{'1,' * 11}\n", "line 2 has 12 fields, expected 11"),
     ],
 )
-def test_other_tables_are_refused(text: str, says: str, tmp_path: Path) -> None:
-    """Other columns, an open quote, no UTF-8, ragged lines: refused in one line, which names the
-    columns that are missing.
+def test_other_tables_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    """Tables with other columns, an open quote, no UTF-8 or ragged lines are refused in one line,
+    which names missing columns.
     """
     (tmp_path / "maps.csv").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read(tmp_path)
     assert "\n" not in str(caught.value)
 
 
-def test_limits(release: Path) -> None:
-    """A CSV larger than the limit is not read; two CSVs are one too many; two movements too."""
+def test_large_and_ambiguous_sources_are_refused(release: Path) -> None:
+    """They are a CSV larger than the limit, two CSVs in a folder, and two movements in a CSV."""
     with pytest.raises(FormatError, match="expected at most 100"):
         read(release, Limits(unpacked=100))
     rows = rows_of(release)
@@ -274,21 +284,23 @@ def test_limits(release: Path) -> None:
 
 @SETTINGS
 @given(st.text(max_size=30) | st.text("[],.-+0123456789e ", max_size=30))
-def test_cells_never_crash(text: str) -> None:
-    """Any text is a list of whole numbers or a FormatError."""
+def test_any_cell_is_parsed_or_refused(text: str) -> None:
+    """Any text is a list of whole numbers or raises a FormatError."""
     try:
-        values = numbers(text)
+        values = parse_numbers(text)
     except FormatError:
         return
     assert values.dtype == np.int64
     assert values.ndim == 1
 
 
-def test_what_was_taken_for_free_is_told(release: Path) -> None:
-    """Dark pixels, in the paper; inverted pictures have a free border, and that is told too."""
-    found = read(release)
-    share = 1 - np.mean([one.grid.mean() for one in found.maps])
-    (note,) = found.notes
+def test_a_note_says_which_cells_are_free(release: Path) -> None:
+    """In the paper's pictures dark pixels are free; a free border of inverted pictures is noted,
+    too.
+    """
+    collection = read(release)
+    share = 1 - np.mean([foreign_map.grid.mean() for foreign_map in collection.maps])
+    (note,) = collection.notes
     assert note.startswith("dark pixels (in the paper white is occupied) were taken for free: ")
     assert f"{share:.1%}" in note
     for path in (release / "images").iterdir():
@@ -296,11 +308,11 @@ def test_what_was_taken_for_free_is_told(release: Path) -> None:
     assert any("border of 24 of 24 maps is mostly free" in note for note in read(release).notes)
 
 
-def test_some_free_borders_are_no_mistake(tmp_path: Path) -> None:
-    """Rooms of the default maps reach the border: a fifth of the borders are mostly free."""
+def test_some_free_borders_give_no_note(tmp_path: Path) -> None:
+    """Rooms of the default maps reach the border, so a fifth of the borders are mostly free."""
     build(tmp_path / "root", MapSpec(), maps=100, seed=0, progress=False)
     export(tmp_path / "root", tmp_path / "release", "paper")
-    found = read(tmp_path / "release")
-    borders = [one.grid[[0, -1]] for one in found.maps]
+    collection = read(tmp_path / "release")
+    borders = [foreign_map.grid[[0, -1]] for foreign_map in collection.maps]
     assert any(border.mean() < 0.2 for border in borders)
-    assert not any("mostly free" in note for note in found.notes)
+    assert not any("mostly free" in note for note in collection.notes)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mapdata import MapDataModule, MapDataset, ProblemSet, Random, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
-from mapdata.formats.planning import hops, policy, read, starts_of
+from mapdata.formats.planning import negative_distances, policy, read, start_candidates
 from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.shards import read_manifest
 
@@ -62,7 +62,9 @@ class Loader:
 
 
 def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
-    """Starts of every interval on every map: a path has as many cells as its distance says."""
+    """On every map the loader draws starts of every interval, and its path has as many cells as the
+    distance says.
+    """
     export(root, tmp_path / "maps.npz", "planning-datasets")
     assert recognise(tmp_path / "maps.npz") == "planning-datasets"
     random = np.random.default_rng(0)
@@ -82,7 +84,9 @@ def test_the_loader_reads_what_we_write(root: Path, tmp_path: Path) -> None:
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Grids, splits and goals come back; distances are ours; equal content, equal bytes."""
+    """Grids, splits and goals come back, distances equal ours, and equal datasets give
+    equal files.
+    """
     for name in ("a.npz", "b.npz"):
         assert cli(capsys, "export", root, tmp_path / name, "--format", "planning-datasets")[0] == 0
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -105,26 +109,28 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert sorted(map(key, after.split, after.seed_points[:, 0], after.occupancy)) == sorted(before)
 
 
-def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
-    """Of each map of the test split one from each interval of the loader, to the file's goal."""
+def test_problems_are_one_start_of_each_interval_on_each_test_map(
+    root: Path, tmp_path: Path
+) -> None:
+    """The goals are those of the file."""
     path = tmp_path / "maps.npz"
     export(root, path, "planning-datasets")
     loader = Loader(path, "test")
-    found = read_problems(path, seed=1)
-    assert found.movement == NEURAL_ASTAR
-    assert len(found) == 3 * len(loader.maps) > 3
-    for n in range(len(found)):
+    problems = read_problems(path, seed=1)
+    assert problems.movement == NEURAL_ASTAR
+    assert len(problems) == 3 * len(loader.maps) > 3
+    for n in range(len(problems)):
         k, interval = divmod(n, 3)
-        assert np.array_equal(found.grids[n], 1 - loader.maps[k])
-        assert loader.goals[k][0][tuple(found.goals[n])] == 1
+        assert np.array_equal(problems.grids[n], 1 - loader.maps[k])
+        assert loader.goals[k][0][tuple(problems.goals[n])] == 1
         values = loader.distances[k].ravel()
         inside = values[values > values.min()]
         bounds = np.percentile(inside, 100.0 * (1 - np.array([0.55, 0.70, 0.85, 1.0])))
-        value = loader.distances[k][0][tuple(found.starts[n])]
+        value = loader.distances[k][0][tuple(problems.starts[n])]
         assert bounds[interval + 1] <= value <= bounds[interval]
-        assert found.optimal.cost[n] == -value
-    assert read_problems(path, seed=1).content_hash == found.content_hash
-    assert read_problems(path).content_hash != found.content_hash
+        assert problems.optimal.cost[n] == -value
+    assert read_problems(path, seed=1).content_hash == problems.content_hash
+    assert read_problems(path).content_hash != problems.content_hash
     with pytest.raises(ValueError, match="count: does nothing for format planning-datasets"):
         read_problems(path, count=1)
     for seed in (-1, 2**64):
@@ -132,8 +138,8 @@ def test_problems_to_compare_planners_on(root: Path, tmp_path: Path) -> None:
             read_problems(path, seed=seed)
 
 
-def test_every_start_of_an_interval_comes(tmp_path: Path) -> None:
-    """Uniformly: on a free map, over 300 seeds, each of the cells of the farthest interval."""
+def test_starts_are_uniform_over_the_cells_of_an_interval(tmp_path: Path) -> None:
+    """On a free map, 300 seeds draw every cell of the farthest interval."""
     np.savez(tmp_path / "maps.npz", **sound(1, 8, 8))  # type: ignore[arg-type]
     starts = [read_problems(tmp_path / "maps.npz", seed=seed).starts[2] for seed in range(300)]
     cells, times = np.unique(starts, axis=0, return_counts=True)
@@ -144,12 +150,14 @@ def test_every_start_of_an_interval_comes(tmp_path: Path) -> None:
 @SETTINGS
 @given(GRIDS, st.data())
 def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) -> None:
-    """Hops with corners cut, negative; the policy goes one hop nearer."""
+    """Distances are minus scipy's number of moves, and each action leads one move nearer to the
+    goal.
+    """
     free = np.argwhere(grid == 0).tolist()
     if not free:
         return
     goal = data.draw(st.sampled_from(free))
-    values = hops(grid, goal)
+    values = negative_distances(grid, goal)
     truth = lengths(grid, (goal[0], goal[1]), cut=True, diagonal=1.0)
     assert np.array_equal(values, np.where(np.isfinite(truth), -truth, -grid.size))
     actions = policy(values)
@@ -161,10 +169,10 @@ def test_distances_and_policy_against_scipy(grid: Bytes, data: st.DataObject) ->
 
 
 def test_maps_without_starts_are_left_out() -> None:
-    """Two cells: the loader would fail; one: its start would be the goal."""
-    assert not starts_of(hops(np.array([[0, 1, 1]], np.uint8), (0, 0)))
-    assert not starts_of(hops(np.array([[0, 0, 1]], np.uint8), (0, 0)))
-    assert starts_of(hops(np.zeros((8, 8), np.uint8), (0, 0)))
+    """On two free cells the loader would fail, and on one free cell the start would be the goal."""
+    assert not start_candidates(negative_distances(np.array([[0, 1, 1]], np.uint8), (0, 0)))
+    assert not start_candidates(negative_distances(np.array([[0, 0, 1]], np.uint8), (0, 0)))
+    assert start_candidates(negative_distances(np.zeros((8, 8), np.uint8), (0, 0)))
 
 
 def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDArray[np.generic]]:
@@ -181,39 +189,41 @@ def sound(count: int = 2, rows: int = 4, columns: int = 4) -> dict[str, npt.NDAr
     return arrays
 
 
-def test_files_in_the_wild(tmp_path: Path) -> None:
-    """float64 as published; wrong distances are counted, bad goals left out; one split will do."""
+def test_published_files_are_read(tmp_path: Path) -> None:
+    """Arrays are float64, wrong distances are counted, maps with bad goals are left out, and a
+    split may be missing.
+    """
     arrays = sound()
     arrays["arr_0"][0, 3, 3] = 0
     arrays["arr_3"][0, 0, 3, 3] = -16
     arrays["arr_7"][1, 0, 2, 2] = -9
     arrays["arr_9"][1] = 0
     np.savez_compressed(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "a.npz")
-    assert len(found.maps) == 5
-    assert found.maps[0].grid.tolist() == [[0] * 4] * 3 + [[0, 0, 0, 1]]
-    assert [one.split for one in found.maps] == [0, 0, 1, 1, 2]
-    assert found.notes == ["distances of 4 of 5 maps are what our search finds"]
-    assert [why for _, why in found.left_out] == ["its goal is not one free cell"]
+    collection = read(tmp_path / "a.npz")
+    assert len(collection.maps) == 5
+    assert collection.maps[0].grid.tolist() == [[0] * 4] * 3 + [[0, 0, 0, 1]]
+    assert [foreign_map.split for foreign_map in collection.maps] == [0, 0, 1, 1, 2]
+    assert collection.notes == ["distances of 4 of 5 maps are what our search finds"]
+    assert [why for _, why in collection.left_out] == ["its goal is not one free cell"]
     four = {name: arrays[name] for name in ("arr_0", "arr_1", "arr_2", "arr_3")}
     np.savez(tmp_path / "b.npz", **four)  # type: ignore[arg-type]
-    (made,) = import_maps(tmp_path / "back", read(tmp_path / "b.npz"))
-    assert made.manifest.maps == 2
+    (dataset,) = import_maps(tmp_path / "back", read(tmp_path / "b.npz"))
+    assert dataset.manifest.maps == 2
 
 
 @pytest.mark.parametrize("movement", [None, Movement(8)])
-def test_other_peoples_mazes_feed_training_and_evaluation(
+def test_published_mazes_serve_training_and_evaluation(
     movement: Movement | None, tmp_path: Path
 ) -> None:
-    """From the .npz to batches of every split, and to a table in which A* is optimal."""
+    """An imported .npz gives batches of every split, and a table in which A* is optimal."""
     arrays = sound(12, 9, 9)
     for code in range(3):
         arrays[f"arr_{4 * code}"][:, 1::2, ::2] = (
             0  # bars with gaps: the stated distances are wrong, and counted so
         )
     np.savez(tmp_path / "mazes.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "mazes.npz")
-    import_maps(tmp_path / "mazes", found, seed_points=4)
+    collection = read(tmp_path / "mazes.npz")
+    import_maps(tmp_path / "mazes", collection, seed_points=4)
     loaders = MapDataModule(
         tmp_path / "mazes", movement=movement, batch_size=8, fields=("map", "goal", "optimal_moves")
     )
@@ -223,7 +233,9 @@ def test_other_peoples_mazes_feed_training_and_evaluation(
         assert batches[0][2].shape == (8, 1, 9, 9)
     to_goal = Random(to_first_seed_point=True)
     problems = MapDataset(tmp_path / "mazes", fields=("map", "goal"), problems=to_goal)[:]
-    np.testing.assert_array_equal(problems.goal, [one.seed_points[0] for one in found.maps])
+    np.testing.assert_array_equal(
+        problems.goal, [foreign_map.seed_points[0] for foreign_map in collection.maps]
+    )
     rule = movement or NEURAL_ASTAR
     table = evaluate(
         classical(rule),
@@ -234,23 +246,23 @@ def test_other_peoples_mazes_feed_training_and_evaluation(
     assert (best["n"], best["success"], best["opt"]) == (12, 1.0, 1.0)
 
 
-def test_a_folder_of_environments(tmp_path: Path) -> None:
-    """All .npz below a folder are one dataset; what is no such file is left out with its reason."""
+def test_all_files_below_a_folder_become_one_dataset(tmp_path: Path) -> None:
+    """Files of another layout are left out with a reason."""
     arrays = sound()
     for name in ("forest", "mazes"):
         np.savez(tmp_path / f"{name}.npz", **arrays)  # type: ignore[arg-type]
     assert recognise(tmp_path) == "planning-datasets"
     del arrays["arr_3"]
     np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path)
-    assert [one.name for one in found.maps][5:7] == [
+    collection = read(tmp_path)
+    assert [foreign_map.name for foreign_map in collection.maps][5:7] == [
         f"{tmp_path / 'forest.npz'}: test 1",
         f"{tmp_path / 'mazes.npz'}: train 0",
     ]
-    assert [(Path(name).name, why[:23]) for name, why in found.left_out] == [
+    assert [(Path(name).name, why[:23]) for name, why in collection.left_out] == [
         ("bad.npz", "holds no array 'arr_3',")
     ]
-    assert found.notes == ["distances of 12 of 12 maps are what our search finds"]
+    assert collection.notes == ["distances of 12 of 12 maps are what our search finds"]
 
 
 def four_actions(count: int, rows: int, columns: int) -> dict[str, npt.NDArray[np.generic]]:
@@ -282,12 +294,12 @@ def manhattan(grid: Bytes, goal: tuple[int, int]) -> npt.NDArray[np.float64]:
 def test_policies_of_four_actions_have_no_diagonals(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Maps, distances and problems follow that rule; a flag says another one."""
+    """Maps, distances and problems are 4-connected, unless a flag asks for another movement."""
     path = tmp_path / "news.npz"
     np.savez(path, **four_actions(2, 6, 7))  # type: ignore[arg-type]
-    found = read(path)
-    assert found.movement == Movement(4)
-    assert found.notes == ["distances of 6 of 6 maps are what our search finds"]
+    collection = read(path)
+    assert collection.movement == Movement(4)
+    assert collection.notes == ["distances of 6 of 6 maps are what our search finds"]
     assert cli(capsys, "import", path, tmp_path / "maps")[0] == 0
     assert read_manifest(tmp_path / "maps").movement == Movement(4)
     assert cli(capsys, "import", path, tmp_path / "eight", "--connectivity", 8)[0] == 0
@@ -299,12 +311,14 @@ def test_policies_of_four_actions_have_no_diagonals(
 
 
 def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> None:
-    """A dataset has one rule: that of the first file."""
+    """A dataset has the movement of its first file, and files of the other movement are
+    left out.
+    """
     np.savez(tmp_path / "a.npz", **sound(2, 6, 7))  # type: ignore[arg-type]
     np.savez(tmp_path / "b.npz", **four_actions(2, 6, 7))  # type: ignore[arg-type]
-    found = read(tmp_path)
-    assert (len(found.maps), found.movement) == (6, NEURAL_ASTAR)
-    assert found.left_out == [
+    collection = read(tmp_path)
+    assert (len(collection.maps), collection.movement) == (6, NEURAL_ASTAR)
+    assert collection.left_out == [
         (
             str(tmp_path / "b.npz"),
             "has 4 actions, the files before it 8: import it by itself",
@@ -313,7 +327,9 @@ def test_files_of_four_and_of_eight_actions_are_not_mixed(tmp_path: Path) -> Non
 
 
 def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
-    """Files of five arrays a split, as iA* publishes them, give the maps of the other four."""
+    """Files of five arrays a split, as iA* publishes them, give the maps of the first
+    four arrays.
+    """
     arrays = sound(3, 5, 6)
     fields: dict[str, npt.NDArray[np.generic]] = {}
     for code in range(3):
@@ -323,13 +339,13 @@ def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
     np.savez(tmp_path / "plain.npz", **arrays)  # type: ignore[arg-type]
     np.savez(tmp_path / "fields.npz", **fields)  # type: ignore[arg-type]
     assert recognise(tmp_path / "fields.npz") == "planning-datasets"
-    found = read(tmp_path / "fields.npz")
-    assert found.notes == [
+    collection = read(tmp_path / "fields.npz")
+    assert collection.notes == [
         "a distance field of each map (arr_4, arr_9, arr_14) is left out",
         "distances of 9 of 9 maps are what our search finds",
     ]
     plain = read(tmp_path / "plain.npz")
-    for ours, theirs in zip(found.maps, plain.maps, strict=True):
+    for ours, theirs in zip(collection.maps, plain.maps, strict=True):
         assert np.array_equal(ours.grid, theirs.grid)
         assert ours.split == theirs.split
     assert (
@@ -342,8 +358,8 @@ def test_a_distance_field_of_each_map_is_left_out(tmp_path: Path) -> None:
         read(tmp_path / "bad.npz")
 
 
-def test_other_layouts_are_refused_by_name(tmp_path: Path) -> None:
-    """Three arrays a split, orientations, other numbers of actions."""
+def test_other_layouts_are_refused_with_the_name_of_the_array(tmp_path: Path) -> None:
+    """The layouts are three arrays a split, orientations, and other numbers of actions."""
     arrays = sound(2, 5, 6)
     three = [arrays[f"arr_{4 * code + k}"] for code in range(3) for k in range(3)]
     np.savez(tmp_path / "three.npz", *three)
@@ -362,47 +378,51 @@ def test_other_layouts_are_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_damaged_file_gives_no_map(tmp_path: Path) -> None:
-    """The last number of the last array is looked at before the first map is taken."""
+    """The whole file is checked, up to the last number of the last array, before a map is used."""
     np.savez(tmp_path / "good.npz", **sound())  # type: ignore[arg-type]
     arrays = sound()
     arrays["arr_8"][-1, -1, -1] = 2
     np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path)
-    assert len(found.maps) == 6
-    assert [(Path(name).name, why) for name, why in found.left_out] == [
+    collection = read(tmp_path)
+    assert len(collection.maps) == 6
+    assert [(Path(name).name, why) for name, why in collection.left_out] == [
         ("bad.npz", "array 'arr_8': map 1: holds values from 0.0 to 2.0, expected 0 to 1")
     ]
 
 
-def test_distances_to_another_cell_are_told(tmp_path: Path) -> None:
-    """As in a published file, whose goals and distances are of two splits."""
+def test_a_note_counts_distances_to_another_cell_than_the_goal(tmp_path: Path) -> None:
+    """In a published file goals and distances are of two different splits."""
     arrays = sound()
     arrays["arr_3"] = arrays["arr_3"][..., ::-1]
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "a.npz")
-    assert found.notes == [
+    collection = read(tmp_path / "a.npz")
+    assert collection.notes == [
         "distances of 4 of 6 maps are what our search finds",
         "distances of 2 maps lead to another cell than the goal of their map, which is kept",
     ]
-    assert {tuple(one.seed_points[0].tolist()) for one in found.maps} == {(0, 0)}
+    assert {tuple(foreign_map.seed_points[0].tolist()) for foreign_map in collection.maps} == {
+        (0, 0)
+    }
 
 
 def test_many_bad_goals_are_one_line(tmp_path: Path) -> None:
-    """However many maps of a split have one."""
+    """The maps of a split with a bad goal are left out in one line, however many there are."""
     arrays = sound(5)
     arrays["arr_1"][1:4] = 0
     arrays["arr_5"][2] = 1
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
-    found = read(tmp_path / "a.npz")
-    assert len(found.maps) == 11
-    assert found.left_out == [
+    collection = read(tmp_path / "a.npz")
+    assert len(collection.maps) == 11
+    assert collection.left_out == [
         (f"{tmp_path / 'a.npz'}: train 1 and 2 others", "its goal is not one free cell"),
         (f"{tmp_path / 'a.npz'}: val 2", "its goal is not one free cell"),
     ]
 
 
-def test_export_refuses(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Another ending, an existing target, an unknown format's option: nothing is written."""
+def test_a_refused_export_writes_nothing(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Refused are another ending, an existing target and an option of another format."""
     for arguments in (
         (tmp_path / "x", "--format", "planning-datasets"),
         (tmp_path / "x.npz", "--format", "planning-datasets", "--ros.image", "png"),
@@ -483,12 +503,14 @@ def archives(folder: Path) -> dict[str, tuple[Path, str]]:
     }
 
 
-def test_hostile_archives(tmp_path: Path) -> None:
-    """Each is one line and little memory: sizes are read before anything is unpacked."""
+def test_hostile_archives_are_refused_without_unpacking(tmp_path: Path) -> None:
+    """Each is refused in one line and with little memory, since sizes are read before arrays are
+    unpacked.
+    """
     cases = archives(tmp_path)
     tracemalloc.start()
-    for name, (path, says) in cases.items():
-        with pytest.raises(FormatError, match=says) as caught:
+    for name, (path, message) in cases.items():
+        with pytest.raises(FormatError, match=message) as caught:
             read(path, Limits(unpacked=2**22))
         assert "\n" not in str(caught.value), name
         assert str(path) in str(caught.value), name
@@ -497,7 +519,7 @@ def test_hostile_archives(tmp_path: Path) -> None:
 
 
 def test_a_bad_number_far_inside_takes_no_memory(tmp_path: Path) -> None:
-    """Maps are unpacked one at a time, and none is kept before all are sound."""
+    """Maps are unpacked one at a time, and none is kept before all are checked."""
     maps = np.zeros((1024, 64, 64), np.uint8)
     maps[-1, -1, -1] = 2
     goals = npy((1024, 1, 64, 64), bytes(maps.size))

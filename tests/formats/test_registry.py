@@ -25,19 +25,19 @@ from mapdata.formats import (
     recognise,
     register,
 )
-from mapdata.formats.registry import functions
+from mapdata.formats.registry import functions_by_format
 from mapdata.shards import Root
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
 
-def test_the_page_is_complete(
+def test_the_page_of_formats_lists_every_format(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its table has every format, and its Python runs."""
+    """The table of docs/formats.md has every format, and the Python code of the page runs."""
     rows = re.findall(r"^\| `([a-z-]+)` \| (yes|) ?\| (yes|) ?\|", PAGE, re.MULTILINE)
-    assert {name for name, reads, _ in rows if reads} == set(functions("read"))
-    assert {name for name, _, writes in rows if writes} == set(functions("write"))
+    assert {name for name, reads, _ in rows if reads} == set(functions_by_format("read"))
+    assert {name for name, _, writes in rows if writes} == set(functions_by_format("write"))
     monkeypatch.chdir(tmp_path)
     Path("floorplans").mkdir()
     Image.fromarray(np.full((128, 128), 255, np.uint8)).save("floorplans/a.png")
@@ -48,20 +48,20 @@ def test_the_page_is_complete(
     assert list(Path("floorplans.movingai").rglob("*.scen"))
 
 
-def test_the_page_names_the_papers_columns(root: Path, tmp_path: Path) -> None:
-    """The docstring of paper.py lists what is written, and nothing else."""
+def test_the_docstring_of_paper_lists_every_written_column(root: Path, tmp_path: Path) -> None:
+    """The docstring of paper.py lists the columns that are written, and no others."""
     export(root, tmp_path / "release", "paper")
     header = (tmp_path / "release" / "maps.csv").read_text(encoding="utf-8").partition("\n")[0]
     table = re.findall(r"^\| ([a-z_, ]+) \|", paper.__doc__ or "", re.MULTILINE)[1:]
     assert {name for line in table for name in line.split(", ")} == set(header.split(","))
 
 
-@pytest.mark.parametrize("kind", sorted(functions("write")))
+@pytest.mark.parametrize("format_name", sorted(functions_by_format("write")))
 def test_an_export_is_whole_or_nothing(
-    kind: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    format_name: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """When a shard cannot be read half-way, no target and nothing else is left."""
-    if kind == "huggingface":
+    """If a shard cannot be read half-way, neither a target nor a temporary file remains."""
+    if format_name == "huggingface":
         pytest.importorskip("pyarrow", reason="pip install pyarrow")
     calls = 0
     labels_of = Root.labels
@@ -76,12 +76,14 @@ def test_an_export_is_whole_or_nothing(
 
     monkeypatch.setattr(Root, "labels", broken)
     with pytest.raises(OSError, match="No space left"):
-        export(square, tmp_path / "out.npz", kind)
+        export(square, tmp_path / "out.npz", format_name)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_export_removes_what_a_killed_one_left(square: Path, tmp_path: Path) -> None:
-    """Beside its target, whatever that was called; files of other programs stay."""
+    """Temporary files of any killed export in the folder of the target are removed, files of other
+    programs stay.
+    """
     left = tmp_path / ".before.0123456789abcdef.mapdata.tmp"
     (left / "export" / "train").mkdir(parents=True)
     (left / "lock").touch()
@@ -90,10 +92,10 @@ def test_an_export_removes_what_a_killed_one_left(square: Path, tmp_path: Path) 
     assert sorted(path.name for path in tmp_path.iterdir()) == [".notes.tmp", "out"]
 
 
-def test_an_export_is_written_under_a_name_that_says_whose_it_is(
+def test_two_exports_at_once_have_different_temporary_names(
     square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And two at once do not take each other's files away."""
+    """The name holds the process, so that an export does not remove the files of a running one."""
     true_replace = os.replace
     targets = [tmp_path / "second"]
 
@@ -110,10 +112,12 @@ def test_an_export_is_written_under_a_name_that_says_whose_it_is(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["first", "second"]
 
 
-def test_what_cannot_be_exported(
+def test_exports_that_are_refused(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No dataset, an unfinished or damaged one, a target in use, an unknown format."""
+    """No dataset, an unfinished or damaged dataset, a target in use, and an unknown format are
+    refused.
+    """
     with pytest.raises(DatasetNotFoundError):
         export(tmp_path / "none", tmp_path / "out", "ros")
     with pytest.raises(ValueError, match="format: got 'zarr', expected one of paper"):
@@ -137,21 +141,21 @@ def test_what_cannot_be_exported(
     assert len(list((tmp_path / "empty").rglob("*.yaml"))) == 24
 
 
-def test_recognising(square: Path, tmp_path: Path) -> None:
-    """Formats that are written and read are recognised again; nothing and nonsense are refused."""
-    for kind in sorted(set(functions("write")) & set(functions("read"))):
-        target = tmp_path / ("out.npz" if kind == "planning-datasets" else kind)
-        export(square, target, kind)
-        assert recognise(target) == kind
+def test_exports_are_recognised_by_their_format(square: Path, tmp_path: Path) -> None:
+    """A format that is written and read is recognised; a missing or meaningless file is refused."""
+    for format_name in sorted(set(functions_by_format("write")) & set(functions_by_format("read"))):
+        target = tmp_path / ("out.npz" if format_name == "planning-datasets" else format_name)
+        export(square, target, format_name)
+        assert recognise(target) == format_name
     np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
     assert recognise(tmp_path / "stack.npy") == "images"
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "a.txt").write_text("x")
-    for source, says in (
+    for source, message in (
         (tmp_path / "none", "no such file"),
         (tmp_path / "text", "no file of a known format"),
     ):
-        with pytest.raises(FormatError, match=says):
+        with pytest.raises(FormatError, match=message):
             recognise(source)
     with pytest.raises(FormatError, match="text: holds no map of format ros"):
         read_any(tmp_path / "text", "ros")
@@ -161,16 +165,20 @@ def test_recognising(square: Path, tmp_path: Path) -> None:
         read_any(tmp_path / "stack.npy", scen=True)
 
 
-def test_tables_that_are_no_files(square: Path, tmp_path: Path) -> None:
-    """A dangling link and a pipe beside maps of a robot are none of them."""
+def test_links_and_pipes_with_the_ending_of_a_table_are_ignored(
+    square: Path, tmp_path: Path
+) -> None:
+    """A dangling link and a pipe beside the maps of a robot do not belong to another format."""
     export(square, tmp_path / "maps", "ros")
     (tmp_path / "maps" / "x.csv").symlink_to("gone.csv")
     os.mkfifo(tmp_path / "maps" / "y.csv")
     assert recognise(tmp_path / "maps") == "ros"
 
 
-def test_pictures_beside_another_table(tmp_path: Path) -> None:
-    """Beside map0.png, as in the authors' release, polarity is the other: the user says which."""
+def test_a_table_beside_map0_needs_a_format(tmp_path: Path) -> None:
+    """As in the authors' release, the pictures are inverted there, so the user must name the
+    format.
+    """
     Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "a.png")
     (tmp_path / "data.csv").write_text("name,rows\na,4\n")
     assert recognise(tmp_path) == "images"
@@ -184,8 +192,8 @@ def test_pictures_beside_another_table(tmp_path: Path) -> None:
     assert len(read_any(tmp_path, "images").maps) == 1
 
 
-def test_pictures_beside_maps_of_robots(tmp_path: Path) -> None:
-    """The pictures belong to the .yaml, other arrays do not."""
+def test_pictures_beside_a_yaml_belong_to_the_map_of_a_robot(tmp_path: Path) -> None:
+    """Other arrays in the folder do not belong to it, so it holds two formats."""
     (tmp_path / "map.yaml").write_text("image: map.pgm\n")
     Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "map.png")
     assert recognise(tmp_path) == "ros"
@@ -209,10 +217,10 @@ def read_letters(source: Path, limits: Limits, *, wall: str = "x") -> Collection
     return Collection([ForeignMap(source.name, cells)])
 
 
-def test_a_format_of_ones_own(
+def test_a_format_of_the_user_can_be_registered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Registered, it is recognised before the others and read, and its options are flags."""
+    """It is recognised before the built-in formats and read, and its options become flags."""
     (tmp_path / "a.map").write_text("....\n.#..\n")
     monkeypatch.setattr("mapdata.formats.registry.FORMATS", dict(FORMATS))
     letters = Format("letters", (".map",), read_letters)
@@ -233,7 +241,7 @@ def test_a_format_of_ones_own(
 
 
 @pytest.mark.parametrize(
-    ("says", "arguments"),
+    ("message", "arguments"),
     [
         ("SRC: got an empty name", ["", "out"]),
         ("ROOT: got an empty name", ["stack.npy", ""]),
@@ -258,26 +266,26 @@ def test_a_format_of_ones_own(
         ),
     ],
 )
-def test_usage_of_import(
-    says: str,
+def test_wrong_usage_of_import_writes_nothing(
+    message: str,
     arguments: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """One line that names the flag or the file, exit code 2, and nothing is made."""
+    """One line names the flag or the file, and the exit code is 2."""
     monkeypatch.chdir(tmp_path)
     np.save("stack.npy", np.zeros((2, 6, 6)))
     code, out, err = cli(capsys, "import", *arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert says in err
+    assert message in err
     assert [path.name for path in tmp_path.iterdir()] == ["stack.npy"]
 
 
-def test_an_export_to_no_name(
+def test_an_export_needs_a_target_name_with_the_right_ending(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An empty name is refused; a name without .npz is named as the user wrote it."""
+    """An empty name is refused, and a name without .npz is quoted as the user wrote it."""
     assert "DST: got an empty name" in cli(capsys, "export", root, "", "--format", "ros")[2]
     code, _, err = cli(capsys, "export", root, tmp_path / "x", "--format", "planning-datasets")
     assert (code, err) == (2, f"mapdata: {tmp_path / 'x'}: expected a name that ends with .npz\n")

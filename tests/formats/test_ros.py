@@ -51,36 +51,42 @@ def write(folder: Path, picture: bytes = P5, name: str = "map.pgm", **fields: st
 @pytest.mark.parametrize(
     "image", [P5, P2, P5_16, P2_MAX], ids=["P5", "P2", "16 bit", "maximum 127"]
 )
-def test_pgm(image: bytes, tmp_path: Path) -> None:
-    """Bytes and text, comments anywhere in the header, two bytes a pixel, another maximum."""
-    found = read_map(write(tmp_path, image))
-    assert found.cells.tolist() == CELLS
-    assert (found.resolution, found.origin) == (0.05, (-12.2, -12.2, 0.0))
+def test_variants_of_pgm_are_read(image: bytes, tmp_path: Path) -> None:
+    """They are binary and text, with comments anywhere in the header, two bytes a pixel and another
+    maximum.
+    """
+    ros_map = read_map(write(tmp_path, image))
+    assert ros_map.cells.tolist() == CELLS
+    assert (ros_map.resolution, ros_map.origin) == (0.05, (-12.2, -12.2, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("kind", "mode"),
+    ("picture_format", "mode"),
     [
         *(("png", mode) for mode in ("L", "RGB", "RGBA", "P", "I;16", "LA")),
         *(("bmp", m) for m in ("L", "RGB", "RGBA", "P")),
     ],
 )
-def test_pictures(mode: str, kind: str, tmp_path: Path) -> None:
-    """Grey, colour, palette, 16 bits, and alpha, which the servers count as a white channel."""
+def test_types_of_pictures_are_read(mode: str, picture_format: str, tmp_path: Path) -> None:
+    """They are grey, colour, palette, 16 bits, and alpha, which the servers count as a white
+    channel.
+    """
     grey = Image.fromarray(np.array(ROWS, np.uint8))
     picture = (
         Image.fromarray((np.array(ROWS, np.uint16) * 257).astype(np.uint16))
         if mode == "I;16"
         else grey.convert(mode)
     )
-    picture.save(tmp_path / f"map.{kind}")
-    found = read_map(write(tmp_path, (tmp_path / f"map.{kind}").read_bytes(), f"map.{kind}"))
+    picture.save(tmp_path / f"map.{picture_format}")
+    ros_map = read_map(
+        write(tmp_path, (tmp_path / f"map.{picture_format}").read_bytes(), f"map.{picture_format}")
+    )
     expected = np.array(CELLS)
-    if mode in ("RGBA", "LA") and kind == "png":
+    if mode in ("RGBA", "LA") and picture_format == "png":
         # (3 * 205 + 255) / 4 = 217.5 is below the free threshold, which is what both servers make
         # of it
         expected[1, 0] = 0
-    assert found.cells.tolist() == expected.tolist()
+    assert ros_map.cells.tolist() == expected.tolist()
 
 
 def slow(
@@ -111,10 +117,12 @@ def slow(
     st.floats(0, 0.99),
     st.floats(0, 0.99),
 )
-def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: float) -> None:
-    """The table agrees with the servers' rule on any pixels and thresholds."""
-    low = min(one, other)
-    high = max(one, other) + 0.01
+def test_cells_follow_the_servers_rule_for_any_pixel(
+    values: Bytes, mode: str, negate: bool, first_threshold: float, second_threshold: float
+) -> None:
+    """The thresholds are any numbers, too."""
+    low = min(first_threshold, second_threshold)
+    high = max(first_threshold, second_threshold) + 0.01
     cells = _classify(Pixels(values, 255), mode, negate and mode != "raw", low, high)
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
@@ -123,7 +131,7 @@ def test_every_pixel(values: Bytes, mode: str, negate: bool, one: float, other: 
 
 
 def test_negate_and_thresholds(tmp_path: Path) -> None:
-    """Negate swaps black and white; thresholds are strict; the text 5e-2 is a number."""
+    """Negate swaps black and white, thresholds are strict, and the text 5e-2 is a number."""
     assert read_map(write(tmp_path, negate="1")).cells.tolist() == [[100, 100, 0], [100, 100, 100]]
     assert read_map(write(tmp_path, negate="true")).cells.tolist() == [
         [100, 100, 0],
@@ -141,16 +149,20 @@ def test_negate_and_thresholds(tmp_path: Path) -> None:
 
 
 def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
-    """The origin is the lower left corner; row 0 is on top; yaw turns about the origin."""
-    one = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
-    assert one.to_metres(1, 0) == pytest.approx((1.025, 2.025))
-    assert one.to_metres(0, 2) == pytest.approx((1.125, 2.075))
+    """The origin is the lower left corner, row 0 is on top, and yaw rotates about the origin."""
+    ros_map = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
+    assert ros_map.to_metres(1, 0) == pytest.approx((1.025, 2.025))
+    assert ros_map.to_metres(0, 2) == pytest.approx((1.125, 2.075))
     turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
     assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
 
 
-def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Without a word the map is refused with its share; with one it is what was said, and told."""
+def test_unknown_cells_are_refused_or_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without an option the map is refused with its share of unknown cells; with it a note says
+    what they became.
+    """
     path = write(tmp_path)
     code, _, err = cli(capsys, "import", path, tmp_path / "no")
     assert code == 2
@@ -175,10 +187,12 @@ def test_unknown_is_never_silent(tmp_path: Path, capsys: pytest.CaptureFixture[s
         [[0, 40, 60], [0, 0, 40]],
     ],
 )
-def test_a_filter_mask_is_no_map(
+def test_a_filter_mask_is_refused(
     pixels: list[list[int]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of keepout zones or speed limits: named as one, whatever unknown cells are to become."""
+    """A mask of keepout zones or speed limits is named as one, whatever unknown cells are to
+    become.
+    """
     path = write(tmp_path, b"P5 3 2 255\n" + np.array(pixels, np.uint8).tobytes(), mode="raw")
     for options in ((), ("--ros.unknown", "free")):
         code, _, err = cli(capsys, "import", path, tmp_path / "out", *options)
@@ -188,7 +202,7 @@ def test_a_filter_mask_is_no_map(
 
 
 def test_a_map_that_was_saved_raw_is_read(tmp_path: Path) -> None:
-    """Its pixels are 0 and 100, and 255 where nothing is known."""
+    """Its pixels are 0 and 100, and 255 for unknown cells."""
     pixels = np.array([[0, 0, 100], [255, 0, 0]], np.uint8)
     path = write(tmp_path, b"P5 3 2 255\n" + pixels.tobytes(), mode="raw")
     assert "16.7% of its cells are unknown" in read(path).left_out[0][1]
@@ -199,22 +213,27 @@ def test_a_map_that_was_saved_raw_is_read(tmp_path: Path) -> None:
 
 
 def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each kind of picture gives the grids, the splits and the resolution back."""
+    """Grids, splits and resolution come back from all types of pictures."""
     truth = [read_shard(root / entry.name).maps for entry in read_manifest(root).shards]
     grids = sorted(
         (int(s), g.tobytes())
         for maps in truth
         for s, g in zip(maps.split, maps.occupancy, strict=True)
     )
-    for kind in ("pgm", "png", "bmp"):
+    for picture_format in ("pgm", "png", "bmp"):
+        flags = ["--format", "ros", "--ros.image", picture_format]
+        code, *_ = cli(capsys, "export", root, tmp_path / picture_format, *flags)
+        assert code == 0
+        collection = read(tmp_path / picture_format)
+        assert not collection.left_out
         assert (
-            cli(capsys, "export", root, tmp_path / kind, "--format", "ros", "--ros.image", kind)[0]
-            == 0
+            sorted(
+                (foreign_map.split or 0, foreign_map.grid.tobytes())
+                for foreign_map in collection.maps
+            )
+            == grids
         )
-        found = read(tmp_path / kind)
-        assert not found.left_out
-        assert sorted((one.split or 0, one.grid.tobytes()) for one in found.maps) == grids
-        assert {one.resolution for one in found.maps} == {0.1}
+        assert {foreign_map.resolution for foreign_map in collection.maps} == {0.1}
 
 
 FIELDS = {
@@ -256,12 +275,12 @@ FIELDS = {
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_hostile_yaml(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each costs one line, and nothing outside the folder is opened."""
+    """Each is refused in one line, and no file outside the folder is opened."""
     (tmp_path / "in").mkdir()
     (tmp_path / "map.pgm").write_bytes(P5)
-    fields, says = FIELDS[name]
+    fields, message = FIELDS[name]
     path = write(tmp_path / "in", P5, "map.pgm", **fields)
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read_map(path)
     assert "\n" not in str(caught.value)
     code, _, err = cli(capsys, "import", path, tmp_path / "out")
@@ -270,7 +289,7 @@ def test_hostile_yaml(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("missing", ["image", "resolution", "occupied_thresh", "free_thresh"])
-def test_missing_fields(missing: str, tmp_path: Path) -> None:
+def test_a_missing_field_is_named(missing: str, tmp_path: Path) -> None:
     """The field is named."""
     path = write(tmp_path)
     path.write_text(
@@ -280,8 +299,8 @@ def test_missing_fields(missing: str, tmp_path: Path) -> None:
         read_map(path)
 
 
-def test_yaml_that_is_none(tmp_path: Path) -> None:
-    """A list, nothing, deep nesting, a thousand million laughs: one line, at once."""
+def test_yaml_that_is_no_map_is_refused_at_once(tmp_path: Path) -> None:
+    """A list, an empty file, deep nesting and aliases of aliases are refused in one line."""
     laughs = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
         f"{new}: &{new} [{','.join(['*' + old] * 9)}]\n"
         for old, new in zip("abcdefgh", "bcdefghi", strict=True)
@@ -307,8 +326,8 @@ def test_yaml_that_is_none(tmp_path: Path) -> None:
             read_map(tmp_path / "map.yaml")
 
 
-def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
-    """A symbolic link that leads out is refused as the path would be."""
+def test_a_picture_that_links_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+    """A symbolic link is refused as its target would be."""
     (tmp_path / "in").mkdir()
     (tmp_path / "secret.pgm").write_bytes(P5)
     (tmp_path / "in" / "map.yaml").write_text(YAML.format(image="link.pgm"))
@@ -334,8 +353,8 @@ PGMS = {
 }
 
 
-def test_a_pgm_is_scaled_to_white(tmp_path: Path) -> None:
-    """A white of 8 bits becomes 255, one of 16 bits 65535, and what is above it is white too."""
+def test_a_pgm_is_scaled_to_its_maximum(tmp_path: Path) -> None:
+    """A maximum of 8 bits becomes 255 and one of 16 bits 65535; values above it are white."""
     (tmp_path / "8.pgm").write_bytes(b"P5 3 1 100\n" + bytes([0, 50, 101]))
     (tmp_path / "16.pgm").write_bytes(b"P5 3 1 1000\n" + np.array([0, 500, 1001], ">u2").tobytes())
     for name, expected in (("8.pgm", [0, 128, 255]), ("16.pgm", [0, 32768, 65535])):
@@ -345,15 +364,15 @@ def test_a_pgm_is_scaled_to_white(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", PGMS)
-def test_hostile_pgm(name: str, tmp_path: Path) -> None:
-    """Lies about size, depth and length."""
-    image, says = PGMS[name]
-    with pytest.raises(FormatError, match=says):
+def test_hostile_pgms_are_refused(name: str, tmp_path: Path) -> None:
+    """Their headers state a wrong size, depth or length."""
+    image, message = PGMS[name]
+    with pytest.raises(FormatError, match=message):
         read_map(write(tmp_path, image))
 
 
 def test_limits_come_before_decoding(tmp_path: Path) -> None:
-    """Pixels are counted before decoding, for PNG too."""
+    """The number of pixels is checked before a picture is decoded, also for PNG."""
     with pytest.raises(FormatError, match="expected at most 5 in all"):
         read_map(write(tmp_path), Limits(pixels=5))
     (tmp_path / "big.png").write_bytes(png(9400, 9400))
@@ -366,8 +385,10 @@ def test_limits_come_before_decoding(tmp_path: Path) -> None:
     arrays.arrays(np.int8, (2, 3), elements=st.sampled_from([-1, 0, 40, 100])),
     st.sampled_from(["occupied", "free"]),
 )
-def test_to_grid(cells: npt.NDArray[np.int8], unknown: str) -> None:
-    """0 is free, 100 occupied, all else what was said."""
+def test_cells_become_free_or_occupied(cells: npt.NDArray[np.int8], unknown: str) -> None:
+    """The value 0 is free, 100 is occupied, and all other values become what unknown
+    cells become.
+    """
     grid = to_grid(cells, unknown, "x")
     assert grid.tolist() == [
         [{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()
@@ -408,7 +429,7 @@ def slowly_resampled(grid: Bytes, factor: Fraction, rule: str) -> list[list[int]
     st.sampled_from(["any", "mean"]),
 )
 def test_resampling_adds_up_areas(grid: Bytes, factor: Fraction, rule: str) -> None:
-    """Finer and coarser, by whole numbers and by fractions, exactly."""
+    """Areas are exact for finer and coarser cells, by whole numbers and by fractions."""
     if factor > min(grid.shape):
         with pytest.raises(FormatError, match="cells, too few or too many for cells"):
             resampled(grid, factor, rule)
@@ -416,8 +437,8 @@ def test_resampling_adds_up_areas(grid: Bytes, factor: Fraction, rule: str) -> N
         assert resampled(grid, factor, rule).tolist() == slowly_resampled(grid, factor, rule)
 
 
-def test_resolution_resamples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The map is another one, whether by the command or from Python; 0.15 / 0.05 is 3."""
+def test_a_resolution_resamples_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command and Python do the same; 0.15 / 0.05 is exactly 3."""
     cells = np.zeros((7, 12), np.uint8)
     cells[0, 1] = cells[5, 4] = 1
     cells[3:6, 6:9] = 1
@@ -432,21 +453,23 @@ def test_resolution_resamples(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         grid = read_shard(out / manifest.shards[0].name).maps.occupancy[0]
         assert grid.tolist() == slowly_resampled(cells, Fraction(3), rule)
     assert [line.count(1) for line in slowly_resampled(cells, Fraction(3), "any")] == [4, 1, 2]
-    (one,) = read_any(path, resolution=0.1).maps
-    assert (one.resolution, one.shape) == (0.1, (4, 6))
-    (one,) = read_any(path, resolution=np.float64(0.1)).maps
-    assert one.shape == (4, 6)
-    (one,) = read_any(path, resolution=0.05).maps
-    assert one.grid.tolist() == cells.tolist()
+    (foreign_map,) = read_any(path, resolution=0.1).maps
+    assert (foreign_map.resolution, foreign_map.shape) == (0.1, (4, 6))
+    (foreign_map,) = read_any(path, resolution=np.float64(0.1)).maps
+    assert foreign_map.shape == (4, 6)
+    (foreign_map,) = read_any(path, resolution=0.05).maps
+    assert foreign_map.grid.tolist() == cells.tolist()
     path.write_text(path.read_text().replace("0.050000", "0.0500000007450581"))
-    (one,) = read_any(path, resolution=0.1).maps
-    assert one.shape == (4, 6)
+    (foreign_map,) = read_any(path, resolution=0.1).maps
+    assert foreign_map.shape == (4, 6)
 
 
-def test_resolutions_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing above 0, too fine for the limit, coarser than the map; a rule without one."""
+def test_bad_resolutions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are not above 0, too fine for the limit, or coarser than the map; so is a rule without a
+    resolution.
+    """
     path = write(tmp_path, resolution="0.05")
-    for flags, says in (
+    for flags, message in (
         (("--resolution", "0"), "resolution: got 0.0, expected metres per cell above 0"),
         (("--resolution", "nan"), "resolution: got nan, expected metres per cell above 0"),
         (("--resolution", "1e-9"), "2 x 3 cells, too few or too many for cells 0 times as wide"),
@@ -456,4 +479,4 @@ def test_resolutions_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixtur
         given = ("--ros.unknown", "free", *flags)
         code, _, err = cli(capsys, "import", path, tmp_path / "out", *given)
         assert (code, err.count("mapdata: ")) == (2, 1)
-        assert says in err
+        assert message in err

@@ -58,14 +58,14 @@ def test_maps_splits_goals_and_starts_are_read(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A map for each sample, whose goal and start are its first two seed points."""
+    """Each sample gives a map, whose first two seed points are the goal and the start."""
     folder = tmp_path / "TransPath_data"
     assert recognise(folder) == "transpath"
-    found = read_any(folder)
-    assert found.left_out == []
-    assert len(found.maps) == 14
+    collection = read_any(folder)
+    assert collection.left_out == []
+    assert len(collection.maps) == 14
     for split, (grids, starts, goals) in samples.items():
-        of_split = [sample for sample in found.maps if sample.split == SPLITS.index(split)]
+        of_split = [sample for sample in collection.maps if sample.split == SPLITS.index(split)]
         assert [sample.name for sample in of_split] == [
             f"{folder / split / 'maps.npy'}: {number}" for number in range(len(grids))
         ]
@@ -87,30 +87,32 @@ def test_maps_splits_goals_and_starts_are_read(
     assert sorted(maps.seed_points[:, :2].tolist()) == sorted(np.array(ends).tolist())
 
 
-def test_a_folder_of_one_split_or_its_maps_are_read(
+def test_one_folder_or_its_maps_file_is_read(
     samples: dict[str, tuple[Bytes, Array, Array]], tmp_path: Path
 ) -> None:
-    """Without a name that says the split; starts alone are refused."""
+    """The folder need not be named after a split; a file of starts is refused."""
     folder = tmp_path / "TransPath_data" / "val"
     for source in (folder, folder / "maps.npy"):
         assert recognise(source) == "transpath"
-        found = read_any(source)
-        assert [sample.split for sample in found.maps] == [None] * 3
-        assert np.array_equal([sample.grid for sample in found.maps], samples["val"][0])
+        collection = read_any(source)
+        assert [sample.split for sample in collection.maps] == [None] * 3
+        assert np.array_equal([sample.grid for sample in collection.maps], samples["val"][0])
     for name in ("starts.npy", "cf.npy"):
         with pytest.raises(FormatError, match=rf"{name}: expected maps\.npy"):
             read_any(folder / name)
 
 
 def test_maps_without_starts_and_goals_are_images(tmp_path: Path) -> None:
-    """Any stack of grids may be called so."""
+    """Any stack of grids may be in a file maps.npy."""
     np.save(tmp_path / "maps.npy", np.zeros((2, 1, 6, 6)))
     np.save(tmp_path / "starts.npy", np.zeros((2, 1, 6, 6)))
     assert recognise(tmp_path) == "images"
 
 
-def test_samples_that_cannot_be_are_left_out(tmp_path: Path) -> None:
-    """A start on an occupied cell, two goals, none; a start at its goal is a seed point."""
+def test_samples_with_bad_ends_are_left_out(tmp_path: Path) -> None:
+    """Bad ends are a start on an occupied cell, two goals or no goal; if the start is the goal,
+    there is one seed point.
+    """
     grids = np.zeros((6, 5, 5), np.uint8)
     grids[1, 2, 2] = 1
     starts = np.full((6, 2), 2)
@@ -121,10 +123,10 @@ def test_samples_that_cannot_be_are_left_out(tmp_path: Path) -> None:
     masks[2, 0, 4, 4] = True
     masks[3] = False
     np.save(tmp_path / "train" / "goals.npy", masks)
-    found = read(tmp_path)
-    assert [sample.name[-1] for sample in found.maps] == ["0", "4", "5"]
-    assert found.maps[-1].seed_points.tolist() == [[2, 2]]
-    assert found.left_out == [
+    collection = read(tmp_path)
+    assert [sample.name[-1] for sample in collection.maps] == ["0", "4", "5"]
+    assert collection.maps[-1].seed_points.tolist() == [[2, 2]]
+    assert collection.left_out == [
         (
             f"{tmp_path / 'train' / 'maps.npy'}: 1 and 2 others",
             "its start or its goal is not one free cell",
@@ -133,7 +135,7 @@ def test_samples_that_cannot_be_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "array", "says"),
+    ("name", "array", "message"),
     [
         ("goals", np.zeros((2, 1, 5, 5)), r"goals\.npy: has shape \(2, 1, 5, 5\), expected \(3, 1"),
         ("maps", np.zeros((3, 5, 5)), r"maps\.npy: has shape \(3, 5, 5\), expected \(N, 1, H, W\)"),
@@ -141,23 +143,25 @@ def test_samples_that_cannot_be_are_left_out(tmp_path: Path) -> None:
         ("starts", np.array([{}]), r"starts\.npy: holds pickled objects"),
     ],
 )
-def test_folders_that_do_not_fit_together_are_refused(
-    name: str, array: Array, says: str, tmp_path: Path
+def test_arrays_of_different_shapes_are_refused(
+    name: str, array: Array, message: str, tmp_path: Path
 ) -> None:
-    """By the file and its shape, before any map is read."""
+    """The message names the file and its shape, and no map is read."""
     folder = tmp_path / "train"
     write_samples(
         folder, np.zeros((3, 5, 5), np.uint8), np.zeros((3, 2), int), np.ones((3, 2), int)
     )
     np.save(folder / f"{name}.npy", array)
-    with pytest.raises(FormatError, match=says):
+    with pytest.raises(FormatError, match=message):
         read(folder / "maps.npy")
-    found = read(tmp_path)
-    assert (found.maps, len(found.left_out)) == ([], 1)
+    collection = read(tmp_path)
+    assert (collection.maps, len(collection.left_out)) == ([], 1)
 
 
-def test_limits_hold(samples: dict[str, tuple[Bytes, Array, Array]], tmp_path: Path) -> None:
-    """Of the cells of a map and of the number of maps in a file."""
+def test_limits_of_cells_and_maps_hold(
+    samples: dict[str, tuple[Bytes, Array, Array]], tmp_path: Path
+) -> None:
+    """They are the cells of a map and the number of maps in a file."""
     del samples
     path = tmp_path / "TransPath_data" / "train" / "maps.npy"
     with pytest.raises(FormatError, match="has 12 x 12 pixels, expected at most 100 in all"):

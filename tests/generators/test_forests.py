@@ -59,7 +59,7 @@ def test_obstacles_are_discs_and_boxes() -> None:
 @pytest.mark.parametrize(
     ("values", "why"),
     [
-        ({"cover": (0.3, 0.2)}, "cover: got (0.3, 0.2), expected (least, most), 0 to 0.5"),
+        ({"cover": (0.3, 0.2)}, "cover: got (0.3, 0.2), expected (lowest, highest), 0 to 0.5"),
         ({"cover": (0.1, 0.6)}, "cover: got (0.1, 0.6)"),
         ({"cover": (0.1,)}, "cover: got (0.1,), expected"),
         ({"cover": "much"}, "cover"),

@@ -43,11 +43,11 @@ from mapdata.cli import main
 from mapdata.generators import (
     GENERATORS,
     UnknownFamily,
+    as_recipe,
     register,
     with_seed_points,
 )
 from mapdata.generators.generator import stored_generator
-from mapdata.shards import Recipe
 
 
 @dataclass(frozen=True)
@@ -140,9 +140,9 @@ def test_a_family_that_counts_in_bytes_is_refused() -> None:
 
 
 def test_what_is_no_family_is_refused() -> None:
-    """The name of a preset, and grids of another size."""
-    with pytest.raises(ValueError, match="spec: got 'paper', expected a MapSpec or another"):
-        generate("paper", 0, [0])  # type: ignore[arg-type]
+    """A class in place of a generator, and grids of another size."""
+    with pytest.raises(ValueError, match=r"recipe: got <class .*MapSpec'>, expected a preset"):
+        generate(MapSpec, 0, [0])  # type: ignore[arg-type]
     for shape in ((2, 1, 8), (2, 9, 1), (1, 9, 8), (2, 8, 9), (4, 9, 4)):
         with pytest.raises(ValueError, match=r"grids: got shape .* expected 2 maps of \(9, 8\)"):
             with_seed_points(Stripes(), 0, np.arange(2), np.zeros(shape, np.uint8))
@@ -416,7 +416,7 @@ def test_a_family_is_a_dataset_like_any_other(
     page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
     assert (manifest.identity, manifest.content_hash) == GOLDEN[spec]
     assert all(f"`{value}`" in page for value in GOLDEN[spec])
-    recipe = Recipe.load(manifest.recipe())
+    recipe = as_recipe(manifest.recipe())
     assert (recipe.spec, recipe.seed, recipe.maps) == (spec, 7, 30)
     for problems in ("route", "random"):
         batch = MapDataset(root, "train", ALL_FIELDS, problems=problems)[:]
@@ -425,7 +425,7 @@ def test_a_family_is_a_dataset_like_any_other(
     fields = ("map", "start", "goal", "path")
     stored = MapDataset(root, None, fields, problems="random")[:]
     assert_same(stored, OnlineMapDataset(spec, 7, 30, fields=fields, problems="random")[:])
-    assert len(ProblemSet.sample(spec, seed=3, maps=5)) == 5
+    assert len(ProblemSet.sample(spec, seed=3, maps=5, movement=Movement(8))) == 5
     for line in (
         f"info {root}",
         f"verify {root}",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from mapdata.generators import GENERATORS, PRESETS
-from mapdata.generators.generator import register_installed, stored_generator
+from mapdata.generators import GENERATORS
+from mapdata.generators.generator import _presets, register_installed, stored_generator
 
 PILLARS = """
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ def forget(family: str, *presets: str) -> None:
     """Make a family and its module unknown again, as they are to another process."""
     GENERATORS.pop(family, None)
     for preset in presets:
-        PRESETS.pop(preset, None)
+        _presets.pop(preset, None)
     sys.modules.pop(family, None)
     stored_generator.cache_clear()
     register_installed.cache_clear()

@@ -21,7 +21,8 @@ import fsspec.implementations.http  # noqa: F401
 
 from mapdata import MapDataset, ProblemSet
 from mapdata.formats import FormatError, read_any
-from mapdata.shards import Recipe, open_shard, read_manifest
+from mapdata.generators import as_recipe
+from mapdata.shards import open_shard, read_manifest
 from models.path_predictor import PathPredictor
 
 
@@ -65,7 +66,7 @@ LOADERS: dict[str, Callable[[str], object]] = {
     "manifest": lambda path: read_manifest(Path(path)),
     "dataset": lambda path: MapDataset(path)[:],
     "url": fetch_endless,
-    "recipe": Recipe.load,
+    "recipe": as_recipe,
     "format": read_format,
     "problems": ProblemSet.load,
     "model": PathPredictor.load,

@@ -122,7 +122,7 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
 @pytest.mark.parametrize("cut", [(1, 8, 12, 14), (5, 4, 12, 14), (5, 8, 11, 14), (5, 8, 12, 1)])
 def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
     """The compiled search would read past the end of arrays that are too small."""
-    problems = ProblemSet.sample(Forest((12, 14)), 1, 5)
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 5, movement=Movement(8))
     model = random_predictor(problems, 3)
     count, moves, rows, columns = cut
     problem_arrays = problems.grids, problems.starts, problems.goals
@@ -138,7 +138,7 @@ def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("number", [-np.inf, np.inf, np.nan])
 def test_there_is_a_path_whatever_is_predicted(number: float, share: float) -> None:
     """A path is found even if some or all of the predicted scores and costs are not finite."""
-    problems = ProblemSet.sample(Forest((12, 14)), 1, 100)
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 100, movement=Movement(8))
     model = random_predictor(problems, 3)
     rng = np.random.default_rng(4)
     for array in (model.scores, model.costs):

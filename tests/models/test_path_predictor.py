@@ -40,7 +40,8 @@ from mapdata import (
     evaluate,
 )
 from mapdata.evaluation import Planner, classical
-from mapdata.search import STEPS, heuristics, search_batch
+from mapdata.search import STEPS, search_batch
+from mapdata.search.lattice import heuristics
 from models.geometry import heuristic, legal_moves
 from models.learned_planners import planners
 from models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
@@ -107,7 +108,7 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
 def problems(name: str, hard: int) -> ProblemSet:
     """Return problems that were in no training, ``hard`` of them hard."""
     spec = WIDE if name == "wide" else MapGenerator.preset(name)
-    return ProblemSet.sample(spec, seed=314159, until_hard=hard)
+    return ProblemSet.sample(spec, seed=314159, until_hard=hard, movement=Movement(8))
 
 
 def hard_rows(rows: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
@@ -198,7 +199,7 @@ def test_costs_to_go_are_those_of_the_moves_that_follow(movement: Movement) -> N
 def test_predicted_costs_to_go_are_those_of_both_views() -> None:
     """They are `costs_to_go` of the mean scores and the mean ratios."""
     model = random_model()
-    drawn = ProblemSet.sample(DUNGEON, 8, 4)
+    drawn = ProblemSet.sample(DUNGEON, 8, 4, movement=Movement(8))
     scores, costs = model.predict(drawn.grids, drawn.goals)
     occupied, goals = model.tensors(drawn.grids[:, None], drawn.goals)
     with model.inference():
@@ -263,7 +264,7 @@ def is_path(grid: npt.NDArray[np.uint8], path: npt.NDArray[np.int64], movement: 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_heuristic_is_that_of_the_searches(movement: Movement) -> None:
-    """For all differences of two cells it equals `mapdata.search.heuristics`, in float32."""
+    """For all differences of two cells it equals `heuristics` of mapdata, in float32."""
     differences = np.stack(np.meshgrid(np.arange(-70, 71), np.arange(-70, 71)), axis=-1)
     expected = heuristics(differences, [0, 0], movement)
     down, right = torch.from_numpy(differences).unbind(-1)
@@ -397,7 +398,7 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     spec = MapSpec(
         size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
     )
-    drawn = ProblemSet.sample(spec, 9, 12)
+    drawn = ProblemSet.sample(spec, 9, 12, movement=Movement(8))
     for planner in planners(PathPredictor.load(WEIGHTS)):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
         alone = [
@@ -411,7 +412,7 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
 def test_the_predicted_path_is_that_of_the_walk() -> None:
     """`predict_path` on tensors of one map gives the path of the walk on a batch of arrays."""
     model = random_model()
-    drawn = ProblemSet.sample(DUNGEON, 8, 40)
+    drawn = ProblemSet.sample(DUNGEON, 8, 40, movement=Movement(8))
     walks = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
     for plan, grid, start, goal in zip(walks, drawn.grids, drawn.starts, drawn.goals, strict=True):
         path = model.predict_path(torch.tensor(grid)[None], torch.tensor(start), goal)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mapdata import MapSpec, ProblemSet
+from mapdata import MapSpec, Movement, ProblemSet
 from models.symmetries import random_symmetry, restore_plane, transform_plane, transform_points
 
 
@@ -31,7 +31,9 @@ def test_symmetries_move_everything_along() -> None:
     """Points, starts, goals and masks stay on their cells of the map under all symmetries. All
     eight symmetries occur, each with and without a swap of start and goal.
     """
-    problems = ProblemSet.sample(MapSpec.preset("dungeon"), seed=2718, maps=12)
+    problems = ProblemSet.sample(
+        MapSpec.preset("dungeon"), seed=2718, maps=12, movement=Movement(8)
+    )
     starts = torch.tensor(problems.starts)
     goals = torch.tensor(problems.goals)
     grids = torch.tensor(problems.grids)[:, None]

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from mapdata.plotting.arrows import CLOSEST, SHORTEST, SPACING
+from mapdata.plotting.arrows import MIN_DISTANCE, MIN_LENGTH, SPACING
 from mapdata.plotting.plot import plot_cells
 
 Floats = npt.NDArray[np.float64]
@@ -58,7 +58,9 @@ def drawn(side: int, inches: float) -> Axes:
 
 
 def test_the_size_of_the_map_does_not_change_the_arrow_heads() -> None:
-    """They lie where they lie on a map of 64 x 64 cells; a map of 2,048 had 128 of them."""
+    """They are where they are on a map of 64 x 64 cells; once a map of 2,048 cells had
+    128 of them.
+    """
     small = on_page(drawn(64, 6))
     assert len(small) == 4
     for side in (512, 2048):
@@ -67,7 +69,9 @@ def test_the_size_of_the_map_does_not_change_the_arrow_heads() -> None:
 
 @pytest.mark.parametrize("inches", [2.5, 3.5, 12])
 def test_a_larger_figure_has_more_arrow_heads(inches: float) -> None:
-    """On the page they are equally far apart along the path, and about as far in any figure."""
+    """Their distances on the page are equal along the path, and about the same in figures of any
+    size.
+    """
     places = on_page(drawn(128, inches))
     steps = np.abs(np.diff(places, axis=0)).sum(axis=1)
     assert len(places) == round(72 * inches * 127 / 128 / SPACING)
@@ -75,10 +79,10 @@ def test_a_larger_figure_has_more_arrow_heads(inches: float) -> None:
 
 
 def test_short_paths_have_no_arrow_head() -> None:
-    """Their ends may bear marks that would cover it."""
+    """The marks at their ends would cover it."""
     axes = whole_figure(64, 6)
     per_cell = 72 * 6 / 64
-    for cells in (0, 1, int(SHORTEST / per_cell)):
+    for cells in (0, 1, int(MIN_LENGTH / per_cell)):
         plot_cells(axes, np.stack([np.arange(cells), np.arange(cells) * 0], 1), "black", "_")
         assert len(on_page(axes)) == 0
         axes.collections[-1].remove()
@@ -93,11 +97,11 @@ def test_arrow_heads_of_a_winding_path_do_not_crowd() -> None:
     places = on_page(axes)
     distances = np.linalg.norm(places[:, None] - places[None], axis=-1)
     assert len(places) > 3
-    assert distances[~np.eye(len(places), dtype=bool)].min() >= CLOSEST
+    assert distances[~np.eye(len(places), dtype=bool)].min() >= MIN_DISTANCE
 
 
 def test_arrow_heads_follow_the_scale_when_a_figure_is_drawn_again() -> None:
-    """A saved picture has the pixels of its own, and axes may be zoomed."""
+    """A saved picture has another number of pixels, and axes may be zoomed."""
     axes = drawn(128, 6)
     before = on_page(axes)
     figure = axes.get_figure()

@@ -26,7 +26,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> DatasetStatistics:
 
 
 def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
-    """Examples are what their captions say."""
+    """The rooms, connection or hardness of each example are those that its caption states."""
     examples = pick_examples(small)
     assert list(examples) == [
         "2 rooms",
@@ -39,7 +39,7 @@ def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
     ]
     assert len(set(examples.values())) == len(examples)
     for caption, index in examples.items():
-        labels, i = small.root.map(index)
+        labels, i = small.root.locate(index)
         n = int(labels.maps.rooms[i])
         if caption.endswith("rooms"):
             assert caption == f"{n} rooms"
@@ -49,11 +49,11 @@ def test_examples_are_what_their_captions_say(small: DatasetStatistics) -> None:
             assert (labels.matrix("astar", i) < 0).any()
         if caption == "redundant":
             assert not labels.maps.connected[i, : n - 1].all()
-    assert pick_examples(dataset_statistics(small.root.places)) == examples
+    assert pick_examples(dataset_statistics(small.root.locations)) == examples
 
 
 def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
-    """Gallery draws the maps."""
+    """Each example is drawn with its caption, and axes without an example are switched off."""
     axes, examples = plot_gallery(small), pick_examples(small)
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         assert ax.get_title() == f"{caption}\nmap{index}"
@@ -65,7 +65,7 @@ def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
 
 
 def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
-    """Distributions draw every value."""
+    """The bars of a histogram count all maps or segments."""
     axes = plot_distributions(small)
     for ax, (name, values) in zip(axes, small.distributions().items(), strict=True):
         assert ax.get_xlabel() == name
@@ -76,11 +76,11 @@ def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
 @pytest.mark.parametrize(
     "spec", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"]
 )
-def test_all_figures_are_tidy_and_the_same_again(tmp_path: Path, spec: MapSpec) -> None:
-    """All figures are tidy and the same again."""
+def test_all_figures_are_tidy_and_reproducible(tmp_path: Path, spec: MapSpec) -> None:
+    """No texts overlap, and a figure that is drawn twice has the same bytes."""
     root = build_small(tmp_path / "d", spec)
-    for kind in FIGURES:
-        assert_tidy(plot_figure(root, kind, index=7))
+    for figure in FIGURES:
+        assert_tidy(plot_figure(root, figure, index=7))
     first, second = (tmp_path / name for name in ("a.png", "b.png"))
     for path in (first, second):
         plot_figure(root, "map", index=3).savefig(path, dpi=50)
@@ -88,50 +88,48 @@ def test_all_figures_are_tidy_and_the_same_again(tmp_path: Path, spec: MapSpec) 
 
 
 def test_imported_maps_are_drawn_without_rooms(tmp_path: Path) -> None:
-    """Imported maps are drawn without rooms."""
+    """Captions and axes speak of seed points, and a map may have only one."""
     grids = generate(WIDE, 5, range(6)).occupancy
     one = ForeignMap("one", grids[5], seed_points=np.argwhere(grids[5] == 0)[:1], rooms_known=True)
     maps = [*(ForeignMap(str(k), grid) for k, grid in enumerate(grids[:5])), one]
     import_maps(tmp_path / "d", Collection(maps), seed_points=3)
-    for kind in FIGURES:
+    for figure in FIGURES:
         for index in (0, 5):
-            assert_tidy(plot_figure(tmp_path / "d", kind, index=index))
-    of = dataset_statistics(tmp_path / "d")
-    assert [axes.get_title().split("\n")[0] for axes in plot_gallery(of)][:2] == [
+            assert_tidy(plot_figure(tmp_path / "d", figure, index=index))
+    statistics = dataset_statistics(tmp_path / "d")
+    assert [axes.get_title().split("\n")[0] for axes in plot_gallery(statistics)][:2] == [
         "1 seed point",
         "3 seed points",
     ]
 
 
-def test_maps_with_equally_many_seed_points(tmp_path: Path) -> None:
-    """The gallery goes from easy to hard, each map once; the only number of seed points is the only
-    tick.
-    """
+def test_the_gallery_of_equally_many_seed_points_goes_from_easy_to_hard(tmp_path: Path) -> None:
+    """Each map is shown once, and the only number of seed points is the only tick."""
     grids = generate(MapSpec.preset("dungeon"), 5, range(40)).occupancy
     import_maps(
         tmp_path / "d",
         Collection([ForeignMap(str(k), grid) for k, grid in enumerate(grids)]),
         seed_points=4,
     )
-    of = dataset_statistics(tmp_path / "d")
-    examples = pick_examples(of)
+    statistics = dataset_statistics(tmp_path / "d")
+    examples = pick_examples(statistics)
     captions = [caption for caption in examples if caption.startswith("hardness")]
     assert len(captions) == 6
     assert captions == sorted(captions)
     assert len(set(examples.values())) == len(examples)
     for caption in captions:
-        assert caption == f"hardness {of.hardest[examples[caption]]:.2f}"
-    (rooms, *_) = plot_distributions(of)
+        assert caption == f"hardness {statistics.hardest[examples[caption]]:.2f}"
+    (rooms, *_) = plot_distributions(statistics)
     figure_of(rooms).canvas.draw()
     low, high = rooms.get_xlim()
     assert [tick for tick in rooms.get_xticks() if low <= tick <= high] == [4]
 
 
-@pytest.mark.parametrize("kind", FIGURES)
-def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, kind: str) -> None:
-    """Command writes every figure."""
-    path = tmp_path / f"{kind}.png"
-    main(["show", str(small.root), "--figure", kind, "-o", str(path)])
+@pytest.mark.parametrize("figure", FIGURES)
+def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, figure: str) -> None:
+    """``mapdata show`` writes each figure as a PNG."""
+    path = tmp_path / f"{figure}.png"
+    main(["show", str(small.root), "--figure", figure, "-o", str(path)])
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
@@ -146,13 +144,13 @@ def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, k
         (["-o", "map.xyz"], "xyz"),
     ],
 )
-def test_command_refuses(
+def test_the_command_refuses_wrong_usage(
     small: DatasetStatistics,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
     complaint: str,
 ) -> None:
-    """Command refuses."""
+    """Flags that would do nothing and unknown figures are refused in one line."""
     with pytest.raises(SystemExit) as ended:
         main(["show", str(small.root), *arguments])
     assert ended.value.code == 2
@@ -160,6 +158,6 @@ def test_command_refuses(
 
 
 def test_unknown_figure_is_refused(small: DatasetStatistics) -> None:
-    """Unknown figure is refused."""
+    """The message lists the figures."""
     with pytest.raises(ValueError, match="expected one of map, gallery"):
-        plot_figure(small.root.places, "pie")
+        plot_figure(small.root.locations, "pie")

@@ -24,7 +24,7 @@ from mapdata.cli import main
 from mapdata.describe import dataset_statistics
 from mapdata.limits import SPLITS
 from mapdata.plotting import report
-from mapdata.plotting.html_report import _pack
+from mapdata.plotting.html_report import _compressed_maps
 from mapdata.shards import Root, read_manifest
 
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: apt-get install chromium")
@@ -162,51 +162,60 @@ def assert_shown(one: dict[str, Any], labels: Labels, i: int, rooms: bool) -> No
 
 
 @needs_chromium
-def test_a_click_shows_what_is_stored(page: Browser, root: Path) -> None:
-    """A click shows what is stored."""
-    of = dataset_statistics(root)
+def test_a_click_shows_the_stored_labels_of_a_map(page: Browser, root: Path) -> None:
+    """Cells, routes, iterations, matrices and facts in the page equal those of the dataset."""
+    statistics = dataset_statistics(root)
     shown = clicked(page)
-    assert [one["name"] for one in shown] == [f"map{index}" for index in of.index]
-    for one, index in zip(shown, of.index.tolist(), strict=True):
-        labels, i = of.root.map(index)
-        assert_shown(one, labels, i, of.rooms_known)
+    assert [one["name"] for one in shown] == [f"map{index}" for index in statistics.index]
+    for one, index in zip(shown, statistics.index.tolist(), strict=True):
+        labels, i = statistics.root.locate(index)
+        assert_shown(one, labels, i, statistics.rooms_known)
 
 
 @needs_chromium
-def test_filters_leave_what_they_say(page: Browser, root: Path) -> None:
-    """Filters leave what they say."""
-    of = dataset_statistics(root)
+def test_filters_leave_the_maps_that_match(page: Browser, root: Path) -> None:
+    """The filters are split, connection and hardness."""
+    statistics = dataset_statistics(root)
     for code, split in enumerate(SPLITS):
-        if (of.split == code).any():
-            assert choose(page, "split", split) == of.index[of.split == code].tolist()
-    assert choose(page, "split", "") == of.index.tolist()
-    assert choose(page, "connected", 1) == of.index[of.all_connected].tolist()
-    assert choose(page, "connected", 0) == of.index[~of.all_connected].tolist()
+        if (statistics.split == code).any():
+            assert (
+                choose(page, "split", split) == statistics.index[statistics.split == code].tolist()
+            )
+    assert choose(page, "split", "") == statistics.index.tolist()
+    assert choose(page, "connected", 1) == statistics.index[statistics.all_connected].tolist()
+    assert choose(page, "connected", 0) == statistics.index[~statistics.all_connected].tolist()
     choose(page, "connected", "")
     for value, low, high in (("1,1.05", 1, 1.05), ("1.05,1e9", 1.05, 1e9), ("2,1e9", 2, 1e9)):
         assert (
             choose(page, "hardness", value)
-            == of.index[(of.hardest >= low) & (of.hardest < high)].tolist()
+            == statistics.index[(statistics.hardest >= low) & (statistics.hardest < high)].tolist()
         )
     choose(page, "hardness", "")
     least, most = 3, 4
     choose(page, "least", least)
-    assert choose(page, "most", most) == of.index[(of.rooms >= least) & (of.rooms <= most)].tolist()
+    assert (
+        choose(page, "most", most)
+        == statistics.index[(statistics.rooms >= least) & (statistics.rooms <= most)].tolist()
+    )
     assert (
         choose(page, "split", "train")
-        == of.index[(of.rooms >= 3) & (of.rooms <= 4) & (of.split == 0)].tolist()
+        == statistics.index[
+            (statistics.rooms >= 3) & (statistics.rooms <= 4) & (statistics.split == 0)
+        ].tolist()
     )
-    assert page.run("$('count').textContent").startswith(f"{len(listed(page))} of {len(of)} maps")
+    assert page.run("$('count').textContent").startswith(
+        f"{len(listed(page))} of {len(statistics)} maps"
+    )
     page.run("document.querySelector('[type=reset]').click()")
     page.run("new Promise((done) => setTimeout(done, 20))")
-    assert listed(page) == of.index.tolist()
+    assert listed(page) == statistics.index.tolist()
     assert choose(page, "least", 100) == []
     assert page.run("$('count').textContent") == "No map of the sample is like that."
 
 
 @needs_chromium
 def test_planners_and_segments_can_be_switched_off(page: Browser) -> None:
-    """Planners and segments can be switched off."""
+    """The lines of a hidden planner or segment disappear."""
 
     def lines() -> list[int]:
         return [
@@ -227,8 +236,8 @@ def test_planners_and_segments_can_be_switched_off(page: Browser) -> None:
 
 
 @needs_chromium
-def test_the_keyboard_is_enough(page: Browser) -> None:
-    """The keyboard is enough."""
+def test_maps_can_be_chosen_with_the_keyboard(page: Browser) -> None:
+    """Arrow keys move the focus, and Enter shows the map."""
     page.run("$('thumbs').children[0].focus()")
     page.press("ArrowRight")
     page.press("ArrowRight")
@@ -243,8 +252,8 @@ def test_the_keyboard_is_enough(page: Browser) -> None:
 
 
 @needs_chromium
-def test_everything_to_operate_has_a_name(page: Browser) -> None:
-    """Everything to operate has a name."""
+def test_every_control_has_a_name(page: Browser) -> None:
+    """Screen readers need names of controls, the language, and identities that are unique."""
     unnamed = """[...document.querySelectorAll("input, select, button, [role=img], [role=region], table")].filter(
         (one) => !(one.labels && one.labels.length && one.labels[0].textContent.trim())
         && !one.getAttribute("aria-label") && !one.textContent.trim()).map((one) => one.outerHTML)"""
@@ -257,7 +266,7 @@ def test_everything_to_operate_has_a_name(page: Browser) -> None:
 
 @needs_chromium
 def test_text_from_files_stays_text(browser: Browser, tmp_path: Path) -> None:
-    """Text from files stays text."""
+    """A name in the dataset that looks like HTML is shown as text and runs no script."""
     folder = imported(tmp_path / "<img src=x onerror=alert(1)>@@DATA@@\"'")
     path = tmp_path / "report.html"
     path.write_text(report(folder), encoding="utf-8")
@@ -278,7 +287,7 @@ def test_text_from_files_stays_text(browser: Browser, tmp_path: Path) -> None:
 
 @needs_chromium
 def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
-    """Under 300 kB, with a sample of the maps."""
+    """It is below 300 kB, with a sample of the maps."""
     build(tmp_path / "d", MapSpec(), maps=1200, workers=1)
     path = tmp_path / "report.html"
     main(["report", str(tmp_path / "d"), "-o", str(path)])
@@ -288,13 +297,13 @@ def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
     numbers = listed(browser)
     assert numbers[0] == 0
     assert set(np.diff(numbers).tolist()) == {2, 3}
-    labels, i = Root.open(tmp_path / "d").map(numbers[321])
+    labels, i = Root.open(tmp_path / "d").locate(numbers[321])
     assert browser.run("path('bfs', 321, 0)") == labels.segment("bfs", i, 0).tolist()
     assert browser.run("path('astar', 321, 0)") == labels.segment("astar", i, 0).tolist()
 
 
-def test_the_page_is_self_contained_and_the_same_again(root: Path) -> None:
-    """The page is self contained and the same again."""
+def test_the_page_is_self_contained_and_reproducible(root: Path) -> None:
+    """It loads nothing from elsewhere, and equal datasets give equal pages."""
     text = report(root)
     assert text == report(root)
     page = re.sub("&[a-z]+;", "", text.split("<script>")[0]).replace("img src=x", "")
@@ -304,18 +313,21 @@ def test_the_page_is_self_contained_and_the_same_again(root: Path) -> None:
 
 
 def test_several_resolutions_are_all_named(tmp_path: Path) -> None:
-    """Of two datasets side by side."""
+    """The report is of two datasets with different resolutions."""
     for name, resolution in (("a", 0.1), ("b", 0.05), ("c", 0.1)):
         build(tmp_path / name, MapSpec(resolution=resolution), maps=3)
     pages = [
-        _pack(dataset_statistics([tmp_path / "a", tmp_path / name]), np.array([0])) for name in "bc"
+        _compressed_maps(dataset_statistics([tmp_path / "a", tmp_path / name]), np.array([0]))
+        for name in "bc"
     ]
     found = [json.loads(zlib.decompress(page))["resolution"] for page in pages]
     assert found == ["0.05/0.1", "0.1"]
 
 
-def test_the_policy_names_the_script_and_the_style(root: Path) -> None:
-    """By their hashes as browsers compute them: after a change of either, its hash is another."""
+def test_the_security_policy_has_the_hashes_of_script_and_style(root: Path) -> None:
+    """The hashes are those that browsers compute; after a change of the script or style the policy
+    must be updated.
+    """
     page = report(root)
     for tag in ("script", "style"):
         (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
@@ -324,26 +336,30 @@ def test_the_policy_names_the_script_and_the_style(root: Path) -> None:
 
 
 def test_a_sample_is_evenly_spaced(root: Path) -> None:
-    """A sample is evenly spaced."""
+    """The page says how many maps of the dataset it shows."""
     assert f"3 of {len(dataset_statistics(root)):,} maps, evenly spaced." in report(root, maps=3)
 
 
 def test_command_refuses_no_maps(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Command refuses no maps."""
+    """A report of 0 maps is wrong usage."""
     with pytest.raises(SystemExit) as ended:
         main(["report", str(root), "--maps", "0"])
     assert ended.value.code == 2
     assert "maps: got 0, expected an integer of at least 1" in capsys.readouterr().err
 
 
-def test_charts_say_in_words_what_they_show(root: Path) -> None:
-    """One picture a distribution, the same words beside it and in place of it."""
+def test_charts_have_a_text_of_their_statistics(root: Path) -> None:
+    """Each distribution has a picture, and the same text as its caption and as its alternative
+    text.
+    """
     figures = re.findall(
         r'<figure><img src="[^"]*" alt="([^"]*)"><figcaption>([^<]*)</figcaption>', report(root)
     )
-    of = dataset_statistics(root)
-    assert len(figures) == len(of.distributions())
-    for (alt, caption), (name, values) in zip(figures, of.distributions().items(), strict=True):
+    statistics = dataset_statistics(root)
+    assert len(figures) == len(statistics.distributions())
+    for (alt, caption), (name, values) in zip(
+        figures, statistics.distributions().items(), strict=True
+    ):
         assert alt == caption
         assert alt.startswith(
             f"{name}: mean {values.mean():.4g}, median {np.median(values):.4g}, from"

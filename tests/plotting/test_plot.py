@@ -41,7 +41,9 @@ def some(spec: MapSpec, maps: int = 30) -> Labels:
 
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["square", "wide"])
 def test_map_shows_both_stored_routes_and_numbered_seeds(spec: MapSpec) -> None:
-    """Map shows both stored routes and numbered seeds."""
+    """The lines of both searches go through the cells of their routes, and seed points are numbered
+    from 1.
+    """
     labels = some(spec)
     for i in range(3):
         axes = plot_map(labels, i)
@@ -58,7 +60,7 @@ def test_map_shows_both_stored_routes_and_numbered_seeds(spec: MapSpec) -> None:
 @pytest.mark.parametrize("spec", [SPEC, WIDE, MapSpec()], ids=["square", "wide", "paper"])
 @pytest.mark.parametrize("layout", [None, "constrained"])
 def test_map_fits_into_any_figure(spec: MapSpec, layout: str | None) -> None:
-    """Map fits into any figure."""
+    """No texts overlap, with and without a constrained layout."""
     figure = Figure() if layout is None else Figure(layout="constrained")
     plot_map(some(spec, 1), 0, figure.add_subplot())
     assert_tidy(figure)
@@ -66,7 +68,7 @@ def test_map_fits_into_any_figure(spec: MapSpec, layout: str | None) -> None:
 
 @pytest.mark.parametrize("rooms", [2, 5, 9, 120])
 def test_own_figures_are_tidy(rooms: int) -> None:
-    """Own figures are tidy."""
+    """No texts overlap in figures of maps with few or many rooms."""
     spec = MapSpec((64, 64), (rooms, rooms), (3, 9), (3, 9), (1, 2))
     labels = some(spec, 1)
     for axes in (
@@ -78,8 +80,8 @@ def test_own_figures_are_tidy(rooms: int) -> None:
         assert_tidy(figure_of(axes))
 
 
-def test_grid_is_white_where_free_and_the_other_way_round_on_request() -> None:
-    """Grid is white where free and the other way round on request."""
+def test_free_cells_are_white_or_in_the_papers_colours_black() -> None:
+    """Occupied cells are dark grey, or white in the paper's colours."""
     grid = np.array([[0, 1], [1, 1]])
     for paper, free, occupied in ((False, 1.0, 0.2), (True, 0.0, 1.0)):
         image = plot_grid(grid, paper_colours=paper).get_images()[0]
@@ -89,7 +91,7 @@ def test_grid_is_white_where_free_and_the_other_way_round_on_request() -> None:
 
 
 def test_path_shows_each_segment_with_its_iterations() -> None:
-    """Path shows each segment with its iterations."""
+    """The lines are the stored segments, and the legend names their moves and iterations."""
     labels = some(SPEC)
     i = int(np.flatnonzero(~labels.all_connected)[0])
     for search in ("bfs", "astar"):
@@ -112,8 +114,8 @@ def test_path_shows_each_segment_with_its_iterations() -> None:
         assert any("no path" in text for text in expected)
 
 
-def test_path_of_many_rooms_lists_some() -> None:
-    """Path of many rooms lists some."""
+def test_the_legend_of_many_segments_names_the_first_16() -> None:
+    """A route of 40 rooms has 39 segments."""
     labels = some(MapSpec((64, 64), (40, 40), (3, 5), (3, 5), (1, 2)), 1)
     legend = plot_path(labels, 0).get_legend()
     assert legend is not None
@@ -122,7 +124,7 @@ def test_path_of_many_rooms_lists_some() -> None:
 
 
 def test_routes_lie_side_by_side_and_show_their_direction() -> None:
-    """The lines of both searches are parted by some points, and each arrow head points the way."""
+    """The lines of both searches are some points apart, and each arrow head points to the goal."""
     labels = some(MapSpec(), 1)
     axes = plot_map(labels, 0)
     figure_of(axes).draw_without_rendering()
@@ -152,7 +154,7 @@ def test_routes_lie_side_by_side_and_show_their_direction() -> None:
 
 
 def test_start_and_goal_have_different_shapes() -> None:
-    """They can be told apart in print, too."""
+    """So they differ in black and white, too."""
     axes = plot_grid(np.zeros((9, 9)))
     for text in ("S", "G", "1"):
         mark(axes, text, 4, 4)
@@ -161,8 +163,8 @@ def test_start_and_goal_have_different_shapes() -> None:
     assert start == room != goal
 
 
-def test_the_style_is_that_of_new_figures_alone() -> None:
-    """Our own figures have it, axes of the user and the user's settings are left alone."""
+def test_the_style_applies_to_new_figures_only() -> None:
+    """Axes of the user and the user's settings do not change."""
     before = dict(mpl.rcParams)
     assert set(STYLE) <= set(before)
     ours = plot_grid(np.zeros((9, 9)))
@@ -174,7 +176,7 @@ def test_the_style_is_that_of_new_figures_alone() -> None:
 
 @pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
 def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) -> None:
-    """Matrix shows each cost and hatches pairs without a path."""
+    """Texts and colours are those of the stored matrix."""
     labels = some(spec)
     i = int(np.flatnonzero(~labels.all_connected)[0])
     for search in ("bfs", "astar"):
@@ -201,7 +203,9 @@ def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) 
 
 
 def test_equal_matrices_are_drawn_once(tmp_path: Path) -> None:
-    """Both searches agree on each cost where all moves cost 1; with diagonals BFS counts moves."""
+    """Both searches agree on all costs if all moves cost 1; with costlier diagonals BFS counts
+    moves.
+    """
     for spec, names in ((SPEC, ["BFS and A*"]), (WIDE, ["BFS", "A*"])):
         figure = plot_figure(build_small(tmp_path / str(len(names)), spec), "matrix", index=7)
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
@@ -209,12 +213,12 @@ def test_equal_matrices_are_drawn_once(tmp_path: Path) -> None:
 
 
 def test_colours_are_those_of_okabe_and_ito() -> None:
-    """Colours are those of okabe and ito."""
+    """Colour-blind readers can tell them apart."""
     assert {colour.lower() for colour in (*COLOURS.values(), *PALETTE)} <= OKABE_ITO
 
 
 def test_matplotlib_is_imported_when_drawing() -> None:
-    """Matplotlib is imported when drawing."""
+    """The import of the module alone does not load matplotlib."""
     names = ", ".join(f"mapdata.{name}" for name in ("plotting", "shards"))
     script = f"import sys, {names}; print('matplotlib' in sys.modules)"
     found = subprocess.run(

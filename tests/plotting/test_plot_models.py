@@ -18,8 +18,8 @@ from mapdata import MapDataset, Sample
 from mapdata.plotting import COLOURS, plot_prediction, plot_roadmap, plot_sample
 
 
-def test_sample_shows_what_it_holds(tmp_path: Path) -> None:
-    """Sample shows what it holds."""
+def test_a_figure_shows_the_fields_of_its_sample(tmp_path: Path) -> None:
+    """Map, start, goal, path and the title are those of the sample."""
     root = build_small(tmp_path / "d", WIDE)
     for fields in (("map", "start", "goal", "path", "cost", "hardness"), ("path", "free")):
         ds = MapDataset(root, split=None, fields=fields)
@@ -39,7 +39,7 @@ def test_sample_shows_what_it_holds(tmp_path: Path) -> None:
 
 
 def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> None:
-    """The message says what was given."""
+    """The message names the argument."""
     root = build_small(tmp_path / "d")
     with pytest.raises(ValueError, match=r"got Sample\(start=.*, expected one sample, or more"):
         plot_sample(MapDataset(root, fields=("start",))[0])
@@ -54,7 +54,7 @@ def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> 
 def test_batch_is_a_grid_of_its_first_samples(
     tmp_path: Path, count: int, dtype: torch.dtype | None
 ) -> None:
-    """At most 9, each as it is drawn alone; axes without a sample are empty."""
+    """There are at most 9, each drawn as it is alone, and axes without a sample are empty."""
     fields = ("map", "path_mask", "start", "goal", "path", "cost", "optimal_moves")
     dataset = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields, dtype=dtype)
     figure = figure_of(plot_sample(dataset[:count]))
@@ -78,7 +78,9 @@ def far_from_start(sample: Sample) -> torch.Tensor:
 
 @pytest.mark.parametrize("field", ["cost_to_go", "heuristic_ratio", far_from_start])
 def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
-    """Its values where cells are free and reach the goal, with a scale that bears its name."""
+    """It shows values of free cells that reach the goal, with a scale that bears the
+    field's name.
+    """
     fields = ("map", "goal_mask", "start", "goal", field, "path_probability")
     sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[3]
     axes = plot_sample(sample)
@@ -91,8 +93,8 @@ def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
     assert_tidy(figure_of(axes))
 
 
-def test_prediction_lies_over_the_truth_and_marks_walls() -> None:
-    """Prediction lies over the truth and marks walls."""
+def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None:
+    """Padding is left out, and crosses mark the predicted cells that are occupied."""
     grid = np.zeros((6, 8), np.uint8)
     grid[2, 2:5] = 1
     truth = np.array([[2, 1], [1, 1], [1, 2], [1, 3], [1, 4], [1, 5], [2, 5], [-1, -1]])
@@ -111,7 +113,7 @@ def test_prediction_lies_over_the_truth_and_marks_walls() -> None:
 
 
 def test_roadmap_shows_samples_edges_and_path() -> None:
-    """Roadmap shows samples edges and path."""
+    """Vertices, edges and the path are drawn at their points."""
     grid = np.zeros((6, 8), np.uint8)
     vertices, edges = np.array([[0.5, 1], [3, 4], [5, 7]]), np.array([[0, 1], [1, 2]])
     axes = plot_roadmap(grid, vertices, edges, path=[[0, 1], [3, 4]])

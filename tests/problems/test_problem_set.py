@@ -113,11 +113,11 @@ def test_the_first_problems_do_not_depend_on_how_many() -> None:
     """A longer sample begins with the shorter one, over the border of a chunk (256 maps); another
     seed gives others.
     """
-    longer = ProblemSet.sample(DUNGEON, 1, 270)
-    shorter = ProblemSet.sample(DUNGEON, 1, 258)
+    longer = ProblemSet.sample(DUNGEON, 1, 270, movement=Movement(8))
+    shorter = ProblemSet.sample(DUNGEON, 1, 258, movement=Movement(8))
     assert len(shorter) == 258
     assert_same(shorter, chosen(longer, slice(258)))
-    others = ProblemSet.sample(DUNGEON, 2, 258)
+    others = ProblemSet.sample(DUNGEON, 2, 258, movement=Movement(8))
     assert not np.array_equal(others.grids, shorter.grids)
     assert not np.array_equal(others.starts, shorter.starts)
     assert not np.array_equal(others.goals, shorter.goals)
@@ -128,19 +128,21 @@ def test_until_hard_stops_at_the_last_hard_problem() -> None:
 
     Every map of this preset has a problem, so that the set has as many maps as problems.
     """
-    problems = ProblemSet.sample(DUNGEON, 4, until_hard=20)
+    problems = ProblemSet.sample(DUNGEON, 4, until_hard=20, movement=Movement(8))
     maps = len(problems)
     assert problems.hard.sum() == 20
     assert problems.hard[-1]
-    assert_same(problems, ProblemSet.sample(DUNGEON, 4, maps))
-    assert_same(problems, ProblemSet.sample(DUNGEON, 4, maps, until_hard=20))
+    assert_same(problems, ProblemSet.sample(DUNGEON, 4, maps, movement=Movement(8)))
+    assert_same(problems, ProblemSet.sample(DUNGEON, 4, maps, until_hard=20, movement=Movement(8)))
     with pytest.raises(ValueError, match="until_hard: got 20, found only 19"):
-        ProblemSet.sample(DUNGEON, 4, maps - 1, until_hard=20)
+        ProblemSet.sample(DUNGEON, 4, maps - 1, until_hard=20, movement=Movement(8))
 
 
 def test_a_sample_of_hard_problems_alone() -> None:
     """By the condition on hardness: no other is among them."""
-    problems = ProblemSet.sample(DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)))
+    problems = ProblemSet.sample(
+        DUNGEON, 4, 60, problems=Random(hardness=(HARD, None)), movement=Movement(8)
+    )
     assert problems.hard.all()
 
 
@@ -167,7 +169,7 @@ def test_hardness_of_sampled_problems() -> None:
     reference's.
     """
     movement = Movement(8)
-    problems = ProblemSet.sample(DUNGEON, 8, 20)
+    problems = ProblemSet.sample(DUNGEON, 8, 20, movement=Movement(8))
     for k in range(20):
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
@@ -184,20 +186,22 @@ def test_hardness_of_sampled_problems() -> None:
 def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
     """On the test split of a root stand the problems that its spec and seed give on these maps."""
     build(tmp_path, DUNGEON, maps=120, seed=9, shard_size=50, workers=1)
-    every = ProblemSet.sample(DUNGEON, 9, 120)
+    every = ProblemSet.sample(DUNGEON, 9, 120, movement=Movement(8))
     assert len(every) == 120  # problem k is on map k
     test = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 2]
     train = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 0]
     assert len(test) > 3
     assert len(train) > 60
-    assert_same(ProblemSet.read(tmp_path), chosen(every, test))
-    assert_same(ProblemSet.read(tmp_path, 2), chosen(every, test[:2]))
-    assert_same(ProblemSet.read(str(tmp_path), split="train"), chosen(every, train))
-    others = ProblemSet.read(tmp_path, seed=1)
+    assert_same(ProblemSet.read(tmp_path, movement=Movement(8)), chosen(every, test))
+    assert_same(ProblemSet.read(tmp_path, 2, movement=Movement(8)), chosen(every, test[:2]))
+    assert_same(
+        ProblemSet.read(str(tmp_path), split="train", movement=Movement(8)), chosen(every, train)
+    )
+    others = ProblemSet.read(tmp_path, seed=1, movement=Movement(8))
     np.testing.assert_array_equal(others.grids, every.grids[test])
     assert not np.array_equal(others.starts, every.starts[test])
     with pytest.raises(ValueError, match="split"):
-        ProblemSet.read(tmp_path, split="validation")
+        ProblemSet.read(tmp_path, split="validation", movement=Movement(8))
 
 
 def test_the_arrays_cannot_be_written() -> None:
@@ -251,17 +255,15 @@ def test_what_cannot_be_evaluated_is_refused(
 
 
 def test_a_sample_without_problems_is_refused() -> None:
-    """No number, none of the maps large enough, numbers below 1."""
-    with pytest.raises(ValueError, match="neither maps nor until_hard"):
-        ProblemSet.sample(DUNGEON, 0)
+    """None of the maps is large enough, or their number is below 1."""
     with pytest.raises(ValueError, match="maps: got 0"):
-        ProblemSet.sample(DUNGEON, 0, 0)
+        ProblemSet.sample(DUNGEON, 0, 0, movement=Movement(8))
     with pytest.raises(ValueError, match="until_hard: got -1"):
-        ProblemSet.sample(DUNGEON, 0, until_hard=-1)
+        ProblemSet.sample(DUNGEON, 0, until_hard=-1, movement=Movement(8))
     too_small = replace(TINY, map_size=(5, 5))
     why = r"no map has a problem that meets Random\(distance=\(10.0, inf\)"
     with pytest.raises(ValueError, match=why):
-        ProblemSet.sample(too_small, 0, 3)
+        ProblemSet.sample(too_small, 0, 3, movement=Movement(8))
 
 
 @pytest.mark.parametrize("movement", [Movement(), CUTTING], ids=["4", "cutting"])
@@ -302,7 +304,7 @@ def test_a_set_may_unpack_to_200_times_its_file(
     says = rf"unpack to {size} bytes, expected at most {limit}: .* save its arrays with numpy.savez"
     with pytest.raises(ValueError, match=says):
         ProblemSet.load(path)
-    walls = ProblemSet.sample(DUNGEON, 77, 20)  # some 30 times its file
+    walls = ProblemSet.sample(DUNGEON, 77, 20, movement=Movement(8))  # some 30 times its file
     walls.save(path)
     assert walls.grids.nbytes > 10 * path.stat().st_size
     assert_same(ProblemSet.load(path), walls)
@@ -319,7 +321,7 @@ def test_a_full_disk_leaves_the_set_that_was_there(
 ) -> None:
     """Nothing half-written under the name, and no other file."""
     path = tmp_path / "set.npz"
-    problems = ProblemSet.sample(DUNGEON, 77, 5)
+    problems = ProblemSet.sample(DUNGEON, 77, 5, movement=Movement(8))
     problems.save(path)
 
     def full(descriptor: int) -> None:
@@ -327,14 +329,14 @@ def test_a_full_disk_leaves_the_set_that_was_there(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space"):
-        ProblemSet.sample(DUNGEON, 77, 20).save(path)
+        ProblemSet.sample(DUNGEON, 77, 20, movement=Movement(8)).save(path)
     assert_same(ProblemSet.load(path), problems)
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_save_removes_what_a_killed_one_left(tmp_path: Path) -> None:
     """In the same folder, of a set of any name; what a living writer has locked stays."""
-    problems = ProblemSet.sample(DUNGEON, 77, 5)
+    problems = ProblemSet.sample(DUNGEON, 77, 5, movement=Movement(8))
     left = tmp_path / ".set.npz.0123456789abcdef.mapdata.tmp"
     living = tmp_path / ".set.npz.fedcba9876543210.mapdata.tmp"
     left.write_bytes(b"half")
@@ -381,7 +383,7 @@ def test_what_is_no_saved_set_is_refused(arrays: dict[str, Any], tmp_path: Path)
 def test_problems_that_cannot_be_are_refused_by_the_name_of_their_file(tmp_path: Path) -> None:
     """As where others wrote 255 for 1."""
     path = tmp_path / "set.npz"
-    ProblemSet.sample(MapSpec(), 0, 3).save(path)
+    ProblemSet.sample(MapSpec(), 0, 3, movement=Movement(8)).save(path)
     with np.load(path) as file:
         arrays = dict(file)
     np.savez(path, **arrays | {"grids": arrays["grids"] * 255})
@@ -404,7 +406,7 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
 def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
     """Whatever numpy, zip and zlib raise; a file that is read holds the same problems."""
     path = tmp_path / "set.npz"
-    problems = ProblemSet.sample(DUNGEON, 77, 3)
+    problems = ProblemSet.sample(DUNGEON, 77, 3, movement=Movement(8))
     problems.save(path)
     sound = path.read_bytes()
     refused = 0
@@ -417,12 +419,18 @@ def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
     assert refused > len(sound) / 2
 
 
+def test_the_movement_of_a_set_has_no_default(tmp_path: Path) -> None:
+    """Generators move 4-connected by default, so no default here could be expected by everyone."""
+    with pytest.raises(TypeError, match="'movement'"):
+        ProblemSet.sample(DUNGEON, 0, 3)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="'movement'"):
+        ProblemSet.read(tmp_path)  # type: ignore[call-arg]
+
+
 def test_conditions_that_are_no_random_problems_are_refused() -> None:
     """A name, or problems of another kind."""
     with pytest.raises(ValueError, match=r"problems: got 'random', expected mapdata\.Random"):
-        ProblemSet.sample(DUNGEON, 0, 3, problems="random")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="spec: got 'dungeon', expected a MapSpec or another"):
-        ProblemSet.sample("dungeon", 0, 3)  # type: ignore[arg-type]
+        ProblemSet.sample(DUNGEON, 0, 3, problems="random", movement=Movement(8))  # type: ignore[arg-type]
 
 
 class Row(NamedTuple):

@@ -30,7 +30,7 @@ from mapdata import (
 )
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems
-from mapdata.search import rule_of
+from mapdata.search.lattice import move_rule
 
 MOVEMENTS = [
     Movement(),
@@ -69,15 +69,15 @@ def sample(
         indices,
         DRAWS,
         *conditions.conditions,
-        rule_of(movement),
+        move_rule(movement),
     )
-    found = np.full((len(grids), 6), NO_PROBLEM)
+    sampled = np.full((len(grids), 6), NO_PROBLEM)
     for k, (row, column, goal_row, goal_column) in enumerate(ends.tolist()):
-        found[k, :4] = ends[k]
+        sampled[k, :4] = ends[k]
         if row != NO_PROBLEM:
             path = astar(grids[k], (row, column), (goal_row, goal_column), movement).path
-            found[k, 4:] = steps_of(path, movement)
-    return found
+            sampled[k, 4:] = steps_of(path, movement)
+    return sampled
 
 
 def steps_of(path: Ints, movement: Movement) -> tuple[int, int]:
@@ -102,9 +102,9 @@ def assert_equals_the_reference(
     """Compare the problem of each grid with that of the slow reference; return how many have
     one.
     """
-    found = sample(grids, seed, epoch, conditions, movement, goals).tolist()
+    sampled = sample(grids, seed, epoch, conditions, movement, goals).tolist()
     with_problem = 0
-    for index, (row, column, goal_row, goal_column, straight, diagonal) in enumerate(found):
+    for index, (row, column, goal_row, goal_column, straight, diagonal) in enumerate(sampled):
         only_goal = None
         if goals is not None:
             goal = goals[index].tolist()
@@ -119,7 +119,7 @@ def assert_equals_the_reference(
             only_goal=only_goal,
         )
         if truth is None:
-            assert found[index] == [NO_PROBLEM] * 6
+            assert sampled[index] == [NO_PROBLEM] * 6
             continue
         with_problem += 1
         assert (row, column) == truth.start
@@ -225,8 +225,8 @@ def test_the_problems_stay_what_they_are(
 ) -> None:
     """On every machine, in every version."""
     grids = generate(MapGenerator.preset(preset), 77, range(50)).occupancy
-    found = sample(grids, 77, 3, conditions, Movement(connectivity))
-    assert hashlib.sha256(found.astype("<i8").tobytes()).hexdigest() == golden
+    sampled = sample(grids, 77, 3, conditions, Movement(connectivity))
+    assert hashlib.sha256(sampled.astype("<i8").tobytes()).hexdigest() == golden
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS[:2], ids=["4", "8"])
@@ -239,9 +239,9 @@ def test_goals_are_uniform(movement: Movement) -> None:
     numbers = np.arange(grid.size).reshape(grid.shape)
     free = numbers[grid == 0]
     grids = np.repeat(grid[None], 20_000, axis=0)
-    found = sample(grids, 1, 0, Random(), movement)
-    starts = numbers[found[:, 0], found[:, 1]]
-    goals = numbers[found[:, 2], found[:, 3]]
+    sampled = sample(grids, 1, 0, Random(), movement)
+    starts = numbers[sampled[:, 0], sampled[:, 1]]
+    goals = numbers[sampled[:, 2], sampled[:, 3]]
     assert set(goals.tolist()) == set(free.tolist())
     goal_counts = np.bincount(goals, minlength=grid.size)[free]
     assert stats.chisquare(goal_counts).pvalue > 1e-3
@@ -294,7 +294,7 @@ def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
     rows, columns = sample.goal.unbind(1)
     occupied = sample.map[torch.arange(200), 0, rows, columns]
     assert not occupied.any()
-    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6)
+    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6, movement=Movement(8))
     assert len(alone) < 200
 
 

@@ -24,8 +24,8 @@ from mapdata import SearchResult, astar, bfs, check_path, distance_field
 from mapdata.evaluation import BestFirst
 from mapdata.movement import Movement
 from mapdata.search import api, search_batch
-from mapdata.search.kernels import scratch
-from mapdata.search.lattice import ASTAR, lattice_of, rule_of
+from mapdata.search.kernels import new_scratch
+from mapdata.search.lattice import ASTAR, lattice_of, move_rule
 
 OCTILE = Movement(8)
 CUTTING = Movement(8, corner_cutting=True)
@@ -76,9 +76,9 @@ def problems(draw: st.DrawFn) -> Problem:
         st.sampled_from(SHAPES) | st.tuples(st.integers(1, 12), st.integers(1, 12))
     )
     source = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    kind = draw(st.sampled_from([0.0, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.6, 1.0, "serpentine"]))
-    if isinstance(kind, float):
-        grid = (source.random((height, width)) < kind).astype(np.uint8)
+    pattern = draw(st.sampled_from([0.0, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.6, 1.0, "serpentine"]))
+    if isinstance(pattern, float):
+        grid = (source.random((height, width)) < pattern).astype(np.uint8)
     else:
         grid = serpentine(height, width, source)
     (row, column), (other_row, other_column) = source.integers(
@@ -93,15 +93,15 @@ def problems(draw: st.DrawFn) -> Problem:
     return Problem(grid, start, goal)
 
 
-def assert_same(found: SearchResult, expected: reference.ReferenceResult) -> None:
+def assert_same(solution: SearchResult, expected: reference.ReferenceResult) -> None:
     """Compare path, cost and iterations, their types included."""
-    assert found.path.dtype == np.int64
-    assert found.path.shape == (len(expected.path), 2)
-    assert [tuple(cell) for cell in found.path.tolist()] == expected.path
-    assert found.cost == expected.cost
-    assert found.iterations == expected.iterations
-    assert type(found.cost) is float
-    assert type(found.iterations) is int
+    assert solution.path.dtype == np.int64
+    assert solution.path.shape == (len(expected.path), 2)
+    assert [tuple(cell) for cell in solution.path.tolist()] == expected.path
+    assert solution.cost == expected.cost
+    assert solution.iterations == expected.iterations
+    assert type(solution.cost) is float
+    assert type(solution.iterations) is int
 
 
 # --- equal to the reference ---------------------------------------------------------------------
@@ -116,9 +116,9 @@ def test_search_equals_the_reference(
 ) -> None:
     """Path, cost and iterations are the reference's, cell by cell, on any grid."""
     grid, start, goal = problem
-    found = search(grid, start, goal, movement)
+    solution = search(grid, start, goal, movement)
     expected = truth(grid.tolist(), start, goal, movement)
-    assert_same(found, expected)
+    assert_same(solution, expected)
 
 
 @planners
@@ -134,9 +134,9 @@ def test_search_equals_the_reference_far_away(
     for start, goal in (((3, 5), (180, 250)), ((178, 2), (0, 256))):
         grid[start] = 0
         grid[goal] = 0
-        found = search(grid, start, goal, movement)
+        solution = search(grid, start, goal, movement)
         expected = truth(grid.tolist(), start, goal, movement)
-        assert_same(found, expected)
+        assert_same(solution, expected)
 
 
 @movements
@@ -146,10 +146,10 @@ def test_distance_field_equals_the_reference(movement: Movement, problem: Proble
     """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be
     reached.
     """
-    found = distance_field(problem.grid, problem.goal, movement)
+    field = distance_field(problem.grid, problem.goal, movement)
     expected = reference.reference_field(problem.grid.tolist(), problem.goal, movement)
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, expected)
+    assert field.dtype == np.float32
+    np.testing.assert_array_equal(field, expected)
 
 
 @movements
@@ -169,17 +169,17 @@ pairs = st.tuples(st.integers(0, 2**21), st.integers(0, 2**21))
 
 
 @settings(max_examples=500)
-@given(one=pairs, other=pairs)
-def test_the_reference_orders_costs_exactly(one: Pair, other: Pair) -> None:
+@given(first=pairs, second=pairs)
+def test_the_reference_orders_costs_exactly(first: Pair, second: Pair) -> None:
     """Its integers order a + b sqrt 2 and c + d sqrt 2 as the squares of a - c and (d - b) sqrt 2,
     with their signs, do.
     """
-    a, b = one
-    c, d = other
+    a, b = first
+    c, d = second
     straight = a - c
     diagonal = d - b
     is_less = straight * abs(straight) < 2 * diagonal * abs(diagonal)
-    assert (reference.weigh(one, OCTILE) < reference.weigh(other, OCTILE)) == is_less
+    assert (reference.weigh(first, OCTILE) < reference.weigh(second, OCTILE)) == is_less
 
 
 # --- what a result is ---------------------------------------------------------------------------
@@ -193,11 +193,11 @@ def test_no_path_is_an_empty_path(search: Planner, truth: Truth, movement: Movem
     """
     grid = np.zeros((5, 70), dtype=np.uint8)
     grid[:, 66] = 1
-    found = search(grid, (2, 3), (4, 69), movement)
-    assert found.path.shape == (0, 2)
-    assert found.cost == -1
-    assert found.iterations == 5 * 66
-    assert_same(found, truth(grid.tolist(), (2, 3), (4, 69), movement))
+    solution = search(grid, (2, 3), (4, 69), movement)
+    assert solution.path.shape == (0, 2)
+    assert solution.cost == -1
+    assert solution.iterations == 5 * 66
+    assert_same(solution, truth(grid.tolist(), (2, 3), (4, 69), movement))
 
 
 @planners
@@ -205,11 +205,11 @@ def test_no_path_is_an_empty_path(search: Planner, truth: Truth, movement: Movem
 def test_start_is_goal(search: Planner, truth: Truth, movement: Movement) -> None:
     """One cell, cost 0, one cell taken."""
     for grid in (np.zeros((1, 1)), np.zeros((4, 6))):
-        found = search(grid, (0, 0), (0, 0), movement)
-        assert_same(found, truth(grid.tolist(), (0, 0), (0, 0), movement))
-        assert found.path.tolist() == [[0, 0]]
-        assert found.cost == 0
-        assert found.iterations == 1
+        solution = search(grid, (0, 0), (0, 0), movement)
+        assert_same(solution, truth(grid.tolist(), (0, 0), (0, 0), movement))
+        assert solution.path.tolist() == [[0, 0]]
+        assert solution.cost == 0
+        assert solution.iterations == 1
 
 
 def test_movement_defaults_to_four_neighbours() -> None:
@@ -251,10 +251,10 @@ def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
     grid = np.zeros(shape, dtype=np.uint8)
     end = (shape[0] - 1, shape[1] - 1)
     for search in (bfs, astar):
-        found = search(grid, (0, 0), end)
-        assert found.cost == 2**21 - 1
-        assert found.iterations == 2**21
-        assert len(found.path) == 2**21
+        solution = search(grid, (0, 0), end)
+        assert solution.cost == 2**21 - 1
+        assert solution.iterations == 2**21
+        assert len(solution.path) == 2**21
     assert distance_field(grid, (0, 0))[end] == 2**21 - 1
 
 
@@ -264,18 +264,18 @@ def test_a_map_of_4096_cells_a_side(movement: Movement) -> None:
     grid = np.zeros((4096, 4096), dtype=np.uint8)
     grid[1:, 2048] = 1
     start, goal = (4095, 2040), (4095, 2056)
-    found = astar(grid, start, goal, movement)
-    assert found.cost == check_path(grid, found.path, movement)
+    solution = astar(grid, start, goal, movement)
+    assert solution.cost == check_path(grid, solution.path, movement)
     # Up to row 0 and down again, over sixteen columns. The corner rule allows no diagonal moves
     # into the wall's column and out of it.
     diagonal = 0
     if movement.connectivity == 8:
         diagonal = 16 if movement.corner_cutting else 14
     straight = 2 * 4095 + 16 - 2 * diagonal
-    assert found.cost == straight + diagonal * movement.diagonal_cost
+    assert solution.cost == straight + diagonal * movement.diagonal_cost
     if movement == Movement():
-        assert bfs(grid, start, goal).cost == found.cost
-        assert distance_field(grid, goal)[start] == found.cost
+        assert bfs(grid, start, goal).cost == solution.cost
+        assert distance_field(grid, goal)[start] == solution.cost
 
 
 def test_a_path_too_long_for_exact_costs_is_refused() -> None:
@@ -334,10 +334,10 @@ def test_threads_do_not_share_scratch_memory() -> None:
         grid = grids[k % len(grids)]
         last = len(grid) - 1
         if k % 2:
-            found = bfs(grid, (0, 0), (last, last), CUTTING)
+            solution = bfs(grid, (0, 0), (last, last), CUTTING)
         else:
-            found = astar(grid, (0, 0), (last, last), OCTILE)
-        return found.path.tolist(), found.cost, found.iterations
+            solution = astar(grid, (0, 0), (last, last), OCTILE)
+        return solution.path.tolist(), solution.cost, solution.iterations
 
     alone = [solve(k) for k in range(8)]
     together: dict[int, list[object]] = {k: [] for k in range(8)}
@@ -355,18 +355,18 @@ def test_threads_do_not_share_scratch_memory() -> None:
 
 def test_scratch_memory_is_kept_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread keeps what its largest search needed, unless that is above the bound."""
-    monkeypatch.setattr(api, "_kept", api._Kept())
+    monkeypatch.setattr(api, "_thread_scratch", api._ThreadScratch())
     small, large = (np.zeros((side, side), dtype=np.uint8) for side in (64, 300))
-    monkeypatch.setattr(api, "KEPT_BYTES", 10**6)
+    monkeypatch.setattr(api, "MAX_KEPT_BYTES", 10**6)
     astar(small, (0, 0), (9, 9), OCTILE)
-    kept = api._kept.memory
+    kept = api._thread_scratch.memory
     assert 0 < len(kept) <= 10**6
-    found = astar(large, (0, 0), (299, 299), OCTILE)
-    assert found.cost == 299 * 2**0.5
-    assert api._kept.memory is kept
-    monkeypatch.setattr(api, "KEPT_BYTES", 10**8)
+    solution = astar(large, (0, 0), (299, 299), OCTILE)
+    assert solution.cost == 299 * 2**0.5
+    assert api._thread_scratch.memory is kept
+    monkeypatch.setattr(api, "MAX_KEPT_BYTES", 10**8)
     astar(large, (0, 0), (9, 9), OCTILE)
-    assert len(kept) < len(api._kept.memory) <= 10**8
+    assert len(kept) < len(api._thread_scratch.memory) <= 10**8
 
 
 @movements
@@ -375,11 +375,11 @@ def test_scratch_memory_holds_the_most_that_a_search_can_push(
     shape: tuple[int, int], movement: Movement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is kept for calls from Python is as large as what kernels take for themselves."""
-    monkeypatch.setattr(api, "_kept", api._Kept())
-    rule = rule_of(movement)
+    monkeypatch.setattr(api, "_thread_scratch", api._ThreadScratch())
+    rule = move_rule(movement)
     memory = api._scratch_memory(np.zeros(shape, np.uint8), rule)
-    taken = scratch(ASTAR, lattice_of(shape, rule))
-    assert len(memory) == sum(part.nbytes for part in taken)
+    scratch = new_scratch(ASTAR, lattice_of(shape, rule))
+    assert len(memory) == sum(part.nbytes for part in scratch)
 
 
 # --- the path check -----------------------------------------------------------------------------
@@ -394,15 +394,15 @@ def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) ->
     """
     grid, start, goal = problem
     for search in (bfs, astar):
-        found = search(grid, start, goal, movement)
-        if not len(found.path):
+        solution = search(grid, start, goal, movement)
+        if not len(solution.path):
             continue
-        cells = [(int(row), int(column)) for row, column in found.path]
-        cost = check_path(grid, found.path, movement)
+        cells = [(int(row), int(column)) for row, column in solution.path]
+        cost = check_path(grid, solution.path, movement)
         assert cost == reference.path_cost(cells, movement)
         assert type(cost) is float
         if search is astar or movement.connectivity == 4 or movement.diagonal_cost == 1:
-            assert cost == found.cost
+            assert cost == solution.cost
 
 
 @movements
@@ -418,9 +418,9 @@ def test_check_path_agrees_with_the_reference(
     walk = bfs(grid, start, goal, CUTTING).path.tolist() or [start]
     cells = [(row, column) for row, column in walk]
     for _ in range(source.randrange(3)):
-        place = source.randrange(len(cells))
-        row, column = cells[place]
-        cells[place] = (row + source.randint(-1, 1), column + source.randint(-1, 1))
+        position = source.randrange(len(cells))
+        row, column = cells[position]
+        cells[position] = (row + source.randint(-1, 1), column + source.randint(-1, 1))
     bad = reference.first_bad_step(grid.tolist(), cells, movement)
     if bad is None:
         assert check_path(grid, np.array(cells), movement) == reference.path_cost(cells, movement)
@@ -538,27 +538,27 @@ def test_any_array_of_zeros_and_ones_is_a_grid(flavour: str) -> None:
     base[goal] = 0
     grid = FLAVOURS[flavour](base.copy())
     for search in (bfs, astar):
-        found = search(grid, start, goal, OCTILE)
+        solution = search(grid, start, goal, OCTILE)
         expected = search(base, start, goal, OCTILE)
         assert expected.cost > 0
-        np.testing.assert_array_equal(found.path, expected.path)
-        assert found.cost == expected.cost
-        assert found.iterations == expected.iterations
-        assert check_path(grid, found.path, OCTILE) == check_path(base, expected.path, OCTILE)
+        np.testing.assert_array_equal(solution.path, expected.path)
+        assert solution.cost == expected.cost
+        assert solution.iterations == expected.iterations
+        assert check_path(grid, solution.path, OCTILE) == check_path(base, expected.path, OCTILE)
     distances = distance_field(base, start, OCTILE)
     np.testing.assert_array_equal(distance_field(grid, start, OCTILE), distances)
     np.testing.assert_array_equal(np.array(grid), base)
 
 
 @pytest.mark.parametrize(
-    "kind", [list, tuple, np.array, lambda cell: np.array(cell, dtype=np.uint8)]
+    "cell_type", [list, tuple, np.array, lambda cell: np.array(cell, dtype=np.uint8)]
 )
-def test_cells_may_be_any_pair_of_integers(kind: Callable[[Cell], Any]) -> None:
+def test_cells_may_be_any_pair_of_integers(cell_type: Callable[[Cell], Any]) -> None:
     """Lists, tuples and arrays of any integer type are cells."""
     grid = np.zeros((3, 4), dtype=np.uint8)
-    assert bfs(grid, kind((0, 1)), kind((2, 3))).cost == 4.0
-    assert astar(grid, kind((0, 1)), kind((2, 3))).cost == 4.0
-    assert distance_field(grid, kind((0, 1)))[2, 3] == 4.0
+    assert bfs(grid, cell_type((0, 1)), cell_type((2, 3))).cost == 4.0
+    assert astar(grid, cell_type((0, 1)), cell_type((2, 3))).cost == 4.0
+    assert distance_field(grid, cell_type((0, 1)))[2, 3] == 4.0
 
 
 DOORS: dict[str, Callable[[Any], Any]] = {
@@ -619,19 +619,19 @@ def test_a_batch_is_its_problems(search: str, shared: bool, movement: Movement) 
     starts = np.array([source.choice(cells) for cells in not_in_the_corner])
     goals = np.array([source.choice(cells) for cells in not_in_the_corner])
     starts[3] = (0, 0)
-    found = search_batch(search, maps[0] if shared else maps, starts, goals, movement)
-    assert len(found.offsets) == count + 1
-    assert found.offsets[0] == 0
-    assert found.offsets[-1] == len(found.cells)
+    batch = search_batch(search, maps[0] if shared else maps, starts, goals, movement)
+    assert len(batch.offsets) == count + 1
+    assert batch.offsets[0] == 0
+    assert batch.offsets[-1] == len(batch.cells)
     for k in range(count):
         start = tuple(starts[k].tolist())
         goal = tuple(goals[k].tolist())
         expected = truth(grids[k].tolist(), start, goal, movement)
-        path = found.cells[found.offsets[k] : found.offsets[k + 1]]
+        path = batch.cells[batch.offsets[k] : batch.offsets[k + 1]]
         assert [tuple(cell) for cell in path.tolist()] == expected.path
-        assert found.cost[k] == expected.cost
-        assert found.iterations[k] == expected.iterations
-    assert found.cost[3] == -1
+        assert batch.cost[k] == expected.cost
+        assert batch.iterations[k] == expected.iterations
+    assert batch.cost[3] == -1
 
 
 @pytest.mark.parametrize("cell", [(-1, 0), (0, -1), (4, 0), (0, 5), (1, 1)], ids=str)

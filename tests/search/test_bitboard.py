@@ -21,10 +21,14 @@ from hypothesis.extra import numpy as numpy_arrays
 from mapdata import MapSpec, Movement, generate, label
 from mapdata.arrays import Bytes
 from mapdata.generators import pack
-from mapdata.search import lattice_of, rule_of
-from mapdata.search.bitboard import board_of, count_bits, is_direct, search_around
-from mapdata.search.kernels import scratch
-from mapdata.search.lattice import ASTAR
+from mapdata.search.bitboard import (
+    build_board,
+    count_bits,
+    has_direct_path,
+    write_optimal_moves,
+)
+from mapdata.search.kernels import new_scratch
+from mapdata.search.lattice import ASTAR, lattice_of, move_rule
 
 WORDS = [(7, 63), (7, 64), (7, 65), (6, 127), (6, 128), (6, 129), (5, 200), (200, 5), (66, 66)]
 """Rows of one word and of several, that they fill and that they do not."""
@@ -37,8 +41,8 @@ def test_bits_are_counted() -> None:
     words += [source.getrandbits(64) for _ in range(100)]
     expected = [bin(word).count("1") for word in words]
     array = np.array(words, np.uint64)
-    found = [count_bits(array, k, k + 1) for k in range(len(words))]
-    assert found == expected
+    counts = [count_bits(array, k, k + 1) for k in range(len(words))]
+    assert counts == expected
     assert count_bits(array, 1, len(words)) == sum(expected[1:])
     assert count_bits(array, 3, 9) == sum(expected[3:9])
 
@@ -54,9 +58,9 @@ def test_one_column_of_wall_more_changes_no_label() -> None:
     by_bits = label(maps).bfs
     by_cells = label(wider).bfs
     for name in ("moves", "offsets", "iterations", "costs"):
-        found = getattr(by_bits, name)
+        actual = getattr(by_bits, name)
         expected = getattr(by_cells, name)
-        np.testing.assert_array_equal(found, expected, err_msg=name)
+        np.testing.assert_array_equal(actual, expected, err_msg=name)
 
 
 def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement) -> None:
@@ -64,13 +68,13 @@ def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement)
     bits, and with costs, when they are not.
     """
     expected = reference.reference_moves(grid.tolist(), goal, movement)
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    for costs_too in (False, True):
-        buffers = scratch(ASTAR, lattice)
-        search_around(grid, *goal, costs_too, lattice, buffers)
-        with_border = buffers.came.reshape(-1, lattice.stride)
-        found = with_border[1:-1, 1:-1]
-        np.testing.assert_array_equal(found, expected)
+    lattice = lattice_of(grid.shape, move_rule(movement))
+    for needs_costs in (False, True):
+        scratch = new_scratch(ASTAR, lattice)
+        write_optimal_moves(grid, *goal, needs_costs, lattice, scratch)
+        with_border = scratch.came_from.reshape(-1, lattice.stride)
+        moves = with_border[1:-1, 1:-1]
+        np.testing.assert_array_equal(moves, expected)
 
 
 def scattered(
@@ -131,23 +135,23 @@ def test_long_corridors(shape: tuple[int, int], movement: Movement) -> None:
 
 def direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
     """Return the cells from which a search finds a direct path, one as on an empty map."""
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    words = board_of(grid).free
-    found = set()
+    lattice = lattice_of(grid.shape, move_rule(movement))
+    words = build_board(grid).free
+    cells = set()
     for row, column in np.argwhere(grid == 0).tolist():
-        if is_direct((row, column), goal, lattice, words):
-            found.add((row, column))
-    return found
+        if has_direct_path((row, column), goal, lattice, words):
+            cells.add((row, column))
+    return cells
 
 
 def truly_direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
     """Return the cells whose exact cost to the goal, by Dijkstra, is that on an empty map."""
-    found = set()
+    cells = set()
     for cell, cost in reference.reference_distances(grid.tolist(), goal, movement).items():
         on_an_empty_map = reference.heuristic(cell, goal, movement)
         if reference.weigh(cost, movement) == reference.weigh(on_an_empty_map, movement):
-            found.add(cell)
-    return found
+            cells.add(cell)
+    return cells
 
 
 @given(
@@ -166,8 +170,8 @@ def test_easy_problems_are_known_without_a_search(
     free = np.argwhere(grid == 0).tolist()
     assume(len(free))
     row, column = data.draw(st.sampled_from(free))
-    found = direct_cells(grid, (row, column), movement)
-    assert found == truly_direct_cells(grid, (row, column), movement)
+    direct = direct_cells(grid, (row, column), movement)
+    assert direct == truly_direct_cells(grid, (row, column), movement)
 
 
 @given(
@@ -188,6 +192,6 @@ def test_direct_paths_are_paths_under_other_rules(grid: Bytes, movement: Movemen
     """
     for row, column in np.argwhere(grid == 0).tolist():
         goal = (row, column)
-        found = direct_cells(grid, goal, movement)
-        assert found <= truly_direct_cells(grid, goal, movement)
-        assert found >= truly_direct_cells(grid, goal, Movement(8))
+        direct = direct_cells(grid, goal, movement)
+        assert direct <= truly_direct_cells(grid, goal, movement)
+        assert direct >= truly_direct_cells(grid, goal, Movement(8))

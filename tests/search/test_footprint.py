@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
 from mapdata import MapGenerator, clearance, generate, inflate
-from mapdata.search.footprint import least_squared
+from mapdata.search.footprint import min_squared_clearance
 
 Grid = npt.NDArray[np.uint8]
 
@@ -54,8 +54,8 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
 @given(GRIDS, st.fractions(0, 6, max_denominator=20))
 def test_a_disc_may_touch_and_not_overlap(grid: Grid, radius: Fraction) -> None:
     """Compared exactly, as fractions: occupied where the squared clearance is below (2 r)^2."""
-    least = math.ceil((2 * radius) ** 2)
-    inside = squared_half_cells(grid) < least
+    min_squared = math.ceil((2 * radius) ** 2)
+    inside = squared_half_cells(grid) < min_squared
     np.testing.assert_array_equal(inflate(grid, float(radius)), (inside | (grid == 1)).astype(int))
 
 
@@ -77,11 +77,11 @@ def test_a_radius_that_was_a_float32_counts_as_meant(resolution: float) -> None:
     hall = np.zeros((1, 200), np.uint8)
     for half_cells in range(1, 200):
         radius = half_cells / 2 * resolution
-        exact = least_squared(half_cells / 2)
+        exact = min_squared_clearance(half_cells / 2)
         assert exact == half_cells**2
-        assert least_squared(radius, resolution) == exact
-        assert least_squared(float(np.float32(radius)), resolution) == exact
-        assert least_squared(half_cells / 2 * 1.001) > exact
+        assert min_squared_clearance(radius, resolution) == exact
+        assert min_squared_clearance(float(np.float32(radius)), resolution) == exact
+        assert min_squared_clearance(half_cells / 2 * 1.001) > exact
     assert inflate(hall, 0.5).sum() == 0
     assert inflate(hall, 0.501).all()
 
@@ -89,8 +89,8 @@ def test_a_radius_that_was_a_float32_counts_as_meant(resolution: float) -> None:
 def test_inflating_leaves_the_grid_alone() -> None:
     """Radius 0 is a copy; lists, bools and floats are grids, too."""
     grid = np.array([[0, 1, 0]], np.uint8)
-    same = inflate(grid, 0)
-    same[:] = 7
+    unchanged = inflate(grid, 0)
+    unchanged[:] = 7
     assert grid.tolist() == [[0, 1, 0]]
     assert inflate([[False, True]], 0.5).tolist() == [[0, 1]]
     assert clearance(np.zeros((1, 1), np.float32)).tolist() == [[0.5]]
@@ -110,7 +110,7 @@ def test_long_grids_are_exact() -> None:
 def test_a_radius_of_too_many_cells_is_named(resolution: float) -> None:
     """In cells it is as large as the resolution is small."""
     with pytest.raises(ValueError, match=r"radius: got 1, .*below 1,000,000 cells"):
-        least_squared(1, resolution)
+        min_squared_clearance(1, resolution)
 
 
 @pytest.mark.parametrize("radius", [-1, math.nan, math.inf, 1e6, 1e200, "wide", True, None])

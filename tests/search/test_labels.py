@@ -16,10 +16,9 @@ from scipy import ndimage
 
 from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.movement import Movement
-from mapdata.search import cell_at, lattice_of, load, rule_of
-from mapdata.search.kernels import scratch
+from mapdata.search.kernels import new_scratch
 from mapdata.search.labels import _fill_costs
-from mapdata.search.lattice import ASTAR
+from mapdata.search.lattice import ASTAR, cell_at, lattice_of, load, move_rule
 
 SEARCHES: dict[str, reference.Search] = {
     "bfs": reference.reference_bfs,
@@ -41,62 +40,60 @@ SPECS = {
 PRESETS = {"paper": 16, "narrow": 16, "dungeon": 6, "dungeon128": 1}
 
 
-def seed_points_of(maps: Maps, place: int) -> list[reference.Cell]:
+def seed_points_of(maps: Maps, i: int) -> list[reference.Cell]:
     """Return the seed points of the batch's map at this place."""
-    return [(int(row), int(column)) for row, column in maps.seed_points[place, : maps.rooms[place]]]
+    return [(int(row), int(column)) for row, column in maps.seed_points[i, : maps.rooms[i]]]
 
 
 def assert_route(
-    maps: Maps, labels: Labels, search: str, place: int
+    maps: Maps, labels: Labels, search: str, i: int
 ) -> list[reference.ReferenceResult]:
     """Compare one planner's segments and iterations on one map, and return the reference's."""
-    grid, seed_points = maps.occupancy[place].tolist(), seed_points_of(maps, place)
+    grid, seed_points = maps.occupancy[i].tolist(), seed_points_of(maps, i)
     route = reference.reference_route(SEARCHES[search], grid, seed_points, maps.movement)
-    segments = labels.route(search, place)
+    segments = labels.route(search, i)
     assert len(segments) == len(route)
     for q, expected in enumerate(route):
-        segment = labels.segment(search, place, q)
+        segment = labels.segment(search, i, q)
         np.testing.assert_array_equal(segments[q], segment)
         assert segment.dtype == np.int64
         assert segment.shape == (len(expected.path), 2)
         assert [tuple(cell) for cell in segment.tolist()] == expected.path
     iterations = [expected.iterations for expected in route]
-    first, last = maps.segment_offsets[place : place + 2]
-    assert labels.iterations(search, place).tolist() == iterations
-    assert labels.of(search).iterations[first:last].tolist() == iterations
+    first, last = maps.segment_offsets[i : i + 2]
+    assert labels.iterations(search, i).tolist() == iterations
+    assert labels.by_search(search).iterations[first:last].tolist() == iterations
     return route
 
 
-def assert_equals_reference(maps: Maps, labels: Labels, place: int, every_pair: bool) -> None:
+def assert_equals_reference(maps: Maps, labels: Labels, i: int, every_pair: bool) -> None:
     """Compare all labels of one map; every_pair searches each matrix entry, scipy fills the large
     ones faster.
     """
     grid, seed_points, movement = (
-        maps.occupancy[place].tolist(),
-        seed_points_of(maps, place),
+        maps.occupancy[i].tolist(),
+        seed_points_of(maps, i),
         maps.movement,
     )
-    route = assert_route(maps, labels, "astar", place)
-    assert_route(maps, labels, "bfs", place)
+    route = assert_route(maps, labels, "astar", i)
+    assert_route(maps, labels, "bfs", i)
     if every_pair:
         costs = reference.reference_matrix(reference.reference_astar, grid, seed_points, movement)
         moves = reference.reference_matrix(reference.reference_bfs, grid, seed_points, movement)
     else:
         rows, columns = np.array(seed_points).T
-        costs = moves = scipy_distances(maps.occupancy[place], seed_points, movement)[
-            :, rows, columns
-        ]
+        costs = moves = scipy_distances(maps.occupancy[i], seed_points, movement)[:, rows, columns]
         if movement.connectivity == 8:
             hops = replace(movement, diagonal_cost=1)
-            moves = scipy_distances(maps.occupancy[place], seed_points, hops)[:, rows, columns]
+            moves = scipy_distances(maps.occupancy[i], seed_points, hops)[:, rows, columns]
     for search, expected in (("astar", costs), ("bfs", moves)):
-        assert labels.matrix(search, place).dtype == np.float64
+        assert labels.matrix(search, i).dtype == np.float64
         np.testing.assert_allclose(
-            labels.matrix(search, place), expected, rtol=0 if every_pair else 1e-12
+            labels.matrix(search, i), expected, rtol=0 if every_pair else 1e-12
         )
-    first, last = maps.segment_offsets[place : place + 2]
+    first, last = maps.segment_offsets[i : i + 2]
     assert labels.reachable[first:last].tolist() == [bool(expected.path) for expected in route]
-    assert labels.all_connected[place] == (costs >= 0).all()
+    assert labels.all_connected[i] == (costs >= 0).all()
 
 
 # --- equal to the reference ---------------------------------------------------------------------
@@ -110,8 +107,8 @@ def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
     """
     maps = generate(replace(SPECS[name], movement=movement), 6, range(20))
     labels = label(maps)
-    for place in range(20):
-        assert_equals_reference(maps, labels, place, every_pair=True)
+    for i in range(20):
+        assert_equals_reference(maps, labels, i, every_pair=True)
 
 
 @movements
@@ -120,8 +117,8 @@ def test_presets_equal_the_reference(name: str, movement: Movement) -> None:
     """Everything that `label` gives, for maps of all presets."""
     maps = generate(replace(MapSpec.preset(name), movement=movement), 1, range(PRESETS[name]))
     labels = label(maps)
-    for place in range(PRESETS[name]):
-        assert_equals_reference(maps, labels, place, every_pair=False)
+    for i in range(PRESETS[name]):
+        assert_equals_reference(maps, labels, i, every_pair=False)
 
 
 def test_the_kinds_of_map_are_what_they_are_for() -> None:
@@ -129,7 +126,7 @@ def test_the_kinds_of_map_are_what_they_are_for() -> None:
     above.
     """
     line = generate(SPECS["line"], 6, range(20))
-    coinciding = [len(set(seed_points_of(line, place))) < line.rooms[place] for place in range(20)]
+    coinciding = [len(set(seed_points_of(line, i))) < line.rooms[i] for i in range(20)]
     assert sum(coinciding) > 10
     islands = label(generate(SPECS["islands"], 6, range(20)))
     assert 0.2 < islands.reachable.mean() < 0.8
@@ -148,14 +145,14 @@ def test_four_connected_matrices(spec: MapSpec) -> None:
     """
     maps = generate(spec, 21, range(200))
     labels = label(maps)
-    for place in range(200):
-        matrix = labels.matrix("bfs", place)
-        np.testing.assert_array_equal(matrix, labels.matrix("astar", place))
+    for i in range(200):
+        matrix = labels.matrix("bfs", i)
+        np.testing.assert_array_equal(matrix, labels.matrix("astar", i))
         np.testing.assert_array_equal(matrix, matrix.T)
-        assert matrix.shape == (maps.rooms[place], maps.rooms[place])
+        assert matrix.shape == (maps.rooms[i], maps.rooms[i])
         assert not matrix.diagonal().any()
         for search in SEARCHES:
-            lengths = [len(segment) for segment in labels.route(search, place)]
+            lengths = [len(segment) for segment in labels.route(search, i)]
             assert matrix.diagonal(1).tolist() == [length - 1 for length in lengths]
 
 
@@ -170,18 +167,18 @@ def test_no_connection_exactly_where_components_differ(name: str, movement: Move
     labels = label(maps)
     structure = ndimage.generate_binary_structure(2, 2 if movement.corner_cutting else 1)
     apart = 0
-    for place in range(200):
-        components, _ = ndimage.label(maps.occupancy[place] == 0, structure=structure)
-        rows, columns = np.array(seed_points_of(maps, place)).T
+    for i in range(200):
+        components, _ = ndimage.label(maps.occupancy[i] == 0, structure=structure)
+        rows, columns = np.array(seed_points_of(maps, i)).T
         of_seed = components[rows, columns]
         together = of_seed[:, None] == of_seed[None, :]
         for search in SEARCHES:
-            matrix = labels.matrix(search, place)
+            matrix = labels.matrix(search, i)
             np.testing.assert_array_equal(matrix != -1, together)
             assert (matrix[together] >= 0).all()
-        first, last = maps.segment_offsets[place : place + 2]
+        first, last = maps.segment_offsets[i : i + 2]
         np.testing.assert_array_equal(labels.reachable[first:last], together.diagonal(1))
-        assert labels.all_connected[place] == together.all()
+        assert labels.all_connected[i] == together.all()
         apart += not together.all()
     assert 0 < apart < 200
 
@@ -197,8 +194,8 @@ def test_shapes_and_types(movement: Movement) -> None:
         assert (labels.reachable.shape, labels.all_connected.shape) == ((segments,), (count,))
         assert labels.reachable.dtype == labels.all_connected.dtype == np.bool_
         for search in SEARCHES:
-            assert labels.of(search).iterations.dtype == np.int64
-            assert labels.of(search).iterations.shape == (segments,)
+            assert labels.by_search(search).iterations.dtype == np.int64
+            assert labels.by_search(search).iterations.shape == (segments,)
 
 
 @movements
@@ -206,17 +203,17 @@ def test_labels_do_not_depend_on_the_batch(movement: Movement) -> None:
     """A map alone, last or first in its batch, has the same labels."""
     spec = replace(MapSpec.preset("narrow"), movement=movement)
     together = label(generate(spec, 3, range(6)))
-    for place in range(6):
-        alone = label(generate(spec, 3, [place]))
+    for i in range(6):
+        alone = label(generate(spec, 3, [i]))
         for search in SEARCHES:
-            np.testing.assert_array_equal(alone.matrix(search, 0), together.matrix(search, place))
+            np.testing.assert_array_equal(alone.matrix(search, 0), together.matrix(search, i))
             np.testing.assert_array_equal(
-                alone.iterations(search, 0), together.iterations(search, place)
+                alone.iterations(search, 0), together.iterations(search, i)
             )
-            for one, other in zip(
-                alone.route(search, 0), together.route(search, place), strict=True
+            for segment_alone, segment_together in zip(
+                alone.route(search, 0), together.route(search, i), strict=True
             ):
-                np.testing.assert_array_equal(one, other)
+                np.testing.assert_array_equal(segment_alone, segment_together)
 
 
 def test_another_maps_labels_are_never_given() -> None:
@@ -260,12 +257,12 @@ def test_costs_without_a_path_take_the_place_of_what_memory_held() -> None:
     """(-1, 0), since the content hash covers both numbers."""
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 4] = 1
-    lattice = lattice_of(grid.shape, rule_of(Movement(8)))
-    buffers = scratch(ASTAR, lattice)
-    assert load(grid, buffers.came)
+    lattice = lattice_of(grid.shape, move_rule(Movement(8)))
+    scratch = new_scratch(ASTAR, lattice)
+    assert load(grid, scratch.came_from)
     ends = np.array([cell_at(2, column, lattice) for column in (2, 6, 7)])
     costs = np.full((3, 2), 7)
-    _fill_costs(np.array([cell_at(2, 0, lattice)]), ends, lattice, buffers, costs)
+    _fill_costs(np.array([cell_at(2, 0, lattice)]), ends, lattice, scratch, costs)
     assert costs.tolist() == [[2, 0], [-1, 0], [-1, 0]]
 
 

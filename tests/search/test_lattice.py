@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from helpers import reference
 
-from mapdata.movement import Movement
-from mapdata.search import (
-    STEPS,
+from mapdata.movement import STEPS, Movement
+from mapdata.search.lattice import (
+    DIAGONAL,
+    MAX_PATH_COST,
+    UNIT,
     WALL,
     cell_at,
+    count_path_cells,
     hardness,
     heuristic,
     heuristics,
@@ -22,10 +25,9 @@ from mapdata.search import (
     is_legal,
     lattice_of,
     load,
+    move_rule,
     position,
-    rule_of,
 )
-from mapdata.search.lattice import DIAGONAL, LONGEST, UNIT
 
 MOVEMENTS = [
     pytest.param(Movement(), id="4"),
@@ -39,7 +41,7 @@ MOVEMENTS = [
 def test_a_movement_of_another_type_is_refused() -> None:
     """Such as the number of its neighbours."""
     with pytest.raises(ValueError, match="movement: got 8, expected a Movement"):
-        rule_of(8)  # type: ignore[arg-type]
+        move_rule(8)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
@@ -48,15 +50,15 @@ def test_legal_moves_equal_the_reference(movement: Movement) -> None:
     is asked for.
     """
     grid = (np.random.default_rng(1).random((9, 13)) < 0.4).astype(np.uint8)
-    lattice = lattice_of(grid.shape, rule_of(movement))
-    came = np.full(lattice.cells, WALL)
-    assert load(grid, came)
+    lattice = lattice_of(grid.shape, move_rule(movement))
+    came_from = np.full(lattice.cells, WALL)
+    assert load(grid, came_from)
     assert len(lattice.offsets) == movement.connectivity
     for row, column in np.argwhere(grid == 0).tolist():
         cell = cell_at(row, column, lattice)
         assert position(cell, lattice) == (row, column)
         legal = [
-            move for move in range(len(lattice.offsets)) if is_legal(came, cell, move, lattice)
+            move for move in range(len(lattice.offsets)) if is_legal(came_from, cell, move, lattice)
         ]
         expected = [
             cell for cell, _ in reference.neighbours(grid.tolist(), (row, column), movement)
@@ -69,14 +71,14 @@ def test_legal_moves_equal_the_reference(movement: Movement) -> None:
 def test_the_heuristic_equals_the_reference(movement: Movement) -> None:
     """In fixed point and as floats, of one pair of cells and of arrays."""
     ends = np.random.default_rng(2).integers(0, 1000, (2, 5, 7, 2))
-    lattice = lattice_of((1000, 1000), rule_of(movement))
-    found = heuristics(ends[0], ends[1], movement)
-    assert found.shape == (5, 7)
+    lattice = lattice_of((1000, 1000), move_rule(movement))
+    costs = heuristics(ends[0], ends[1], movement)
+    assert costs.shape == (5, 7)
     for at in np.ndindex(5, 7):
         pair = reference.heuristic(tuple(ends[0][at]), tuple(ends[1][at]), movement)
         rows, columns = (ends[0][at] - ends[1][at]).tolist()
-        assert found[at] == reference.as_float(pair, movement)
-        assert in_cells(heuristic(rows, columns, lattice)) == found[at]
+        assert costs[at] == reference.as_float(pair, movement)
+        assert in_cells(heuristic(rows, columns, lattice)) == costs[at]
 
 
 def test_hardness() -> None:
@@ -86,11 +88,18 @@ def test_hardness() -> None:
     movement = Movement(8)
     goals = np.array([[k, k // 3] for k in range(300)])
     starts = np.zeros_like(goals)
-    least = heuristics(starts, goals, movement)
-    assert least[0] == 0
-    assert (hardness(least, starts, goals, movement) == 1).all()
-    assert (hardness(2 * least, starts, goals, movement)[1:] == 2).all()
+    lower_bounds = heuristics(starts, goals, movement)
+    assert lower_bounds[0] == 0
+    assert (hardness(lower_bounds, starts, goals, movement) == 1).all()
+    assert (hardness(2 * lower_bounds, starts, goals, movement)[1:] == 2).all()
     assert (hardness(-np.ones(300), starts, goals, movement) == -1).all()
+
+
+def test_a_path_has_one_cell_more_than_moves() -> None:
+    """A missing path, which kernels report as -1 straight moves, has no cells."""
+    assert count_path_cells(0, 0) == 1
+    assert count_path_cells(3, 2) == 6
+    assert count_path_cells(-1, 0) == 0
 
 
 def test_the_order_of_moves() -> None:
@@ -101,9 +110,9 @@ def test_the_order_of_moves() -> None:
 def test_costs_order_paths_exactly() -> None:
     """Of any two paths below the bound, the closest ones included, the shorter one costs less."""
     draw = Random(0)
-    pairs = [(draw.randrange(LONGEST), draw.randrange(LONGEST)) for _ in range(2000)]
+    pairs = [(draw.randrange(MAX_PATH_COST), draw.randrange(MAX_PATH_COST)) for _ in range(2000)]
     straight, diagonal = 1, 1
-    while straight < LONGEST:  # the convergents of the root of 2: where two paths are closest
+    while straight < MAX_PATH_COST:  # the convergents of the root of 2: where two paths are closest
         pairs.append((straight, diagonal))
         straight, diagonal = straight + 2 * diagonal, straight + diagonal
     with localcontext() as context:
@@ -120,6 +129,6 @@ def test_costs_order_all_paths_exactly() -> None:
     the same whole numbers as it does in fixed point, so that no difference in straight moves turns
     the other way.
     """
-    for diagonal in range(1, isqrt(LONGEST * LONGEST // 2) + 1):
+    for diagonal in range(1, isqrt(MAX_PATH_COST * MAX_PATH_COST // 2) + 1):
         below = isqrt(2 * diagonal * diagonal)
         assert below * UNIT < diagonal * DIAGONAL < (below + 1) * UNIT

@@ -46,13 +46,20 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.generators import Recipe, as_recipe
 from mapdata.movement import Movement
-from mapdata.shards import MANIFEST, Manifest, Recipe, builder, content_hash, read_manifest
-from mapdata.shards.builder import headers, make_shard
+from mapdata.shards import MANIFEST, Manifest, builder, content_hash, read_manifest
+from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.merging import merge
 
 OTHER = replace(SPEC, skip_probability=0.2)
-KNOWN: dict[str, Any] = {"spec": SPEC, "maps": MAPS, "seed": SEED, "shard_size": SIZE, "workers": 1}
+KNOWN: dict[str, Any] = {
+    "recipe": SPEC,
+    "maps": MAPS,
+    "seed": SEED,
+    "shard_size": SIZE,
+    "workers": 1,
+}
 """The arguments of the dataset of these tests."""
 
 SLOW = pytest.mark.skipif(
@@ -211,10 +218,10 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
     """Shards that others made, in random order and twice, are adopted and not made again."""
     planned = Manifest(SPEC, SEED, SPEC.map_size, SPEC.movement, SPEC.resolution, MAPS, 2)
     root.mkdir()
-    todo = [*headers(planned)] * 2
+    todo = [*planned_headers(planned)] * 2
     Random(seed).shuffle(todo)
     for header in todo:
-        make_shard(root, header)
+        build_shard(root, header)
     before = stamps(root)
     assert make(root, shard_size=2).content_hash == truth
     assert stamps(root) == before
@@ -228,14 +235,14 @@ def test_the_bar_moves_within_a_shard(
     """Labels of pieces, joined, are those of all maps at once."""
     monkeypatch.setattr("mapdata.search.labels._CELLS_AT_ONCE", 1)
     root.mkdir()
-    (header,) = headers(
+    (header,) = planned_headers(
         Manifest(spec, SEED, spec.map_size, spec.movement, spec.resolution, 30, 100)
     )
     moved: list[int] = []
-    entry = make_shard(root, header, advance=moved.append)
+    entry = build_shard(root, header, advance=moved.append)
     assert moved == [8, 8, 8, 6]
     assert entry.content_hash == content_hash(label(generate(spec, SEED, range(30))))
-    assert make_shard(root, header, advance=moved.append) == entry
+    assert build_shard(root, header, advance=moved.append) == entry
     assert moved[4:] == [30]
 
 
@@ -466,10 +473,10 @@ def test_extending_removes_the_partial_shard(root: Path) -> None:
 @pytest.mark.parametrize(
     ("says", "arguments"),
     [
-        (["skip_probability 0.3, asked for skip_probability 0.2"], {"spec": OTHER}),
+        (["skip_probability 0.3, asked for skip_probability 0.2"], {"recipe": OTHER}),
         (
             ["generator rooms, asked for generator maze"],
-            {"spec": Maze(SPEC.map_size)},
+            {"recipe": Maze(SPEC.map_size)},
         ),
         (["seed", "5", "6"], {"seed": 6}),
         (["shard_size", "4", "5"], {"shard_size": 5}),
@@ -609,9 +616,9 @@ def test_what_is_there_is_checked_with_a_bar(
 @pytest.mark.parametrize(
     ("culprit", "arguments"),
     [
-        ("spec", {"spec": "paper"}),
+        ("recipe", {"recipe": "papers"}),
         ("maps", {"maps": 10_000_000, "shard_size": 1, "part": (3, 1000)}),
-        ("spec", {"spec": {"rooms": (2, 3)}}),
+        ("recipe", {"recipe": {"rooms": (2, 3)}}),
         ("maps", {"maps": 0}),
         ("maps", {"maps": -5}),
         ("maps", {"maps": 1.5}),
@@ -635,9 +642,9 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("papers", "is no preset"),
+        ("papers", "recipe: got 'papers', expected a preset (paper, narrow,"),
         ("{", "not JSON"),
-        ("[]", "is no preset"),
+        ("[]", "recipe: got '[]', expected a preset"),
         ('{"maps": 5, "rooms": [2, 3]}', "recipe: got 'rooms', expected one of content_hash"),
         ('{"maps": 0}', "maps: got 0"),
         ('{"maps": "many"}', "maps: got 'many'"),
@@ -651,18 +658,18 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
 def test_bad_recipes_are_named(text: str, says: str) -> None:
     """A recipe that cannot be followed says why."""
     with pytest.raises(ValueError, match=re.escape(says)):
-        Recipe.load(text)
+        as_recipe(text)
 
 
 def test_recipes_come_from_presets_files_and_text(tmp_path: Path) -> None:
     """A preset's name, a file, or the JSON itself; what is left out takes its default."""
     text = json.dumps({"spec": SPEC.to_dict(), "seed": 5, "maps": 11})
     (tmp_path / "recipe.json").write_text(text, encoding="utf-8")
-    assert Recipe.load("narrow") == Recipe(MapSpec.preset("narrow"))
-    assert Recipe.load("{}") == Recipe.load({}) == Recipe(MapSpec())
-    assert Recipe.load(json.loads(text)) == Recipe.load(text)
-    assert Recipe.load(MappingProxyType(json.loads(text))) == Recipe.load(text)
-    assert Recipe.load(text) == Recipe.load(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
+    assert as_recipe("narrow") == Recipe(MapSpec.preset("narrow"))
+    assert as_recipe("{}") == as_recipe({}) == Recipe(MapSpec())
+    assert as_recipe(json.loads(text)) == as_recipe(text)
+    assert as_recipe(MappingProxyType(json.loads(text))) == as_recipe(text)
+    assert as_recipe(text) == as_recipe(str(tmp_path / "recipe.json")) == Recipe(SPEC, 5, 11)
 
 
 # --- crashes ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from helpers.builds import SPEC
 
 from mapdata import build, verify
 from mapdata.shards import read_manifest
-from mapdata.shards.cluster import executor_of
+from mapdata.shards.cluster import dask_executor
 
 MAPS = 400
 SHARD = 5
@@ -25,8 +25,7 @@ from importlib import import_module
 from dask import config
 from distributed import Client, LocalCluster
 from mapdata import build
-from mapdata.shards import Recipe
-from mapdata.shards.cluster import executor_of
+from mapdata.shards.cluster import dask_executor
 
 def located(function, *arguments):
     return os.getpid(), function(*arguments)
@@ -59,14 +58,14 @@ class Watching(Executor):  # kills a worker when so many shards are finished; ha
         future.set_result(entry)
 
 if __name__ == "__main__":
-    recipe = Recipe.load(sys.argv[2])
+    recipe = as_recipe(sys.argv[2])
     config.set({"distributed.scheduler.allowed-failures": 100})
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, protocol="tcp", dashboard_address=None,
         silence_logs=logging.CRITICAL,
     ) as cluster:
         assert cluster.scheduler_address.startswith("tcp://")
-        with executor_of(cluster.scheduler_address) as inner:
+        with dask_executor(cluster.scheduler_address) as inner:
             executor = Watching(inner, cluster)
             build(sys.argv[1], recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=5, executor=executor)
             assert len(executor.places) == 80
@@ -128,12 +127,12 @@ def test_schedulers_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is named: no address, Dask not installed."""
     with (
         pytest.raises(ValueError, match="got 'dask', expected tcp://HOST:PORT"),
-        executor_of("dask"),
+        dask_executor("dask"),
     ):
         pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(ValueError, match="pip install distributed"),
-        executor_of("tcp://127.0.0.1:1"),
+        dask_executor("tcp://127.0.0.1:1"),
     ):
         pass

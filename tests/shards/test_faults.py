@@ -33,14 +33,14 @@ from dataclasses import replace
 from pathlib import Path
 from mapdata import MapSpec, build, generate, label, verify
 from mapdata.shards import Manifest, read_manifest
-from mapdata.shards.builder import headers
+from mapdata.shards.builder import planned_headers
 from mapdata.shards.merging import load_shard
 from mapdata.shards.image import shard_image
 
 spec, root = MapSpec.from_json({SPEC.to_json()!r}), Path(sys.argv[1])
 maps, size = 30, 2
 planned = Manifest(spec, 5, spec.map_size, spec.movement, spec.resolution, maps, size)
-for header in headers(replace(planned, maps=1)):
+for header in planned_headers(replace(planned, maps=1)):
     shard_image(label(generate(spec, 5, [0])), header)  # load the kernels
 
 def child(place, before=lambda: None, maps=maps, workers=2, part=(0, 1)):
@@ -120,8 +120,8 @@ def killed(place, last, count):  # whether the builder was killed, and not finis
 def sound(place):  # what stands under a final name is complete
     for path in place.glob("maps-*.h5"):
         start, stop = map(int, path.stem.split("-")[1:])
-        (header,) = headers(replace(planned, maps=stop, shard_size=stop - start)) if start == 0 else (
-            header for header in headers(replace(planned, maps=stop)) if header.start == start)
+        (header,) = planned_headers(replace(planned, maps=stop, shard_size=stop - start)) if start == 0 else (
+            header for header in planned_headers(replace(planned, maps=stop)) if header.start == start)
         assert load_shard(place, header) is not None, f"{path.name} is torn"
     if (place / "manifest.json").exists():
         manifest = read_manifest(place)
@@ -164,7 +164,7 @@ for number in range(int(sys.argv[3])):
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
     before = stamps(place)
-    for header in headers(planned):
+    for header in planned_headers(planned):
         name = header.file_name
         assert (name in before) == (load_shard(place, header) is not None), f"{name} is torn"
     done(child(place))
@@ -530,12 +530,12 @@ def resident():  # kB
 class Seen(list):
     pass
 
-seen, make = Seen(), module._made
+seen, make = Seen(), module._built_entries
 def made(*arguments):
     for entry in make(*arguments):
         seen.append(resident())
         yield entry
-module._made = made
+module._built_entries = made
 module.build(Path(sys.argv[1]), MapSpec(), maps=30_000, shard_size=500, workers=2)
 print(*seen)
 """

@@ -153,13 +153,13 @@ def move_at(codes: Array, k: int, bits: int) -> int:
     return (octet >> (k * bits % 8)) & ((1 << bits) - 1)
 
 
-def path_of(one: Map, search: str, q: int) -> list[list[int]]:
+def path_of(stored_map: Map, search: str, q: int) -> list[list[int]]:
     """Return the cells of segment q."""
-    if one.planners["astar"].straight[pair_of(one, q)] == -1:
+    if stored_map.planners["astar"].straight[pair_of(stored_map, q)] == -1:
         return []
-    row, column = one.seed_points[q]
+    row, column = stored_map.seed_points[q]
     cells = [[row, column]]
-    for move in one.planners[search].moves[q]:
+    for move in stored_map.planners[search].moves[q]:
         down, right = STEPS[move]
         row += down
         column += right
@@ -167,53 +167,55 @@ def path_of(one: Map, search: str, q: int) -> list[list[int]]:
     return cells
 
 
-def pair_of(one: Map, q: int) -> int:
+def pair_of(stored_map: Map, q: int) -> int:
     """Return the place of the pair (q, q + 1) among the pairs i < j in row-major order."""
-    pairs = list(combinations(range(len(one.seed_points)), 2))
+    pairs = list(combinations(range(len(stored_map.seed_points)), 2))
     return pairs.index((q, q + 1))
 
 
-def matrix_of(one: Map, search: str, diagonal_cost: float) -> Array:
+def matrix_of(stored_map: Map, search: str, diagonal_cost: float) -> Array:
     """Return the connection matrix."""
-    found = one.planners[search]
-    n = len(one.seed_points)
+    search_labels = stored_map.planners[search]
+    n = len(stored_map.seed_points)
     matrix = np.zeros((n, n))
     for pair, (i, j) in enumerate(combinations(range(n), 2)):
-        cost = found.straight[pair] + found.diagonal[pair] * diagonal_cost
-        if found.straight[pair] == -1:
+        cost = search_labels.straight[pair] + search_labels.diagonal[pair] * diagonal_cost
+        if search_labels.straight[pair] == -1:
             cost = -1
         matrix[i, j] = cost
         matrix[j, i] = cost
     return matrix
 
 
-def record_of(one: Map) -> bytes:
+def record_of(stored_map: Map) -> bytes:
     """Return the record that the content hash is taken of."""
-    height, width = one.occupancy.shape
+    height, width = stored_map.occupancy.shape
     words = [
         height,
         width,
-        one.number % 2**32,
-        one.number // 2**32,
-        one.split,
-        one.passage_width,
-        len(one.seed_points),
+        stored_map.number % 2**32,
+        stored_map.number // 2**32,
+        stored_map.split,
+        stored_map.passage_width,
+        len(stored_map.seed_points),
     ]
-    words += np.ravel([*one.seed_points, *one.sizes, *one.directions]).tolist()
-    for search in (one.planners["bfs"], one.planners["astar"]):
+    words += np.ravel([*stored_map.seed_points, *stored_map.sizes, *stored_map.directions]).tolist()
+    for search in (stored_map.planners["bfs"], stored_map.planners["astar"]):
         for moves, iterations in zip(search.moves, search.iterations, strict=True):
             words += [len(moves), iterations]
         for straight, diagonal in zip(search.straight, search.diagonal, strict=True):
             words += [straight, diagonal]
-    record = b"".join(struct.pack("<I", word % 2**32) for word in words) + one.bits
-    for search in (one.planners["bfs"], one.planners["astar"]):
+    record = b"".join(struct.pack("<I", word % 2**32) for word in words) + stored_map.bits
+    for search in (stored_map.planners["bfs"], stored_map.planners["astar"]):
         record += bytes(move for moves in search.moves for move in moves)
     return record + bytes(-len(record) % 4)
 
 
 def hash_of(maps: Sequence[Map]) -> str:
     """Return the content hash of maps."""
-    total = sum(int.from_bytes(hashlib.sha256(record_of(one)).digest(), "big") for one in maps)
+    total = sum(
+        int.from_bytes(hashlib.sha256(record_of(stored_map)).digest(), "big") for stored_map in maps
+    )
     return f"{total % 2**256:064x}"
 
 
@@ -277,39 +279,49 @@ def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def test_the_page_reads_every_map(dataset: Dataset) -> None:
     """Maps, rooms, splits, paths, iterations and matrices are those that mapdata makes."""
-    found = [one for path in dataset.shards for one in read(path)[1]]
+    stored_maps = [stored_map for path in dataset.shards for stored_map in read(path)[1]]
     labels = dataset.labels
     maps = labels.maps
-    assert [one.number for one in found] == list(range(MAPS))
-    for i, one in enumerate(found):
+    assert [stored_map.number for stored_map in stored_maps] == list(range(MAPS))
+    for i, stored_map in enumerate(stored_maps):
         n = maps.rooms[i]
-        np.testing.assert_array_equal(one.occupancy, maps.occupancy[i])
-        assert (one.split, one.passage_width) == (maps.split[i], maps.passage_width[i])
-        assert one.seed_points == maps.seed_points[i, :n].tolist()
-        assert one.sizes == maps.sizes[i, :n].tolist()
-        assert one.directions == maps.directions[i, : n - 1].tolist()
+        np.testing.assert_array_equal(stored_map.occupancy, maps.occupancy[i])
+        assert (stored_map.split, stored_map.passage_width) == (
+            maps.split[i],
+            maps.passage_width[i],
+        )
+        assert stored_map.seed_points == maps.seed_points[i, :n].tolist()
+        assert stored_map.sizes == maps.sizes[i, :n].tolist()
+        assert stored_map.directions == maps.directions[i, : n - 1].tolist()
         for search in ("bfs", "astar"):
-            paths = [path_of(one, search, q) for q in range(n - 1)]
+            paths = [path_of(stored_map, search, q) for q in range(n - 1)]
             assert paths == [segment.tolist() for segment in labels.route(search, i)]
-            assert one.planners[search].iterations == labels.iterations(search, i).tolist()
+            assert stored_map.planners[search].iterations == labels.iterations(search, i).tolist()
             step = 1.0 if search == "bfs" else dataset.spec.movement.diagonal_cost
-            np.testing.assert_array_equal(matrix_of(one, search, step), labels.matrix(search, i))
+            np.testing.assert_array_equal(
+                matrix_of(stored_map, search, step), labels.matrix(search, i)
+            )
     assert not labels.reachable.all(), "no segment without a path among them"
 
 
 def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
     """Moves lead from seed point to seed point over free cells; their number is the pair's cost."""
-    for one in (one for path in dataset.shards for one in read(path)[1]):
-        n = len(one.seed_points)
-        for search, found in one.planners.items():
+    for stored_map in (stored_map for path in dataset.shards for stored_map in read(path)[1]):
+        n = len(stored_map.seed_points)
+        for search, search_labels in stored_map.planners.items():
             for q in range(n - 1):
-                pair = pair_of(one, q)
-                cells = path_of(one, search, q)
-                assert (cells == []) == (found.straight[pair] == -1)
-                assert len(found.moves[q]) == max(0, found.straight[pair] + found.diagonal[pair])
+                pair = pair_of(stored_map, q)
+                cells = path_of(stored_map, search, q)
+                assert (cells == []) == (search_labels.straight[pair] == -1)
+                assert len(search_labels.moves[q]) == max(
+                    0, search_labels.straight[pair] + search_labels.diagonal[pair]
+                )
                 if cells:
-                    assert (cells[0], cells[-1]) == (one.seed_points[q], one.seed_points[q + 1])
-                    assert not any(one.occupancy[row, column] for row, column in cells)
+                    assert (cells[0], cells[-1]) == (
+                        stored_map.seed_points[q],
+                        stored_map.seed_points[q + 1],
+                    )
+                    assert not any(stored_map.occupancy[row, column] for row, column in cells)
 
 
 def draw(word: int, limits: Sequence[int]) -> int:
@@ -335,18 +347,20 @@ def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
         assert seed == SEED
         height, width = spec["map_size"]
         limits = [(0, height - 1), (0, width - 1), spec["room_rows"], spec["room_columns"]]
-        for one in maps:
-            word, *_ = reference.block(seed, one.number, 0, 2, 0)
-            assert one.split == split_of(word, spec["splits"])
-            rooms, passage_width, *_ = reference.block(seed, one.number, 0, 0, 0)
-            assert len(one.seed_points) == draw(rooms, spec["rooms"])
-            assert one.passage_width == draw(passage_width, spec["passage_width"])
-            for q, (seed_point, size) in enumerate(zip(one.seed_points, one.sizes, strict=True)):
-                words = reference.block(seed, one.number, 0, 0, 1 + 2 * q)
+        for stored_map in maps:
+            word, *_ = reference.block(seed, stored_map.number, 0, 2, 0)
+            assert stored_map.split == split_of(word, spec["splits"])
+            rooms, passage_width, *_ = reference.block(seed, stored_map.number, 0, 0, 0)
+            assert len(stored_map.seed_points) == draw(rooms, spec["rooms"])
+            assert stored_map.passage_width == draw(passage_width, spec["passage_width"])
+            for q, (seed_point, size) in enumerate(
+                zip(stored_map.seed_points, stored_map.sizes, strict=True)
+            ):
+                words = reference.block(seed, stored_map.number, 0, 0, 1 + 2 * q)
                 drawn = [draw(word, limit) for word, limit in zip(words, limits, strict=True)]
                 assert [*seed_point, *size] == drawn
-            for q, direction in enumerate(one.directions):
-                skip, first, *_ = reference.block(seed, one.number, 0, 0, 2 + 2 * q)
+            for q, direction in enumerate(stored_map.directions):
+                skip, first, *_ = reference.block(seed, stored_map.number, 0, 0, 2 + 2 * q)
                 if skip < threshold(spec["skip_probability"]):
                     assert direction == [-1, -1]
                 else:
@@ -488,28 +502,31 @@ def test_counts_are_those_of_the_page(dataset: Dataset) -> None:
         _, maps = read(path)
         for code, split in enumerate(("train", "val", "test")):
             costs: dict[str, list[int]] = {"route": [], "rooms": []}
-            for one in maps:
-                if one.split != code:
+            for stored_map in maps:
+                if stored_map.split != code:
                     continue
-                found = one.planners["astar"]
-                n = len(one.seed_points)
-                ways = [s + d for s, d in zip(found.straight, found.diagonal, strict=True)]
+                search_labels = stored_map.planners["astar"]
+                n = len(stored_map.seed_points)
+                ways = [
+                    s + d
+                    for s, d in zip(search_labels.straight, search_labels.diagonal, strict=True)
+                ]
                 costs["rooms"] += ways
                 costs["route"] += [ways[q * (2 * n - q - 1) // 2] for q in range(n - 1)]
-            assert counts[split]["maps"] == sum(one.split == code for one in maps)
+            assert counts[split]["maps"] == sum(stored_map.split == code for stored_map in maps)
             for kind, ways in costs.items():
                 assert counts[split][kind] == sum(way > 0 for way in ways)
                 assert counts[split][f"{kind}_unsolvable"] == ways.count(-1)
         reachable = [
-            [path_of(one, "astar", q) != [] for q in range(len(one.seed_points) - 1)]
-            for one in maps
+            [path_of(stored_map, "astar", q) != [] for q in range(len(stored_map.seed_points) - 1)]
+            for stored_map in maps
         ]
-        assert counts["most_rooms"] == max(len(one.seed_points) for one in maps)
+        assert counts["most_rooms"] == max(len(stored_map.seed_points) for stored_map in maps)
         assert counts["segments"] == sum(map(len, reachable))
         assert counts["reachable"] == sum(map(sum, reachable))
         assert counts["all_connected"] == sum(map(all, reachable))
         assert counts["drawn"] == sum(
-            direction != [-1, -1] for one in maps for direction in one.directions
+            direction != [-1, -1] for stored_map in maps for direction in stored_map.directions
         )
 
 

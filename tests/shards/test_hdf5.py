@@ -32,7 +32,13 @@ from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import PRESETS
 from mapdata.shards import content_hash, open_shard
 from mapdata.shards.arrays import DATASETS
-from mapdata.shards.hdf5 import ChecksumError, check_metadata, checksum_of, read_dataset, read_root
+from mapdata.shards.hdf5 import (
+    ChecksumError,
+    check_metadata,
+    metadata_checksum,
+    read_dataset,
+    read_root,
+)
 from mapdata.shards.header import ATTRIBUTES, Header
 from mapdata.shards.image import TESTED_H5PY, shard_image
 
@@ -238,7 +244,7 @@ def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -
 )
 def test_checksums_are_those_that_their_author_published(text: bytes, checksum: int) -> None:
     """The two answers with a seed of zero in the self-test of lookup3.c."""
-    assert checksum_of(text) == checksum
+    assert metadata_checksum(text) == checksum
 
 
 def contents(image: bytes) -> dict[str, Any]:
@@ -378,7 +384,7 @@ def test_a_file_that_was_not_closed_is_named(sound: Path) -> None:
     """HDF5 marks files that are written to; h5py does not read them either."""
     image = bytearray(sound.read_bytes())
     image[11] = 5  # open for writing, by many readers and one writer
-    image[44:48] = checksum_of(bytes(image[:44])).to_bytes(4, "little")
+    image[44:48] = metadata_checksum(bytes(image[:44])).to_bytes(4, "little")
     sound.write_bytes(image)
     with pytest.raises(OSError, match="already open"):
         h5py.File(sound, "r")

@@ -24,9 +24,10 @@ from hypothesis import strategies as st
 
 import mapdata
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, identity
+from mapdata.generators import as_recipe
 from mapdata.limits import SPLITS
-from mapdata.shards import MANIFEST, PROVENANCE, Manifest, Recipe, read_manifest, write_file
-from mapdata.shards.builder import headers
+from mapdata.shards import MANIFEST, PROVENANCE, Manifest, read_manifest, write_file
+from mapdata.shards.builder import planned_headers
 from mapdata.shards.header import is_shard_name
 from mapdata.shards.manifest import Entry, parse_manifest
 from mapdata.shards.merging import LOCK, load_shard, merge, sweep, union
@@ -100,9 +101,9 @@ def test_the_recipe_states_all_that_makes_the_maps(built: Path) -> None:
     assert recipe["content_hash"] == manifest.content_hash
     with pytest.raises(ValueError, match="imported"):
         replace(manifest, spec=None, seed=None).recipe()
-    assert Recipe.load(recipe).spec == SPEC
+    assert as_recipe(recipe).spec == SPEC
     with pytest.raises(ValueError, match="is not that of its spec and seed"):
-        Recipe.load({**recipe, "seed": 6})
+        as_recipe({**recipe, "seed": 6})
 
 
 def test_a_manifest_is_not_read_beyond_its_limit(
@@ -110,9 +111,9 @@ def test_a_manifest_is_not_read_beyond_its_limit(
 ) -> None:
     """Its size is looked at first: a file of many gigabytes takes no memory."""
     size = (built / MANIFEST).stat().st_size
-    monkeypatch.setattr("mapdata.shards.manifest.MOST_BYTES", size)
+    monkeypatch.setattr("mapdata.shards.manifest.MAX_MANIFEST_BYTES", size)
     assert read_manifest(built).done == 8
-    monkeypatch.setattr("mapdata.shards.manifest.MOST_BYTES", size - 1)
+    monkeypatch.setattr("mapdata.shards.manifest.MAX_MANIFEST_BYTES", size - 1)
     with pytest.raises(ShardError, match=f"larger than {size - 1} bytes"):
         read_manifest(built)
 
@@ -128,7 +129,7 @@ def test_plan_and_sums(maps: int, shard_size: int, done: int) -> None:
     assert manifest.complete == (done >= len(manifest.plan))
     assert manifest.total("segments") == sum(entry.stop - entry.start for entry in finished)
     assert manifest.content_hash == f"{int(HASH, 16) * len(finished) % 2**256:064x}"
-    assert [(header.start, header.stop) for header in headers(manifest)] == manifest.plan
+    assert [(header.start, header.stop) for header in planned_headers(manifest)] == manifest.plan
 
 
 # --- names --------------------------------------------------------------------------------------
@@ -567,7 +568,9 @@ def test_sweep_takes_what_a_larger_shard_replaced(tmp_path: Path) -> None:
 def test_load_shard_gives_the_entry(built: Path) -> None:
     """What the manifest says of a shard can be derived from the file."""
     manifest = read_manifest(built)
-    assert tuple(load_shard(built, header) for header in headers(manifest)) == manifest.shards
+    assert (
+        tuple(load_shard(built, header) for header in planned_headers(manifest)) == manifest.shards
+    )
 
 
 @pytest.mark.parametrize(
@@ -575,7 +578,7 @@ def test_load_shard_gives_the_entry(built: Path) -> None:
 )
 def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Path) -> None:
     """A shard that is not there, not whole, or does not hash to what it says gives None."""
-    (header, *_) = headers(read_manifest(built))
+    (header, *_) = planned_headers(read_manifest(built))
     name = header.file_name
     image = bytearray((built / name).read_bytes())
     with h5py.File(built / name, "r") as file:
@@ -594,7 +597,7 @@ def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Pat
 
 def test_load_shard_takes_no_other_maps(built: Path) -> None:
     """A sound shard of another range, seed or resolution gives None."""
-    (header, *_) = headers(read_manifest(built))
+    (header, *_) = planned_headers(read_manifest(built))
     for other in (replace(header, seed=6), replace(header, spec=replace(SPEC, resolution=0.2))):
         assert load_shard(built, other) is None
     assert load_shard(built, header) is not None

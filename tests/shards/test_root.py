@@ -43,10 +43,10 @@ from mapdata.describe import card, dataset_statistics
 from mapdata.plotting import plot_figure, report
 from mapdata.plotting.figures import FIGURES
 from mapdata.shards import MANIFEST, PROVENANCE, Root, content_hash, read_manifest, remote
-from mapdata.shards.corruption import inspect, repair_found
-from mapdata.shards.root import folder_of, places
+from mapdata.shards.corruption import inspect, repair_faults
+from mapdata.shards.locations import locations, target_folder
 
-TRIES = (remote.PAUSES, remote.MOST_SILENCE, remote.MOST_SECONDS)
+TRIES = (remote.PAUSES, remote.MAX_SILENCE, remote.MAX_SECONDS)
 """What users have; tests wait for less."""
 
 
@@ -310,7 +310,7 @@ def test_what_passes_is_tried_again(
     fault: str, server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A manifest and a shard that come at the second or third try; each try that fails is said."""
-    monkeypatch.setattr(remote, "MOST_SILENCE", 0.2)
+    monkeypatch.setattr(remote, "MAX_SILENCE", 0.2)
     server.faults[:] = [fault]
     with pytest.warns(UserWarning, match=f"manifest.json could not be read.*{FAULTS[fault]}"):
         dataset = MapDataset(server.url)
@@ -337,7 +337,7 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
 
     On one line, and not as a dataset that is missing.
     """
-    monkeypatch.setattr(remote, "MOST_SILENCE", 0.2)
+    monkeypatch.setattr(remote, "MAX_SILENCE", 0.2)
     dataset = MapDataset(server.url)
     server.faults[:] = [fault] * 3
     with pytest.raises(ConnectionError) as caught:
@@ -371,7 +371,7 @@ def test_a_server_that_drips_bytes_is_given_up(
 ) -> None:
     """It is never silent, so that only the limit of a whole try ends it."""
     dataset = MapDataset(server.url)
-    monkeypatch.setattr(remote, "MOST_SECONDS", 0.3)
+    monkeypatch.setattr(remote, "MAX_SECONDS", 0.3)
     server.faults[:] = ["drip"] * 3
     with pytest.raises(ConnectionError, match=r"could not be read: .*Timeout.* or 0.3 s in all\)"):
         dataset[0]
@@ -477,7 +477,7 @@ def test_an_answer_that_stays_is_named_and_not_asked_for_again(fault: str, serve
 
 def test_a_stream_comes_in_pieces(server: Server) -> None:
     """A shard that is longer than what arrives at once."""
-    build(server.folder.parent / "large", maps=3000, spec=MapSpec(), shard_size=3000)
+    build(server.folder.parent / "large", maps=3000, recipe=MapSpec(), shard_size=3000)
     url = server.url.replace("/maps", "/large")
     assert len(MapDataset(url)[:10].map) == 10
     assert verify(url) == []
@@ -505,7 +505,7 @@ def test_a_root_is_its_maps(server: Server) -> None:
     assert len(here.shards) == len(here.manifests[0].shards)
     assert (str(here), str(there)) == (str(server.folder), server.url)
     assert server.fetched == ["/maps/manifest.json"]
-    labels, i = there.map(37)
+    labels, i = there.locate(37)
     assert labels.maps.index[i] == 37
     assert len(server.fetched) == 2
     assert [content_hash(batch) for batch in here.labels()] == [
@@ -522,18 +522,18 @@ def test_several_roots_are_one(server: Server, tmp_path: Path) -> None:
     expected = occupancy(Root.open(server.folder).labels()) + occupancy(Root.open(other).labels())
     assert occupancy(both.labels()) == expected
     for index in (0, 59, 60, 69):
-        labels, i = both.map(index)
+        labels, i = both.locate(index)
         assert labels.maps.index[i] == index
         assert labels.maps.occupancy[i].tobytes() == expected[index]
     for index in (-1, 70):
         with pytest.raises(
             ValueError, match=f"got {index}, {server.url}, .*other holds maps 0 to 69"
         ):
-            both.map(index)
+            both.locate(index)
     unfinished = build(tmp_path / "part", samples.SPEC, maps=60, shard_size=16, part=(0, 2))
     ahead = Root.open([tmp_path / "part", other])
     assert not unfinished.complete
-    assert ahead.map(63)[0].maps.index[0] == 60
+    assert ahead.locate(63)[0].maps.index[0] == 60
     with pytest.raises(ValueError, match="part is not finished"):
         Root.open([other, tmp_path / "part"], complete=True)
 
@@ -543,7 +543,7 @@ def test_roots_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     first = samples.build_small(tmp_path / "first", maps=3)
     second = samples.build_small(tmp_path / "second", samples.WIDE, maps=3)
     with pytest.raises(ValueError, match="got an empty list"):
-        places([])
+        locations([])
     with pytest.raises(ValueError, match=f"root: {second} has map_size .*, {first} has"):
         Root.open([first, second])
 
@@ -660,14 +660,14 @@ def test_a_url_can_only_be_read(server: Server, tmp_path: Path) -> None:
         ):
             repair(given)
     with pytest.raises(ValueError, match="is a URL"):
-        repair_found(inspect(server.url))
+        repair_faults(inspect(server.url))
     with pytest.raises(ValueError, match="is a URL"):
         build(server.url, samples.SPEC)
     assert not (server.folder / entry.name).exists()
     other = samples.build_small(tmp_path / "other")
     assert repair([str(server.folder), other]) == []
     assert (server.folder / entry.name).read_bytes() == sound
-    assert folder_of(server.folder) == server.folder
+    assert target_folder(server.folder) == server.folder
 
 
 def test_a_cache_that_was_changed_is_fetched_again(server: Server, tmp_path: Path) -> None:

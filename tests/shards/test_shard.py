@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
 from mapdata.movement import Movement
 from mapdata.shards import content_hash, open_shard, write_file
-from mapdata.shards.arrays import DATASETS, bits_of, decode, pack_moves, unpack_moves
+from mapdata.shards.arrays import DATASETS, bits_per_move, decode, pack_moves, unpack_moves
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
 
@@ -73,8 +73,8 @@ def assert_same_labels(found: Labels, expected: Labels) -> None:
         np.testing.assert_array_equal(value, truth, err_msg=name, strict=True)
     for search in ("bfs", "astar"):
         for name in ("moves", "offsets", "iterations", "costs"):
-            value = getattr(found.of(search), name)
-            truth = getattr(expected.of(search), name)
+            value = getattr(found.by_search(search), name)
+            truth = getattr(expected.by_search(search), name)
             np.testing.assert_array_equal(value, truth, err_msg=f"{search} {name}", strict=True)
 
 
@@ -134,7 +134,7 @@ def test_a_shard_of_no_maps(movement: Movement, tmp_path: Path) -> None:
 def test_moves_pack_and_unpack(codes: list[int], movement: Movement) -> None:
     """Move k is in the bits from k * bits on, spare bits are 0; unpacking undoes packing."""
     moves = np.array([code % movement.connectivity for code in codes], np.uint8)
-    bits = bits_of(movement)
+    bits = bits_per_move(movement)
     packed = pack_moves(moves, bits)
     value = sum(int(move) << bits * k for k, move in enumerate(moves))
     assert packed.tobytes() == value.to_bytes(-(-len(moves) * bits // 8), "little")

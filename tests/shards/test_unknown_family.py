@@ -35,9 +35,9 @@ from mapdata import (
 )
 from mapdata.cli import main
 from mapdata.describe import card
-from mapdata.generators import MapGenerator, UnknownFamily
+from mapdata.generators import MapGenerator, UnknownFamily, as_recipe
 from mapdata.hashing import canonical_json
-from mapdata.shards import MANIFEST, Recipe, open_shard, read_manifest
+from mapdata.shards import MANIFEST, open_shard, read_manifest
 from mapdata.shards.reader import map_shard
 
 NOT_KNOWN = re.escape(
@@ -89,7 +89,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     __import__("pillars")
     sys.path.remove(str(folder))
     root = folder / "maps"
-    recipe = Recipe.load(RECIPE)
+    recipe = as_recipe(RECIPE)
     manifest = build(root, recipe.spec, maps=10, seed=3, shard_size=4, workers=1)
     dataset = MapDataset(root, None, ("seed_points", "connection_matrix"))
     dataset[:]
@@ -198,7 +198,7 @@ def test_what_needs_the_family_says_so_on_one_line(root: Path, tmp_path: Path) -
         lambda: build(root, spec, maps=12, seed=3, shard_size=4),
         lambda: build(tmp_path / "new", spec, maps=12, seed=3),
         lambda: OnlineMapDataset(spec),
-        lambda: Recipe.load(recipe),
+        lambda: as_recipe(recipe),
         module.setup,
     ]
     for need in needs:

@@ -18,7 +18,7 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, InTheCaller, make, names
 
 from mapdata import build, verify
 from mapdata.shards import Manifest, read_manifest
-from mapdata.shards.workers import bar, finished, threads
+from mapdata.shards.workers import bar, completed, thread_pool
 
 
 def twice(number: int) -> int:
@@ -28,47 +28,50 @@ def twice(number: int) -> int:
     return 2 * number
 
 
-@pytest.mark.parametrize("most", [1, 3, 100])
-def test_every_task_comes_back_once(most: int) -> None:
+@pytest.mark.parametrize("max_pending", [1, 3, 100])
+def test_every_task_comes_back_once(max_pending: int) -> None:
     """Each with its own result, whatever finished first."""
     with ThreadPoolExecutor(2) as pool:
-        assert sorted(finished(pool, twice, range(10), most)) == [(k, 2 * k) for k in range(10)]
-        assert list(finished(pool, twice, [], most)) == []
+        assert sorted(completed(pool, twice, range(10), max_pending)) == [
+            (k, 2 * k) for k in range(10)
+        ]
+        assert list(completed(pool, twice, [], max_pending)) == []
 
 
 class Counting(ThreadPoolExecutor):
     """Counts what is under way."""
 
-    under_way = most = 0
+    pending = max_pending = 0
 
     def submit(
         self, function: Callable[..., Any], /, *arguments: object, **options: object
     ) -> Future[Any]:
         """Take a task."""
-        self.under_way += 1
-        self.most = max(self.most, self.under_way)
+        self.pending += 1
+        self.max_pending = max(self.max_pending, self.pending)
         return super().submit(function, *arguments, **options)
 
 
 def test_so_many_are_under_way() -> None:
     """What the caller took is no longer under way."""
     with Counting(2) as pool:
-        for _ in finished(pool, twice, range(14, 40), 4):
-            pool.under_way -= 1
-        assert pool.most <= 5  # the next one is submitted before the caller has counted the last
+        for _ in completed(pool, twice, range(14, 40), 4):
+            pool.pending -= 1
+        # The next task is submitted before the caller has counted the last one.
+        assert pool.max_pending <= 5
 
 
 def test_results_come_before_the_last_task_is_given() -> None:
     """An executor that works when it is given a task does not delay what is finished."""
-    given: list[int] = []
+    submitted: list[int] = []
 
     def tasks() -> Iterator[int]:
         for k in range(14, 20):
-            given.append(k)
+            submitted.append(k)
             yield k
 
-    for number, _ in finished(InTheCaller(), twice, tasks(), 1000):
-        assert given[-1] == number
+    for number, _ in completed(InTheCaller(), twice, tasks(), 1000):
+        assert submitted[-1] == number
 
 
 def test_an_error_comes_out_and_the_rest_is_cancelled() -> None:
@@ -79,8 +82,8 @@ def test_an_error_comes_out_and_the_rest_is_cancelled() -> None:
         begun.append(number)
         return twice(number)
 
-    with pytest.raises(OSError, match="no space left"), threads(1) as pool:
-        list(finished(pool, task, range(12, 500), 20))
+    with pytest.raises(OSError, match="no space left"), thread_pool(1) as pool:
+        list(completed(pool, task, range(12, 500), 20))
     assert len(begun) < 25
 
 
@@ -89,16 +92,16 @@ def test_ctrl_c_neither_waits_nor_begins_anything() -> None:
     gate = Event()
 
     def interrupted() -> Iterator[Future[Any]]:
-        with threads(1) as pool:
+        with thread_pool(1) as pool:
             yield pool.submit(gate.wait, 60)
             yield pool.submit(twice, 1)
             raise KeyboardInterrupt
 
     work = interrupted()
-    under_way, later = next(work), next(work)
+    pending, later = next(work), next(work)
     with pytest.raises(KeyboardInterrupt):
         next(work)
-    assert not under_way.done()
+    assert not pending.done()
     assert later.cancelled()
     gate.set()
 
@@ -190,15 +193,17 @@ def test_parts(parts: int, tmp_path: Path) -> None:
     """
     truth = make(tmp_path / "truth")
     root = tmp_path / "maps"
-    made: Manifest | None = None
+    manifest: Manifest | None = None
     for k in reversed(range(parts)):
-        before = set() if made is None else {entry.start for entry in made.shards}
-        made = build(root, SPEC, maps=MAPS, seed=SEED, shard_size=SIZE, workers=1, part=(k, parts))
-        assert {entry.start for entry in made.shards} - before == set(
+        before = set() if manifest is None else {entry.start for entry in manifest.shards}
+        manifest = build(
+            root, SPEC, maps=MAPS, seed=SEED, shard_size=SIZE, workers=1, part=(k, parts)
+        )
+        assert {entry.start for entry in manifest.shards} - before == set(
             range(k * SIZE, MAPS, parts * SIZE)
         )
-        assert made.complete == (k == 0 or (parts > k >= 3 and len(made.shards) == 3))
-    assert made == truth == read_manifest(root)
+        assert manifest.complete == (k == 0 or (parts > k >= 3 and len(manifest.shards) == 3))
+    assert manifest == truth == read_manifest(root)
 
 
 @pytest.mark.parametrize("part", [(1, 1), (-1, 2), (0, 0), (0.5, 2), (1,), 5])
@@ -231,7 +236,7 @@ def test_writing_the_manifest_takes_a_twentieth_of_a_build(
     monkeypatch.setattr("mapdata.shards.builder.merge", write)
     monkeypatch.setattr("mapdata.shards.builder.time.monotonic", lambda: clock["now"])
     monkeypatch.setattr(
-        "mapdata.shards.builder._made", lambda *_: (shard(k) for k in range(10_000))
+        "mapdata.shards.builder._built_entries", lambda *_: (shard(k) for k in range(10_000))
     )
     build(tmp_path / "maps", SPEC, maps=MAPS + 1, seed=SEED, shard_size=SIZE)
     assert clock["now"] > 1000

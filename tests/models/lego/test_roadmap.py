@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
-from mapdata import MapSpec, ProblemSet
+from mapdata import MapSpec, Movement, ProblemSet
 from models.lego.roadmap import (
     SAMPLERS,
     bridge,
@@ -33,7 +33,7 @@ from models.lego.roadmap import (
     uniform,
 )
 
-DUNGEON = ProblemSet.sample(MapSpec.preset("dungeon"), seed=3, maps=12)
+DUNGEON = ProblemSet.sample(MapSpec.preset("dungeon"), seed=3, maps=12, movement=Movement(8))
 Grid = npt.NDArray[np.uint8]
 Point = tuple[Fraction, Fraction]
 
@@ -118,7 +118,7 @@ def test_edges_are_those_of_all_pairs(shape: tuple[int, int], max_length: float)
     spec = MapSpec(
         shape, rooms=(4, 9), room_rows=(5, 12), room_columns=(5, 12), passage_width=(1, 3)
     )
-    problems = ProblemSet.sample(spec, seed=5, maps=2)
+    problems = ProblemSet.sample(spec, seed=5, maps=2, movement=Movement(8))
     for grid in problems.grids:
         roadmap = build_roadmap(grid, uniform(grid, 60, seed=2), max_length)
         edges = set(map(tuple, roadmap.edges.tolist()))

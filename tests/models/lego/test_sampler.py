@@ -22,7 +22,7 @@ import pytorch_lightning as pl
 import torch
 from scipy.sparse.csgraph import dijkstra
 
-from mapdata import MapDataModule, MapSpec, ProblemSet, inflate
+from mapdata import MapDataModule, MapSpec, Movement, ProblemSet, inflate
 from models.lego.comparison import (
     DENSE,
     DENSE_SEED,
@@ -76,7 +76,7 @@ def load(file: str | Path) -> Sampler:
 @cache
 def unseen_problems(maps: int = 12) -> ProblemSet:
     """Return problems that were in no training."""
-    return ProblemSet.sample(DUNGEON, seed=2718, maps=maps)
+    return ProblemSet.sample(DUNGEON, seed=2718, maps=maps, movement=Movement(8))
 
 
 def small_model(model_class: type[Any], **arguments: Any) -> Any:
@@ -777,7 +777,7 @@ def test_evaluate_script(main: Callable[[str], Main], tmp_path: Path) -> None:
     [
         ("--json none/rows.json", "there is no folder none"),
         ("--weights none", "weights: there is no folder none"),
-        ("--preset caves", "preset: got 'caves', expected one of paper"),
+        ("--preset caves", "recipe: got 'caves', expected a preset (paper"),
         ("--sizes 1", "sizes of 2 or more"),
     ],
 )

@@ -1,0 +1,244 @@
+"""Recipes: which maps are meant, as a `Recipe` or anything that `as_recipe` turns into one."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapdata._version import __version__
+from mapdata.arrays import Ints
+from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
+from mapdata.generators.generator import (
+    PRESETS,
+    MapGenerator,
+    UnknownFamily,
+    identity,
+    why_unknown,
+)
+from mapdata.generators.maps import Maps
+from mapdata.hashing import parsed_json
+from mapdata.limits import FORMAT_VERSIONS
+
+MAX_RECIPE_BYTES = 2**20
+"""Largest file that is read as a recipe. A recipe has some 600 bytes."""
+
+_KEYS = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
+"""The keys of a recipe in JSON; each of them may be left out."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Which maps: a generator, a seed and the number of maps.
+
+    It is all that is needed to build a dataset again, bit for bit.
+
+    Attributes:
+        spec: the generator.
+        seed: 64-bit seed.
+        maps: number of maps.
+        content_hash: hash of these maps and their labels, as hex; None if it is not known. `build`
+            compares it with the hash of what it built.
+
+    Raises:
+        ValueError: no generator, one whose family is not known here, or a bad seed or number.
+
+    >>> from mapdata import MapSpec
+    >>> Recipe(MapSpec.preset("dungeon"), seed=7, maps=500).maps
+    500
+    """
+
+    spec: MapGenerator
+    seed: int = 0
+    maps: int = 10_000
+    content_hash: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values, and turn the integers of other libraries into ints."""
+        if not isinstance(self.spec, MapGenerator):
+            raise ValueError(f"spec: got {self.spec!r}, expected a MapSpec or another MapGenerator")
+        if isinstance(self.spec, UnknownFamily):
+            raise ValueError(f"spec: {why_unknown(self.spec.name)}")
+        if self.content_hash is not None and not _is_sha256(self.content_hash):
+            raise ValueError(
+                f"content_hash: got {self.content_hash!r}, expected a SHA-256 in hexadecimal digits"
+            )
+        object.__setattr__(self, "seed", check_seed(self.seed))
+        object.__setattr__(self, "maps", check_count("maps", self.maps))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the recipe as plain values for JSON, which `as_recipe` reads."""
+        values: dict[str, Any] = {
+            "format_version": self.spec.format_version,
+            "spec": self.spec.to_dict(),
+            "seed": self.seed,
+            "maps": self.maps,
+            "identity": identity(self.spec, self.seed),
+        }
+        if self.content_hash is not None:
+            values["content_hash"] = self.content_hash
+        return values
+
+
+RecipeLike = str | Path | Mapping[str, Any] | MapGenerator | Recipe
+"""What `as_recipe` accepts, and with it everything that asks which maps are meant."""
+
+
+def as_recipe(recipe: RecipeLike, *, seed: int | None = None, maps: int | None = None) -> Recipe:
+    """Return the recipe that is meant.
+
+    Args:
+        recipe: a preset's name, the path of a recipe file, JSON text, a mapping with the keys of
+            such JSON, a `MapGenerator` or a `Recipe`. What it leaves out has the defaults of
+            `Recipe`.
+        seed: the seed instead of the recipe's.
+        maps: the number of maps instead of the recipe's. A recipe of another seed or number has no
+            content hash.
+
+    Raises:
+        ValueError: none of these, or a recipe with impossible values.
+
+    >>> as_recipe("maze", maps=20).maps
+    20
+    """
+    loaded = _load(recipe)
+    overridden = Recipe(
+        loaded.spec,
+        seed=loaded.seed if seed is None else seed,
+        maps=loaded.maps if maps is None else maps,
+    )
+    is_unchanged = (overridden.seed, overridden.maps) == (loaded.seed, loaded.maps)
+    return loaded if is_unchanged else overridden
+
+
+def _is_sha256(text: object) -> bool:
+    """Return whether ``text`` is a SHA-256 in lower-case hexadecimal digits."""
+    return isinstance(text, str) and re.fullmatch("[0-9a-f]{64}", text) is not None
+
+
+def _load(recipe: object) -> Recipe:
+    """Return the recipe that an object of any accepted type stands for."""
+    if isinstance(recipe, Recipe):
+        return recipe
+    if isinstance(recipe, MapGenerator):
+        return Recipe(recipe)
+    if isinstance(recipe, Mapping):
+        return _from_mapping(recipe)
+    if isinstance(recipe, str):
+        if recipe in PRESETS:
+            return Recipe(PRESETS[recipe])
+        if recipe.lstrip().startswith("{"):
+            return _from_json("recipe", recipe)
+    if isinstance(recipe, (str, Path)) and os.path.isfile(recipe):
+        return _from_file(recipe)
+    raise ValueError(
+        f"recipe: got {recipe!r}, expected a preset ({', '.join(PRESETS)}), the path of a recipe "
+        "file, JSON text, a mapping, a MapGenerator or a Recipe"
+        f"{did_you_mean(recipe, PRESETS) if isinstance(recipe, str) else ''}"
+    )
+
+
+def _from_file(path: str | Path) -> Recipe:
+    """Return the recipe of a JSON file, which is not read if it is too large."""
+    byte_count = os.path.getsize(path)
+    if byte_count > MAX_RECIPE_BYTES:
+        raise ValueError(
+            f"recipe: {path} has {byte_count} bytes, expected at most {MAX_RECIPE_BYTES}"
+        )
+    return _from_json(f"recipe: {path}", Path(path).read_bytes())
+
+
+def _from_json(source: str, text: str | bytes) -> Recipe:
+    """Return the recipe of a JSON text; ``source`` begins the error message."""
+    values = parsed_json(source, text)
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{source}: expected an object with {', '.join(_KEYS)}")
+    return _from_mapping(values)
+
+
+def _from_mapping(values: Mapping[str, Any]) -> Recipe:
+    """Return the recipe that plain values state, as JSON and configurations hold them."""
+    for key in values:
+        check_choice("recipe", key, _KEYS)
+    version = values.get("format_version", 1)
+    if version not in FORMAT_VERSIONS:
+        known_versions = " and ".join(map(str, FORMAT_VERSIONS))
+        raise ValueError(
+            f"recipe: format version {version}, this mapdata {__version__} reads {known_versions}"
+        )
+    recipe = Recipe(
+        spec=MapGenerator.from_dict(values.get("spec", {})),
+        seed=values.get("seed", Recipe.seed),
+        maps=values.get("maps", Recipe.maps),
+        content_hash=values.get("content_hash"),
+    )
+    if values.get("identity") not in (None, identity(recipe.spec, recipe.seed)):
+        raise ValueError(
+            f"recipe: its identity {values['identity']} is not that of its spec and seed"
+        )
+    return recipe
+
+
+def generate(
+    recipe: RecipeLike, seed: int | None = None, indices: Iterable[int] | None = None
+) -> Maps:
+    """Return maps of a recipe.
+
+    Map i is a pure function of (format version, generator, seed, i): the batch, its order and the
+    machine do not matter.
+
+    Args:
+        recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
+            `MapGenerator` or a `Recipe`.
+        seed: 64-bit seed; the recipe's by default, 0 for a preset or generator.
+        indices: numbers of the maps, from 0; all maps of the recipe by default.
+
+    Raises:
+        ValueError: no recipe; a seed or an index that is not a non-negative integer of 64 (63)
+            bits; a family that draws no seed points, or some outside of the map.
+
+    >>> maps = generate("paper", seed=0, indices=range(3))
+    >>> maps.occupancy.shape, maps.rooms.tolist()
+    ((3, 64, 64), [5, 9, 2])
+    """
+    recipe = as_recipe(recipe, seed=seed)
+    if indices is None:
+        indices = range(recipe.maps)
+    maps = recipe.spec.draw(recipe.seed, _map_numbers(indices))
+    _check_seed_points(recipe.spec, maps)
+    return maps
+
+
+def _map_numbers(indices: Iterable[int]) -> Ints:
+    """Return the numbers of maps as a new array, (N,) int64."""
+    if isinstance(indices, Iterable) and not isinstance(indices, np.ndarray):
+        indices = list(indices)  # numpy does not read the numbers of other iterables
+    numbers = np.asarray(indices)
+    is_integer = numbers.dtype.kind in "iu"  # an empty list becomes an array of floats
+    in_range = numbers.size == 0 or (
+        is_integer and numbers.min() >= 0 and int(numbers.max()) < 2**63
+    )
+    if numbers.ndim != 1 or not in_range:
+        raise ValueError(f"indices: got {indices!r}, expected integers from 0 to 2**63 - 1")
+    return np.array(numbers, np.int64)
+
+
+def _check_seed_points(spec: MapGenerator, maps: Maps) -> None:
+    """Refuse maps whose seed points compiled code could not rely on.
+
+    The families of mapdata keep these rules; a family that a user wrote may break them.
+    """
+    points = maps.seed_points
+    is_outside = (points < -1) | (points >= spec.map_size)
+    point_counts = (points[:, :, 0] >= 0).sum(axis=1)
+    # Products of counts of fewer than 64 bits would overflow.
+    counts_agree = maps.rooms.dtype == np.int64 and (point_counts == maps.rooms).all()
+    if is_outside.any() or not (point_counts.all() and counts_agree):
+        raise ValueError(
+            f"{spec.name}: drew seed points outside of a map, none, or not as stated (by int64)"
+        )
