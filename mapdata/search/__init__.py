@@ -29,6 +29,6 @@ __all__ = [
     "hardness",
     "inflate",
     "label",
-from mapdata.search.taut import pull_taut
+    "pull_taut",
     "search_batch",
 ]
